@@ -29,6 +29,9 @@ from flexopt.simulation.verdict import Ended, Judgement, LoopVerdict, judge
 if TYPE_CHECKING:
     import xarray as xr
 
+# A share by which the integrator changes the linear loop's decay from which on that is told.
+NOTICED = 0.1
+
 
 def _as_many(arguments: Arguments, given: Mapping[str, Any]) -> None:
     q, base = given["q"], given["base"]
@@ -64,6 +67,8 @@ class Trajectory(Pictured, Result):
         growth_rate, growth_rate_error: of the base's amplitude in the run and its standard error, 1/s: of the largest
             mode that grows, or else of the one that decays slowest; None where it never moved.
         linear_growth_rate: of `linear`, 1/s.
+        integrated_growth_rate: of the same loop as the run's integrator makes it, 1/s (computed when asked for); None
+            where base or target were moved.
         self_motion_rate: of a redundant arm, the largest rate of a joint at the end that leaves the end-point where it
             is, rad/s or m/s; None where there is no such motion. It is no part of the verdict.
         settling_time: after which |e| stays below 2 % of its start, s; None where it does not.
@@ -139,6 +144,11 @@ class Trajectory(Pictured, Result):
     def linear_growth_rate(self) -> float | None:
         """See the class."""
         return None if self.linear is None else self.linear.growth_rate
+
+    @cached_property
+    def integrated_growth_rate(self) -> float | None:
+        """See the class."""
+        return self.ended.integrated()
 
     @cached_property
     def _judgement(self) -> Judgement:
@@ -301,6 +311,13 @@ class Trajectory(Pictured, Result):
             lines[1:1] = [f"  {line}" for line in repr(self.loop).splitlines()]
         if self.verdict == "undecided":
             lines.insert(1, f"  undecided: {self.verdict_reason}")
+        made = self.integrated_growth_rate
+        if self.linear is not None and made is not None:
+            rate = self.linear.growth_rate
+            if abs(made - rate) > NOTICED * abs(rate) + self.linear.rounding:
+                lines.append(
+                    f"  integrator {self.ended.options.integrator}: makes the linear loop's decay {-made:+z.4g}/s"
+                )
         if self.self_motion_rate is not None:
             units = " or ".join(dict.fromkeys(f"{unit}/s" for unit in self.model.joint_units))
             lines.append(f"  self-motion of the arm at the end: {self.self_motion_rate:.3g} {units}")

@@ -102,6 +102,18 @@ def test_an_integrator_that_damps_a_growing_loop_decides_nothing():
     assert flexopt.simulate(EXCAVATOR, POSTURE_B, integrator="dop853", **late | {"duration": 2000.0}).verdict == "grows"
 
 
+def test_a_run_says_what_its_integrator_makes_of_the_decay():
+    """RK4 damps the 22 Hz mode: a run of many periods grows as the loop does that RK4 makes, not as the exact one."""
+    fast = {"kp": 1e5, "kv": 2e3, "offset": [1e-4, 0.0], "duration": 30.0}
+    damped = flexopt.simulate(EXCAVATOR, (-1.35, -2.8), **fast)
+    assert damped.growth_rate == pytest.approx(damped.integrated_growth_rate, rel=0.02)
+    assert damped.growth_rate < 0.5 * damped.linear_growth_rate
+    assert f"integrator rk4: makes the linear loop's decay {-damped.integrated_growth_rate:+.4g}/s" in repr(damped)
+    true = flexopt.simulate(EXCAVATOR, (-1.35, -2.8), integrator="dop853", **fast)
+    assert true.growth_rate == pytest.approx(true.linear_growth_rate, rel=0.02)
+    assert "integrator dop853" not in repr(true)
+
+
 def test_a_driven_base_is_judged_where_it_ends():
     """From A, which grows, to B, which does not."""
     climb = flexopt.nullspace_trajectory(EXCAVATOR, POSTURE_A, base_range=(-1.5, 0.0))
