@@ -138,7 +138,8 @@ def draw_candidates(panels: Sequence[Axes], selection: Selection) -> None:
         shown = [(0.0 if initial is None else 0.2, best, inks.chosen, "chosen")]
         shown += [] if initial is None else [(-0.2, initial, inks.present, "present")]
         for offset, evaluation, color, name in shown:
-            panel.bar(modes + offset, _shares(evaluation) if share else evaluation.w, 0.38, color=color, label=name)
+            w = without_rounding(evaluation.w, evaluation.scale)
+            panel.bar(modes + offset, _shares(evaluation) if share else w, 0.38, color=color, label=name)
         for k, other in enumerate(others):
             values = _shares(other) if share else other.w
             panel.plot(

@@ -23,6 +23,7 @@ from flexopt.plotting.scene import Actor, draw_scene, legend_above, target_point
 from flexopt.plotting.shape import Points, Shape, View, shape_of, views
 from flexopt.plotting.sheet import Sheet, picture
 from flexopt.plotting.units import labelled, measure_label, objective_label
+from flexopt.robustness.evaluation import without_rounding
 from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
 
 TITLE_WIDTH = 95  # characters
@@ -63,7 +64,7 @@ def plot_stand(sheet: Sheet, stand: Stand) -> None:
     panels: list[Axes] = [sheet.figure.add_subplot(right[k, 0]) for k in range(2)]
     numbers = np.arange(1, len(places) + 1)
     shades = [inks.chosen if k == stand.worst else inks.other for k in range(numbers.size)]
-    panels[0].bar(numbers, [place.objective for place in places], 0.6, color=shades)
+    panels[0].bar(numbers, stand.shown_objective, 0.6, color=shades)
     panels[0].set_ylabel(_sought(stand))
     panels[0].set_title("objective at each target" + (", 0 is best" if stand.unit is None else ""), loc="right")
     _draw_measures(panels[1], places, numbers)
@@ -176,7 +177,7 @@ def _target_points(places: Sequence[TargetConfiguration], rows: tuple[str, ...])
 
 def _draw_measures(axes: Axes, places: Sequence[TargetConfiguration], numbers: NDArray[np.int64]) -> None:
     """Bars of every w_i at each target."""
-    w = np.array([place.evaluation.w for place in places])
+    w = np.array([without_rounding(place.evaluation.w, place.evaluation.scale) for place in places])
     width = 0.8 / w.shape[1]
     series = colors().series
     for i in range(w.shape[1]):

@@ -41,7 +41,7 @@ class Proof:
         kinks: of every kink that the point stands on its multiplier, as a share of the largest one that an optimum has.
         unsurpassed: whether V is a value that no configuration exceeds.
         dimension: of the set of optima about the point: how many directions lead along optima as good; None where that
-            is not known: on kinks of ε_max, where a_i or b_i vanishes, and of several configurations together.
+            is not known: on kinks of ε_max, where a_i or b_i vanishes, and of stands and plans.
         pull: the largest slope, of V / size, with which an objective that is kept holds V's, at least 1: stationarity
             is told relative to it.
     """
@@ -90,7 +90,7 @@ def prove_program(program: Program, x: Vector) -> Proof:
     of_targets = local.g[: len(rows) * program.coupling.count].reshape(-1, len(rows))[:, :n_task] * lengths
     off = float(np.sqrt(np.sum(of_targets**2, axis=1)).max())
     kinks = dict(zip((kink.name for kink in local.kinks), local.shares(multipliers, kept), strict=True))
-    if program.coupling.count > 1:
+    if program.goal != "weighted":
         dimension = None
     active = (*local.names, *kinks)
     return Proof(violations, active, off, stationarity, curvature, kinks, unsurpassed, dimension, pull)

@@ -51,7 +51,7 @@ def surface_at(problem: SelectionProblem, z: Vector) -> Parallel | None:
 
 def dimension_of(program: Program, x: Vector, local: FirstOrderModel) -> int | None:
     """Of the set V = 0 about x, which inequalities may bound: V's own slope and curvature vanish along it."""
-    if program.first.kept or program.coupling.count > 1:
+    if program.first.kept or program.goal != "weighted":
         return None
     surface = surface_at(program.first, x)
     if surface is None:

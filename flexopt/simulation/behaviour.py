@@ -186,7 +186,8 @@ def _told(rate: Vector, growing: NDArray[np.bool_], last: Vector) -> NDArray[np.
     """
     slowest = np.argmax(np.where(np.isnan(rate), -np.inf, rate), axis=0)
     largest = np.argmax(np.where(growing, last, -np.inf), axis=0)
-    return np.where(np.any(growing, axis=0), largest, slowest)
+    told: NDArray[np.intp] = np.where(np.any(growing, axis=0), largest, slowest)
+    return told
 
 
 def _periods(times: Vector, energy: Vector, slowest_hz: float) -> tuple[Vector, Vector]:

@@ -16,7 +16,15 @@ from flexopt.foundation.results import Tabled
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import THIN, ConstraintValue, column_heads, in_columns, in_margin, units_of_columns
+from flexopt.selection.result import (
+    THIN,
+    TIE_TOLERANCE,
+    ConstraintValue,
+    column_heads,
+    in_columns,
+    in_margin,
+    units_of_columns,
+)
 
 
 @dataclass(frozen=True)
@@ -86,13 +94,24 @@ class ConfigurationSet(Tabled):
         return np.array([place.objective for place in self.places])
 
     @property
+    def shown_objective(self) -> Vector:
+        """V (K,) as tables and pictures show it: 0 where it ranks as equal to the best that w_i can be."""
+        scale = 0.0 if self.unit is not None else self.problems[0].first_scale
+        shown: Vector = np.where(np.abs(self.V) > TIE_TOLERANCE * scale, self.V, 0.0)
+        return shown
+
+    @property
+    def _targets(self) -> str:
+        return f"{len(self.places)} target" + "s" * (len(self.places) > 1)
+
+    @property
     def worst(self) -> int:
         """Index of the target with the smallest V."""
         return int(self.V.argmin())
 
     def _found(self, what: str) -> str:
         tried, done = self.attempts
-        return f"{done} of {tried} starts led to a verified {what} {len(self.places)} targets"
+        return f"{done} of {tried} starts led to a verified {what} {self._targets}"
 
     def _document(self, status: str, own: dict[str, Any], targets: str) -> dict[str, Any]:
         """What both kinds say, around their own keys; `targets` is what the problem calls them."""
@@ -110,7 +129,7 @@ class ConfigurationSet(Tabled):
         named = [f"  {assumption}" for assumption in first.assumed]
         return [
             f"{first.machine.name}: {what}, {how}",
-            *_table(self.places, self.worst, "V" if self.unit is None else self.objective),
+            *_table(self.places, self.shown_objective, self.worst, "V" if self.unit is None else self.objective),
             *([f"  {self.left_out}"] if self.left_out else []),
             *named,
         ]
@@ -172,7 +191,7 @@ class Stand(Pictured, ConfigurationSet):
         e = self.places[0].evaluation
         placed = zip(e.base_coordinates, self.base, e.base_units, strict=True)
         base = ", ".join(f"{name} = {x:z.4f} {unit}" for name, x, unit in placed)
-        return "\n".join(self._lines(f"{len(self.places)} targets from {base}", self.status))
+        return "\n".join(self._lines(f"{self._targets} from {base}", self.status))
 
 
 @dataclass(frozen=True)
@@ -287,14 +306,14 @@ class BasePlan(Pictured, ConfigurationSet):
 SHOWN = 12
 
 
-def _table(places: tuple[TargetConfiguration, ...], worst: int, name: str) -> list[str]:
+def _table(places: tuple[TargetConfiguration, ...], worths: Vector, worst: int, name: str) -> list[str]:
     e = places[0].evaluation
     lines = column_heads("  target", e, f"{name:>13}{'ε_max':>10}")
     shown = range(len(places)) if len(places) <= SHOWN else np.linspace(0, len(places) - 1, SHOWN).astype(int)
     for k in sorted({*(int(i) for i in shown), worst}):
-        told = "   the worst" if k == worst else ""
-        e, worth = places[k].evaluation, places[k].objective
-        lines += [f"  {k + 1:6d} {in_columns(e)}{worth:13.4e}{in_margin(e)}{told}"]
+        told = "   the worst" if k == worst and len(places) > 1 else ""
+        e = places[k].evaluation
+        lines += [f"  {k + 1:6d} {in_columns(e)}{worths[k]:13.4e}{in_margin(e)}{told}"]
     return [*lines, f"  in {units_of_columns(e)}"]
 
 

@@ -151,7 +151,10 @@ def test_pictures(trench: BasePlan, tmp_path: Path) -> None:
     )
     figure = stand.plot(tmp_path / "stand.png")
     heights = [patch.get_height() for axes in figure.axes for patch in axes.patches if hasattr(patch, "get_height")]
-    for place in stand.places:
-        assert any(math.isclose(height, place.objective, rel_tol=1e-12, abs_tol=1e-30) for height in heights)
+    for shown in stand.shown_objective:
+        assert any(math.isclose(height, shown, rel_tol=1e-12, abs_tol=1e-30) for height in heights)
+    # w_2 is 0 to rounding, and so is what is drawn of it.
+    assert np.abs(stand.V).max() < 1e-15 * stand.problems[0].first_scale
+    assert not stand.shown_objective.any()
     with pytest.raises(flexopt.InputError, match=r"stand\.xyz"):
         stand.plot(tmp_path / "stand.xyz")

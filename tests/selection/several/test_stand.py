@@ -160,3 +160,18 @@ def test_three_times_as_many_starts_find_hardly_more(seed: int) -> None:
     many = select_stand(machine, targets, objective="V", weights=[1, 1, 1], starts=96, seed=1, workers=1)
     # Over eight sets of targets the difference is 0.006 at most.
     assert few.worth >= many.worth - 0.01 * few.problems[0].objective_scale
+
+
+@pytest.mark.parametrize("combine", ["worst", "weighted"])
+@pytest.mark.parametrize("weights", [[1.0, 0.0, 0.0], [1.0, 0.3, 0.3]])
+def test_a_stand_for_one_target_is_a_choice_for_it(
+    excavator: flexopt.Machine, combine: str, weights: list[float]
+) -> None:
+    """V = w_1 is 0 on a whole line of optima, which no second variable may hide."""
+    asked = {"objective": "V", "weights": weights, "starts": 6}
+    stand = select_stand(excavator, [(0.0, 1.6)], combine=combine, **asked)
+    best = select(excavator, (0.0, 1.6), **asked).best
+    assert stand.worth == pytest.approx(best.objective, rel=1e-7, abs=1e-12)
+    assert "1 target from" in repr(stand)
+    assert "the worst" not in repr(stand)
+    assert stand.shown_objective[0] == (0.0 if weights[1] == 0.0 else stand.worth)
