@@ -184,9 +184,8 @@ def _told(rate: Vector, growing: NDArray[np.bool_], last: Vector) -> NDArray[np.
 
     A mode that others drag along, stiff springs at large turns say, grows at a multiple of their rate.
     """
-    slowest = np.argmax(np.where(np.isnan(rate), -np.inf, rate), axis=0)
-    largest = np.argmax(np.where(growing, last, -np.inf), axis=0)
-    told: NDArray[np.intp] = np.where(np.any(growing, axis=0), largest, slowest)
+    among = np.where(np.any(growing, axis=0), np.where(growing, last, -np.inf), np.where(np.isnan(rate), -np.inf, rate))
+    told: NDArray[np.intp] = np.argmax(among, axis=0)
     return told
 
 
