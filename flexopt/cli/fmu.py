@@ -7,8 +7,7 @@ from typing import Any
 
 from flexopt.cli.common import given, option_names, print_json, read, say, value, warnings_to_stderr
 from flexopt.cli.judging import real_loop
-from flexopt.cli.simulation import TEXTS, UNSAID, loop_options, simulate_arguments
-from flexopt.cli.terminal import VOICE
+from flexopt.cli.simulation import TEXTS, loop_options, simulate_arguments, tell_gains
 from flexopt.errors import InputError
 from flexopt.model import load
 
@@ -35,8 +34,7 @@ def write_fmu(machine: str, options: dict[str, Any], as_json: bool) -> None:
         raise InputError("export: an FMU needs --posture or --end-point")
     asked |= given({"version": options["fmi"], "kind": options["kind"]})
     real = real_loop(loaded.loop, entries)
-    if real is None and not {"kp", "kv", "feedback"} & asked.keys() and not VOICE.quiet:
-        say(f"flexopt: {UNSAID}", err=True)
+    tell_gains(loaded, real, asked, sampled=asked.get("kind") != "model-exchange")
     with option_names(options | {"path": options["fmu"], "version": options["fmi"]}), warnings_to_stderr(as_json):
         report = export_fmu(loaded, options["fmu"], loop=real, **asked)
     if as_json:

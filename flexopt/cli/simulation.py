@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -35,8 +35,9 @@ from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, real_loop
 from flexopt.cli.terminal import VOICE
 from flexopt.errors import InputError
-from flexopt.model import load_simulated
+from flexopt.model import AnyMachine, load_simulated
 from flexopt.model.simulation import Actuator, Experiment, Sensor, SimulationOptions
+from flexopt.model.simulation_faults import own_loop
 from flexopt.simulation import run_experiment, simulate
 
 FILMS = (".gif", ".html")
@@ -72,8 +73,12 @@ TEXTS = {
     ),
     "seed": ("N", "Seed of the measurement noise."),
 }
-# Fields whose option says no, and its name.
+# Of a machine without a [loop], and of one whose [loop] other options displace.
 UNSAID = "no gains are given, so the article's are taken; --loop default takes what suits the machine"
+BESIDE = (
+    "options of the loop stand in place of the file's [loop], and the gains are the article's; --loop keeps the others"
+)
+# Fields whose option says no, and its name.
 NEGATED = {"hold": "continuous", "gravity_compensation": "uncompensated"}
 # Arguments of `flexopt.simulate` that are no options of the command.
 ELSEWHERE = ("base_path", "target_path", "baked")
@@ -125,6 +130,8 @@ def type_of(annotation: Any) -> Any:
 def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
     """Nonlinear closed loop of MACHINE: a machine with --posture or --end-point, or an experiment (name or file).
 
+    Without --kp, --kv and other options of the loop the file's [loop] is run, if it has one.
+
     A driven base and a moving target (base_path, target_path), and baked, code for one set of numbers alone, are given
     in an experiment file's [simulation] or in Python (flexopt.simulate).
     """
@@ -148,8 +155,7 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
             if "posture" not in asked and "end_point" not in asked:
                 raise InputError("simulate: a machine needs --posture or --end-point; an experiment brings its own")
             real = real_loop(loaded.loop, entries)
-            if real is None and not {"kp", "kv", "feedback"} & asked.keys() and not VOICE.quiet:
-                say(f"flexopt: {UNSAID}", err=True)
+            tell_gains(loaded, real, asked)
             result = simulate(loaded, loop=real, **asked)
     out, film = options["out"], options["animate"]
     if out is not None:
@@ -163,6 +169,14 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
         print_json(result.to_dict() | {"files": files})
     else:
         say("\n".join([repr(result), *(f"{what}: {path}" for what, path in files.items())]))
+
+
+def tell_gains(machine: AnyMachine, real: Any, asked: Mapping[str, Any], sampled: bool = True) -> None:
+    """Say whose gains a run has that got none; `sampled`: the machine's own `[loop]` can be taken."""
+    taken = real is not None or (sampled and own_loop(machine, asked) is not None)
+    if taken or {"kp", "kv", "feedback"} & asked.keys() or VOICE.quiet:
+        return
+    say(f"flexopt: {UNSAID if machine.loop is None else BESIDE}", err=True)
 
 
 def simulate_arguments(options: dict[str, Any]) -> dict[str, Any]:

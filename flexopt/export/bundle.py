@@ -132,7 +132,7 @@ def _allowed(arguments: Arguments, given: Mapping[str, Any]) -> None:
     """Parts that were asked for by name must be possible; a loop needs a posture to be judged in."""
     for part, sentence in _left_out(arguments.of, given["parts"] or ()).items():
         arguments.note("parts", f"{sentence}; {given['machine'].name} does not allow it", part)
-    if given["loop"] is None:
+    if _asked_loop(arguments.of, given["loop"], given["posture"]) is None:
         if LOOP in (given["parts"] or ()):
             arguments.note("parts", _without_loop(None)[LOOP], LOOP)
         for name in ("posture", "base"):
@@ -141,6 +141,11 @@ def _allowed(arguments: Arguments, given: Mapping[str, Any]) -> None:
     elif given["posture"] is None and "posture" not in [fault.field for fault in arguments.faults]:
         sentence = "is needed with loop: gains left out follow from it, and its margins are told there"
         arguments.faults.append(Fault("posture", sentence))
+
+
+def _asked_loop(machine: AnyMachine | None, loop: Any, posture: Any) -> Any:
+    """The loop that was given, or with a posture the machine's own."""
+    return machine.loop if loop is None and posture is not None and machine is not None else loop
 
 
 def _left_out(machine: AnyMachine | None, parts: Sequence[str]) -> dict[str, str]:
@@ -203,7 +208,8 @@ def export_c(
         prefix: of every C name; from the machine's name by default.
         overwrite: replace a bundle of which files were changed by hand, too.
         loop: the real controller, as of `flexopt.outcome`; the bundle then has the part `loop`, one sample of it with
-            its filter, integral and limits, whose numbers are constants, and README.md says what it does.
+            its filter, integral and limits, whose numbers are constants, and README.md says what it does. With a
+            posture the machine's own `[loop]` is the default.
         posture, base: with a loop: where its margins are told, and from which gains follow that it leaves out.
 
     Raises:
@@ -216,12 +222,13 @@ def export_c(
         >>> "README.md" in [str(name) for name in report.files]
         True
     """
+    loop = cast("Loop | None", _asked_loop(machine, loop, posture))
     prefix = c_identifier(machine.name)[:PREFIX_MAX].rstrip("_") if prefix is None else prefix
     left_out = {} if parts is not None else _left_out(machine, tuple(PARTS)) | _without_loop(loop)
     asked = PARTS if parts is None else parts
     asked = {*asked, LOOP} if loop is not None else set(asked) - {LOOP}
     wanted = tuple(part for part in PARTS if part in asked and part not in left_out)
-    judged = None if loop is None else judged_loop(machine, cast(Loop, loop), posture, base)
+    judged = None if loop is None else judged_loop(machine, loop, posture, base)
     target = Path(folder)
     check_replaceable(target, overwrite)
     texts, manifest = render_bundle(

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.coordinates import check_task
-from flexopt.model.loop import DELAY_MAX, length_faults, loop_faults
+from flexopt.model.loop import DELAY_MAX, Loop, length_faults, loop_faults
 from flexopt.model.machine import AnyMachine
 from flexopt.model.simulation import (
     PART_OF_SAMPLE,
@@ -121,6 +121,11 @@ def brought_twice(given: Mapping[str, Any]) -> list[Fault]:
         own = table_entries(given.get(table))
         found += [Fault(f"{table}.{name}", sentence) for name in names if name in own]
     return found
+
+
+def own_loop(machine: AnyMachine, given: Mapping[str, Any]) -> Loop | None:
+    """The machine's own `[loop]`, where no option of a run says of the loop; else None."""
+    return None if brought_twice(given) else machine.loop
 
 
 def table_entries(table: Any) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from flexopt.foundation.boundary import anything, public
 from flexopt.model.boundary import holding_machine
 from flexopt.model.loop import Loop, LoopLike, rate_of
 from flexopt.model.simulation import Experiment, OverrideKeywords
+from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import inverse_kinematics
 from flexopt.selection import nullspace_trajectory
 from flexopt.simulation.real_loop import note_loop
@@ -56,7 +57,7 @@ def run_experiment(
 
     Args:
         experiment: from `flexopt.load_experiment`.
-        loop: the real controller, as of `flexopt.simulate`, in place of the file's `[loop]`.
+        loop: the real controller, as of `flexopt.simulate`, in place of the file's `[loop]`, or else the machine's.
         overrides: arguments of `flexopt.simulate` that take the place of the file's; None leaves the file's.
 
     Raises:
@@ -68,7 +69,7 @@ def run_experiment(
         'grows'
     """
     machine, given = experiment.loaded_machine, _given(experiment, overrides)
-    law, real = experiment.nullspace, cast("Loop | None", loop or experiment.loop)
+    law, real = experiment.nullspace, cast("Loop | None", loop or experiment.loop) or own_loop(machine, given)
     if law is None:
         return simulate(machine, **given, loop=real)
     if given.get("base_path") is not None:

@@ -25,6 +25,7 @@ from flexopt.loop.structure import LoopStructure
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.simulation import SimulationKeywords, SimulationOptions
+from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import STILL, Behaviour, behaviour
 from flexopt.simulation.real_loop import SHORTER, note_loop, with_loop
@@ -63,7 +64,8 @@ def simulate(
     Args:
         machine: from `flexopt.load`.
         posture: actuated joints (n,), rad or m, about which to work; or give `end_point`.
-        loop: the real controller, as of `flexopt.evaluate`, in place of the options that say of it: what it leaves out
+        loop: the real controller, as of `flexopt.evaluate`, in place of the options that say of it; by default, where
+            none of these is given, the machine's own `[loop]`, if it has one. What it leaves out
             follows from the machine, `Trajectory.loop` names it. Its dead time is rounded up to whole samples, which a
             warning tells. Drives that serve rates brake their joints, whose damping is so much more in the run.
         options: the loop and its run, see `flexopt.SimulationOptions`;  keywords: its fields, which go before it:
@@ -87,11 +89,12 @@ def simulate(
         >>> flexopt.simulate(machine, (0.0448, -2.0499), kp=1e5, kv=2e3).verdict
         'converges'
     """
-    given, settings, sentences = {"posture": posture} | keywords, None, ()
-    if loop is not None:
-        machine, given, settings, sentences = with_loop(machine, cast(Loop, loop), given, "simulate")
+    given: dict[str, Any] = {"posture": posture} | keywords
+    settings, sentences, real = None, tuple[str, ...](), cast("Loop | None", loop) or own_loop(machine, given)
+    if real is not None:
+        machine, given, settings, sentences = with_loop(machine, real, given, "simulate")
     # Drives that serve rates brake joints so much that steps for the modes may be too long.
-    tries = [{"substeps": steps} for steps in SHORTER] if loop is not None and given.get("substeps") is None else []
+    tries = [{"substeps": steps} for steps in SHORTER] if real is not None and given.get("substeps") is None else []
     while True:
         scenario = build_scenario(machine, checked_options("simulate", machine, given))
         try:

@@ -15,7 +15,7 @@ from flexopt.cli.simulation import ELSEWHERE, simulate_arguments, simulate_comma
 from flexopt.errors import ModelError
 from flexopt.model.files import shipped_folder, shipped_names
 from flexopt.model.simulation import Actuator, Sensor, SimulationOptions
-from tests.cli.command import Command
+from tests.cli.command import MACHINE, Command, toml
 
 POSTURE = ("simulate", "excavator", "--posture", "0.0448,-2.0499")
 EXPERIMENT = """
@@ -70,6 +70,15 @@ def test_gains_that_nobody_gave_are_told_of(command: Command) -> None:
     for given in (("--kp", "1e5"), ("--loop", "default")):
         assert said not in command(*POSTURE, *given, "--duration", "1").stderr
     assert command("--quiet", *POSTURE, "--duration", "1").stderr == ""
+
+
+def test_the_loop_of_a_machine_file_is_run(command: Command) -> None:
+    command.write("m.toml", toml(MACHINE, {"loop.kp": "1e4", "loop.kv": "1e3", "loop.dead_time": "0.01"}))
+    asked = ("simulate", "m.toml", "--posture", "0.0448,-2.0499", "--duration", "1")
+    run = command(*asked)
+    assert "Kp 1e+04 N m, Kv 1000 N m s" in run.stdout
+    assert run.stderr == ""
+    assert "in place of the file's [loop], and the gains are the article's" in command(*asked, "--rate", "100").stderr
 
 
 def test_a_film_on_dark_ground(command: Command) -> None:

@@ -89,3 +89,13 @@ def test_what_does_not_go_together(tmp_path: Path) -> None:
     with pytest.warns(FlexoptWarning, match="the loop grows at"):
         flexopt.export_c(excavator, tmp_path / "grows", parts=["loop"], loop=loop, posture=(0.992, -2.63))
     assert "loop" not in flexopt.export_c(excavator, tmp_path / "without").parts
+
+
+def test_with_a_posture_the_loop_of_the_machine_is_exported(tmp_path: Path) -> None:
+    loop = {"kp": 1e4, "kv": 1e3, "dead_time": 0.01}
+    own = flexopt.machine_from_dict(flexopt.load("excavator").to_dict() | {"loop": loop})
+    report = flexopt.export_c(own, tmp_path / "own", parts=["controller"], posture=B)
+    assert report.manifest["options"]["loop"]["settings"]["dead_time"] == 0.01
+    asked = flexopt.export_c(own, tmp_path / "asked", parts=["controller"], posture=B, loop=loop)
+    assert report.bundle_sha256 == asked.bundle_sha256
+    assert "loop" not in flexopt.export_c(own, tmp_path / "without").parts

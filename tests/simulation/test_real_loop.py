@@ -170,3 +170,34 @@ def test_the_loops_of_a_report_are_those_of_its_verdict():
     assert made.borders == ()
     other = flexopt.report(problem, loop={"kp": 1e4, "kv": 1e3}, simulation={"duration": 0.5, "kp": 2e4}, points=6)
     assert all(loop.run.loop is None for loop in other.loops.values())
+
+
+def with_own_loop(**loop: float) -> flexopt.Machine:
+    machine = flexopt.machine_from_dict(flexopt.load("excavator").to_dict() | {"loop": loop})
+    assert isinstance(machine, flexopt.Machine)
+    return machine
+
+
+def test_a_machine_with_a_loop_of_its_own_is_run_with_it() -> None:
+    own = {"kp": 1e4, "kv": 1e3, "rate": 100.0, "dead_time": 0.02}
+    machine = with_own_loop(**own)
+    run = flexopt.simulate(machine, POSTURE, duration=0.1)
+    assert run.loop is not None
+    assert run.linear_growth_rate == pytest.approx(-flexopt.evaluate(machine, POSTURE).outcome.decay, abs=1e-9)
+    np.testing.assert_array_equal(run.q, flexopt.simulate(machine, POSTURE, duration=0.1, loop=own).q)
+    # Gains that are given stand for themselves, as on a machine without one.
+    given = flexopt.simulate(machine, POSTURE, duration=0.1, kp=1e5, kv=2e3)
+    assert given.loop is None
+    np.testing.assert_array_equal(given.q, flexopt.simulate(flexopt.load("excavator"), POSTURE, duration=0.1).q)
+
+
+def test_an_experiment_falls_back_on_the_loop_of_its_machine(tmp_path: Path) -> None:
+    shipped = (Path(__file__).parents[2] / "models" / "excavator.toml").read_text(encoding="utf-8")
+    own = "\n[loop]\nkp = 1e4\nkv = 1e3\ndead_time = 0.01\n"
+    (tmp_path / "m.toml").write_text(shipped + own, encoding="utf-8")
+    machine = flexopt.load(tmp_path / "m.toml")
+    text = 'name = "e"\nmachine = "m.toml"\n[simulation]\nposture = [0.0448, -2.0499]\nduration = 0.1\n'
+    (tmp_path / "e.toml").write_text(text)
+    run = flexopt.run_experiment(flexopt.load_experiment(tmp_path / "e.toml"))
+    np.testing.assert_array_equal(run.q, flexopt.simulate(machine, POSTURE, duration=0.1).q)
+    assert run.loop is not None

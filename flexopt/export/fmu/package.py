@@ -34,6 +34,7 @@ from flexopt.foundation.writing import write_files
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.simulation import Sensor, SimulationKeywords, SimulationOptions, placement_of
+from flexopt.model.simulation_faults import own_loop
 from flexopt.plant.machine_motion import full_structure, motion_of
 from flexopt.simulation.real_loop import note_loop, with_loop
 from flexopt.simulation.run import simulate_checked
@@ -158,7 +159,8 @@ def export_fmu(
             beside it as `NAME_reference.csv`.
         posture, options, keywords: as `flexopt.simulate` takes them, but seed and baked; a `base_path` and
             `target_path` shape the reference alone, in which the sensor has no noise.
-        loop: the real controller, as of `flexopt.simulate`; for co-simulation.
+        loop: the real controller, as of `flexopt.simulate`, where the machine's own is the default, too; for
+            co-simulation.
         version: of FMI, `"2.0"` or `"3.0"`.
         kind: `"co-simulation"` or `"model-exchange"`.
 
@@ -178,8 +180,9 @@ def export_fmu(
     """
     target = Path(path)
     given: dict[str, Any] = {"posture": posture} | keywords
-    if loop is not None:
-        machine, given, _, sentences = with_loop(machine, cast(Loop, loop), given, "export_fmu")
+    real = cast("Loop | None", loop) or (own_loop(machine, given) if kind == "co-simulation" else None)
+    if real is not None:
+        machine, given, _, sentences = with_loop(machine, real, given, "export_fmu")
         for sentence in sentences:
             warnings.warn(sentence, FlexoptWarning, stacklevel=3)
     checked = checked_options("export_fmu", machine, _loop_options(kind, given))
