@@ -172,6 +172,9 @@ def _cells_of(of: Characteristic, low: Vector, high: Vector) -> tuple[Cells, Vec
     at = nodes_of(DEGREE, chebyshev=True)
     omega = low[:, None] + (high - low)[:, None] * at
     error = of.aliases.error(low, high)
+    # Where nothing bounds the aliases nothing is excluded, and no infinity is to meet a zero on the way.
+    bounded = np.isfinite(error).all(axis=(1, 2))
+    error = np.where(bounded[:, None, None], error, 0.0)
     cut, rest = remainders(of, DEGREE, low, high, error)
     axes = [(1, at), *((2 + i, of.nodes(i)) for i in range(len(of.low)))]
     matrices = {axis: to_bernstein(nodes) for axis, nodes in axes}
@@ -180,7 +183,8 @@ def _cells_of(of: Characteristic, low: Vector, high: Vector) -> tuple[Cells, Vec
     points, sensitivity, rounding = _values(of, omega, error, FAINT * (cut + rest) / amplified)
     for axis, matrix in matrices.items():
         points = _along(points, matrix, axis)
-    return Cells(low, high, points, cut + rest + sensitivity * constant + rounding * amplified), cut
+    total = np.where(bounded, cut + rest + sensitivity * constant + rounding * amplified, np.inf)
+    return Cells(low, high, points, total), cut
 
 
 def _values(of: Characteristic, omega: Vector, error: Vector, faint: Vector) -> tuple[Complex, Vector, Vector]:

@@ -312,3 +312,12 @@ def test_progress_reaches_its_end() -> None:
     assert len(told) > 5
     assert told == sorted(set(told))
     assert told[-1] == (150, 150)
+
+
+def test_a_load_over_which_no_norm_bounds_the_aliases() -> None:
+    """Over all of it none does, over its parts one does; a warning of NumPy would be an error here."""
+    loop = uncertain([{"of": "payload.mass", "value": (0.0, 1000.0)}])
+    proof = certify(loop, boxes=200)
+    assert [leaf.decays for leaf in proof.leaves] == [True] * len(proof.leaves)
+    assert len(proof.leaves) > 1
+    assert wrong(loop, proof) == 0
