@@ -26,6 +26,8 @@ DEGREES_MAX = 720.0
 LENGTH_MAX, COORDINATE_MAX = 1e4, 1e6
 # Dead times last so long at most, s; runs may last longer.
 SHORT = 10.0
+# A loop whose dead time is too long may have it in ms where it is this much, s.
+LATE_MIN = 0.5
 # Smallest positive normal number in single precision: what must be greater than 0 is at least this.
 POSITIVE = 1.1754944e-38
 KINDS: dict[type, str] = {
@@ -116,6 +118,11 @@ class Quantity(Checked[float]):
         if self.unit == "s" and self.high <= SHORT and self.high < number <= 1e3 * self.high:
             return "; is it in ms?"
         return degrees_hint(self.unit, number)
+
+
+def milliseconds_hint(value: float) -> str:
+    """The end of a sentence about a dead time of a loop that is too long."""
+    return "; is it in ms?" if value >= LATE_MIN else ""
 
 
 def degrees_hint(unit: str, value: float) -> str:

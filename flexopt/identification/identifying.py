@@ -96,7 +96,7 @@ def identify(
             or data frame.
         posture: the actuated joints (n,), rad or m; by default where the log's joints stand.
         base: placement (n_b,); 0 by default.
-        unknown: names of parameters as `flexopt.check` lists them (`*` for any letters), `"stiffness"` and `"damping"`:
+        unknown: names of parameters as in `machine.parameters` (`*` for any letters), `"stiffness"` and `"damping"`:
             all springs or dampers of passive coordinates that are not 0.
         gravity: whether it swings about its static deflection, as in `flexopt.evaluate`.
         window: (from, to), s, of the log; by default all that follows the last motion of the measured joints.

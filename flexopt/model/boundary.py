@@ -8,12 +8,13 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.errors import InputError, ModelError, raise_if_any
+from flexopt.errors import ImplausibleMachine, InputError, ModelError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import TABLE, Check, by, of_machine, words
 from flexopt.foundation.coordinates import check_base_range
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import entries, several
+from flexopt.foundation.warned import warn_user
 from flexopt.model.choices import (
     ELBOWS,
     GAIN,
@@ -29,6 +30,7 @@ from flexopt.model.choices import (
 from flexopt.model.file_model import read_table, validated
 from flexopt.model.loop import DEFAULT_LOOP, Loop, loop_faults
 from flexopt.model.machine import AnyMachine
+from flexopt.model.plausibility import distant_ranges
 from flexopt.model.uncertainty import Uncertainty, kind_of, uncertainty_faults
 
 
@@ -108,6 +110,8 @@ def _ranges(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -
     known = tuple(each for each in found if each is not None)
     if len(known) == len(tables):
         arguments.faults += uncertainty_faults(known, machine, field)
+        for finding in () if arguments.faults else distant_ranges(machine, known):
+            warn_user(str(finding), ImplausibleMachine)
     return known
 
 

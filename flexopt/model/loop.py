@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arrays import TableLike
 from flexopt.foundation.control import Control, check_control
-from flexopt.foundation.quantities import JOINT_DAMPING, Quantity, numbers_in, pair
+from flexopt.foundation.quantities import JOINT_DAMPING, Quantity, milliseconds_hint, numbers_in, pair
 from flexopt.model.file_model import BuiltByCall
 
 Numbers = tuple[float, ...]
@@ -124,7 +124,7 @@ def loop_faults(loop: Loop, machine: Any, prefix: str = "") -> list[Fault]:
     found = loop.structural_faults() + length_faults(loop, machine)
     missing, rate = machine.joints_without_speed, rate_of(loop, machine)
     if loop.dead_time * rate > DELAY_MAX:
-        sentence = f"must be at most {DELAY_MAX} samples of {1 / rate:g} s"
+        sentence = f"must be at most {DELAY_MAX} samples of {1 / rate:g} s{milliseconds_hint(loop.dead_time)}"
         found.append(Fault("dead_time", sentence, f"{loop.dead_time:g}"))
     if loop.drive == "velocity" and loop.servo_gain is None and (missing or not any_effort(machine)):
         lacking = f"no speed of {', '.join(missing)}" if missing else "no effort of any joint"

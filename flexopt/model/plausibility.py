@@ -19,6 +19,7 @@ from flexopt.model.kinematic_tree import TreeBody
 from flexopt.model.machine import AnyMachine
 from flexopt.model.planar import Machine
 from flexopt.model.tree import Tree
+from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
 
 Array = NDArray[np.float64]
 
@@ -33,6 +34,9 @@ WEAK = 0.01  # of the torque or force that holds the weight beyond a joint at fu
 TIP_SPEED_MAX = 100.0  # m/s
 GRAVITY = (0.5, 30.0)  # m/s², where there is any
 HEAVY = 10.0  # payload over the machine's own mass
+CONCENTRATED = 0.03  # radius of gyration over a body's size in the plane
+FLAT = 0.1  # height of the first joint over the base's length
+DISTANT = 10.0  # times that a range may lie away from the file's number
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,7 @@ class BodyNumbers:
         path: from its parent's joint to its own at most.
         link: whether it is a link between joints, whose mass lies along it.
         hinge: whether its joint turns;  spring: its stiffness;  drive: effort and speed (infinite: none);  limits: of
-            the joint, and its rest value.
+            the joint, and its rest value;  end: whether `length` is that to the end-point of a tree.
     """
 
     where: str
@@ -91,7 +95,13 @@ class BodyNumbers:
     limits: tuple[float, float] | None = None
     rest: tuple[str, float] | None = None
     joint: str = ""
+    end: bool = False
     children: list[BodyNumbers] = field(default_factory=list["BodyNumbers"])
+
+    @property
+    def reached(self) -> str:
+        """What `length` is called."""
+        return f"end-point from the joint of {self.where}" if self.end else f"{self.where}.length"
 
     def outward(self, start: float = 0.0) -> Iterator[tuple[BodyNumbers, float]]:
         """This body and those it carries, with the farthest that each one's joint can be from this one's."""
@@ -113,16 +123,52 @@ def implausible_numbers(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     parts, reach = _parts(machine)
     lengths = [*_lengths(machine, parts, reach), *_volumes(machine, reach)]
     found = [*lengths, *_angles(parts)]
+    if isinstance(machine, Machine):
+        found += _lying(machine)
     if not lengths:
         # What follows compares with lengths.
         for part in parts:
-            found += [*_inertia(part, reach), *_springs(part, machine.gravity, reach), *_drives(part, machine, reach)]
+            found += [
+                *_inertia(part, reach, isinstance(machine, Machine)),
+                *_springs(part, machine.gravity, reach),
+                *_drives(part, machine, reach),
+            ]
         found += _totals(machine, parts, reach)
     if machine.gravity and not GRAVITY[0] < machine.gravity < GRAVITY[1]:
         found.append(
             ImplausibleNumber("gravity", f"{machine.gravity:g} m/s²", "is far from 9.81 m/s²", "in other units?")
         )
     return tuple(found)
+
+
+def distant_ranges(machine: AnyMachine, known: Sequence[Uncertainty]) -> Iterator[ImplausibleNumber]:
+    """What of the uncertain numbers lies far from the file's own: a value for a factor, or per cent."""
+    for each in known:
+        low, high = each.factor or each.value or (0.0, 0.0)
+        chosen = () if each.of == (LATE,) else parameters_of(each.of, machine)
+        own, unit = 1.0, ""
+        if each.value is not None:
+            parameter = machine.parameters[chosen[0]] if chosen else None
+            own, unit = (parameter.value, f" {parameter.unit}") if parameter is not None else (0.0, "")
+        near = min(max(low, own), high)
+        if own == 0 or own / DISTANT < near < own * DISTANT or own < 0:
+            continue
+        ends, meant = f"[{low:g}, {high:g}]", "is it in another unit?"
+        if each.value is not None and low <= 1 <= high:
+            meant = f"as a factor of it that would be [{low * own:g}, {high * own:g}]{unit}"
+        elif each.factor is not None and low >= DISTANT:
+            meant = f"probably in per cent: [{low / 100:g}, {high / 100:g}]"
+        what = f"the file's own number, {own:.4g}{unit}" if each.value is not None else "1, the file's own number"
+        yield ImplausibleNumber(f"range of {each.name}", f"{ends}{unit}", f"lies far from {what}", meant)
+
+
+def _lying(machine: Machine) -> Iterator[ImplausibleNumber]:
+    """A base that lies on the ground, as where its angle is from the vertical."""
+    base, height = machine.base, machine.base.length * math.sin(machine.base.rest_angle)
+    if base.length > 0.1 * sum(link.length for link in machine.links) and abs(height) < FLAT * base.length:
+        sentence = f"the first joint lies {abs(height):.3g} m above the ground point and {base.length:.3g} m beside it"
+        meant = f"it is from the horizontal: {math.pi / 2:.4f} is upright"
+        yield ImplausibleNumber("base.rest_angle", f"{base.rest_angle:g} rad", sentence, meant)
 
 
 def _lengths(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) -> Iterator[ImplausibleNumber]:
@@ -132,7 +178,7 @@ def _lengths(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) ->
         others = (lengths[(len(lengths) - 1) // 2] + lengths[len(lengths) // 2]) / 2  # the median
         if len(given) > 1 and part.length > LONGER * others:
             yield ImplausibleNumber(
-                f"{part.where}.length",
+                part.reached,
                 f"{part.length:g} m",
                 f"is {part.length / others:.0f} times as long as the other bodies",
                 f"probably in mm: {part.length / 1000:g} m",
@@ -150,11 +196,11 @@ def _lengths(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) ->
                 f"probably in mm: {far / 1000:g} m",
             )
     if reach > REACH_MAX:
-        longest = max(parts, key=lambda part: part.path)
+        longest = max(parts, key=lambda part: part.length)
         yield ImplausibleNumber(
             "end-point",
             f"up to {reach:.0f} m",
-            f"machine {machine.name!r} reaches beyond {REACH_MAX:g} m, the longest step at {longest.where}",
+            f"machine {machine.name!r} reaches beyond {REACH_MAX:g} m, the longest step being {longest.reached}",
             "lengths are probably in mm, not m",
         )
 
@@ -193,7 +239,7 @@ def _angles(parts: Sequence[BodyNumbers]) -> Iterator[ImplausibleNumber]:
             )
 
 
-def _inertia(part: BodyNumbers, reach: float) -> Iterator[ImplausibleNumber]:
+def _inertia(part: BodyNumbers, reach: float, planar: bool) -> Iterator[ImplausibleNumber]:
     if part.mass <= 0 or part.variance <= 0:
         return
     radius = math.sqrt(part.variance + part.across)
@@ -209,10 +255,15 @@ def _inertia(part: BodyNumbers, reach: float) -> Iterator[ImplausibleNumber]:
             meant = f"probably about the pivot, not the centre of mass, about which it is some {about_centre:.3g} kg m²"
             yield ImplausibleNumber(f"{part.where}.inertia", given, words, meant)
             return
-        yield ImplausibleNumber(f"{part.where}.inertia", given, words, _unit_of_inertia(part, radius))
+        yield ImplausibleNumber(f"{part.where}.inertia", given, words, _unit_of_inertia(part, radius, size))
+    elif planar and radius < CONCENTRATED * max(part.length, part.com):
+        # In space a vendor's file may have a dummy's inertia on purpose.
+        words = f"the radius of gyration, {radius:.2g} m, is {radius / max(part.length, part.com):.1%} of the length"
+        meant = f"the inertia is probably in t m²: {1000 * part.inertia:g} kg m²"
+        yield ImplausibleNumber(f"{part.where}.inertia", given, words, meant)
     elif radius > WIDE * size > 0:
         words = f"the radius of gyration, {radius:.3g} m, is {radius / size:.0f} times the size of the body"
-        yield ImplausibleNumber(f"{part.where}.inertia", given, words, _unit_of_inertia(part, radius))
+        yield ImplausibleNumber(f"{part.where}.inertia", given, words, _unit_of_inertia(part, radius, size))
 
 
 def _most_variance(part: BodyNumbers) -> float:
@@ -224,16 +275,16 @@ def _most_variance(part: BodyNumbers) -> float:
     return most + part.aside**2
 
 
-def _unit_of_inertia(part: BodyNumbers, radius: float) -> str:
-    size = max(part.length, part.size, part.com)
-    for factor, sentence in (
-        (1e3, f"the mass may be in tonnes, {1000 * part.mass:g} kg, or the inertia in another unit"),
-        (1e4, f"the inertia is probably in kg cm²: {part.inertia / 1e4:g} kg m²"),
-        (1e6, f"the inertia is probably in kg mm²: {part.inertia / 1e6:g} kg m²"),
-    ):
-        if radius / math.sqrt(factor) < 0.6 * size or (size == 0 and factor == 1e3):
-            return sentence
-    return "mass and inertia are probably in different units"
+def _unit_of_inertia(part: BodyNumbers, radius: float, size: float) -> str:
+    """By which units the radius of gyration would fit a body of that size."""
+    slips = (
+        (1e3, f"the mass may be in tonnes, {1000 * part.mass:g} kg"),
+        (1e4, f"the inertia in kg cm², {part.inertia / 1e4:g} kg m²"),
+        (1e6, f"the inertia in kg mm², {part.inertia / 1e6:g} kg m²"),
+    )
+    share = 0.6 if part.link else 1.0
+    fit = [words for factor, words in slips if CONCENTRATED * size < radius / math.sqrt(factor) < share * size]
+    return ", or ".join(fit) if fit else "mass and inertia are probably in different units"
 
 
 def _springs(part: BodyNumbers, gravity: float, reach: float) -> Iterator[ImplausibleNumber]:
@@ -412,6 +463,7 @@ def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: fl
         springs={f"{moved}.stiffness": (hinge, stiffness)} if joint.passive and stiffness else {},
         effort=joint.effort or math.inf, speed=joint.speed or math.inf, limits=joint.limits,
         rest=(f"{moved}.rest", joint.rest) if joint.passive and hinge else None, joint=moved,
+        end=machine.end_point.body == body.name and np.array_equal(far, machine.end_point.position),
     )  # fmt: skip
 
 

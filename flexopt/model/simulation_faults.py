@@ -10,6 +10,7 @@ from pydantic import BaseModel
 from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.coordinates import check_task
+from flexopt.foundation.quantities import milliseconds_hint
 from flexopt.model.loop import DELAY_MAX, Loop, length_faults, loop_faults
 from flexopt.model.machine import AnyMachine
 from flexopt.model.simulation import (
@@ -88,12 +89,16 @@ def _time_faults(options: SimulationOptions, any_delay: bool) -> list[Fault]:
     found: list[Fault] = []
     samples, waits = options.duration * options.rate, options.sensor.delay * options.rate
     if not 0.5 <= samples <= SAMPLES_MAX:
-        found.append(Fault("duration, rate", f"must give between 1 and {SAMPLES_MAX} samples", f"{samples:g}"))
+        sentence = f"must give between 1 and {SAMPLES_MAX} samples"
+        sentence += "; is the rate the period in s?" if samples < 1 and options.rate < 1 else ""
+        found.append(Fault("duration, rate", sentence, f"{options.duration:g} s at {options.rate:g} Hz, {samples:g}"))
     if any_delay and waits > DELAY_MAX:
-        sentence = f"must be at most {DELAY_MAX} samples of {1 / options.rate:g} s"
+        hint = milliseconds_hint(options.sensor.delay)
+        sentence = f"must be at most {DELAY_MAX} samples of {1 / options.rate:g} s{hint}"
         found.append(Fault("sensor.delay", sentence, f"{options.sensor.delay:g}"))
     elif not any_delay and (abs(waits - round(waits)) > PART_OF_SAMPLE or waits > DELAY_MAX):
         sentence = f"must be a whole number (0 to {DELAY_MAX}) of samples of {1 / options.rate:g} s"
+        sentence += milliseconds_hint(options.sensor.delay)
         sentence += "; sampled_loop and stability_border take any time"
         found.append(Fault("sensor.delay", sentence, f"{options.sensor.delay:g}"))
     if not options.hold and options.sensor != Sensor():

@@ -71,7 +71,7 @@ class Vary(BuiltByCall):
     Attributes:
         of: what varies: `posture.JOINT`, `base.x` (`y`, `yaw`), `target.x` (…) of a selection; `kp`, `kv`, `ki` or
             `dead_time` of a loop; `stiffness` or `damping`, all springs or dampers of the passive coordinates; a
-            parameter of the machine as `flexopt.check` lists them, or several by `*`, which stands for any letters.
+            parameter of the machine, named as in its `parameters`, or several by `*`, which stands for any letters.
         value: (lower, upper), in its own unit, SI and radians.
         factor: (lower, upper) of one factor that multiplies what the machine has: of parameters, in place of `value`.
         count: of a grid: how many values, both ends among them.

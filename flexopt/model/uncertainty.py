@@ -55,7 +55,7 @@ class Uncertainty(BuiltByCall):
     """One thing that is not known: an entry of a file's `[[uncertainty]]`, and of the argument `ranges` of calls.
 
     Attributes:
-        of: what it concerns, a name or several: parameters of the machine as `flexopt.check` lists them (`*` stands for
+        of: what it concerns, a name or several: parameters of the machine, named as in its `parameters` (`*` stands for
             any letters), `"stiffness"` or `"damping"`, all springs or dampers of the passive coordinates, or
             `"dead_time"`, that of the loop.
         factor: (lower, upper) of one factor that multiplies all of them together, such as one of the soil's. Factors of
@@ -148,7 +148,7 @@ def uncertainty_faults(uncertainty: Sequence[Uncertainty], machine: Any, field: 
             if not parameters_of((word,), machine):
                 names = [*WORDS, *(parameter.name for parameter in machine.parameters)]
                 faults.append(
-                    Fault(f"{where}.of", f"{machine.name} has none such{hint_or_list(word, names, most=8)}", word)
+                    Fault(f"{where}.of", f"{machine.name} has none such{hint_or_list(word, names, most=40)}", word)
                 )
         # Factors of one parameter multiply each other, as a soil's and a spring's own.
         both = sorted({seen[i].name for i in chosen if i in seen and None in (seen[i].factor, each.factor)})

@@ -18,7 +18,7 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine, Problem, load_file
 from flexopt.model.files import KINDS, ROBOT_SUFFIXES, read_source
-from flexopt.model.plausibility import REACH_MAX, ImplausibleNumber
+from flexopt.model.plausibility import REACH_MAX, ImplausibleNumber, distant_ranges
 from flexopt.model.simulation import Experiment
 from flexopt.model.study import Study
 from flexopt.model.study_file import study_from
@@ -96,7 +96,7 @@ def check(machine_or_path: AnyMachine | Problem | Experiment | Study | str | os.
     Looked for are slips of unit: kN for N, mm for m, tonnes and grams, degrees, inertia about the pivot. A link's
     radius of gyration is compared with its length, springs and drives with the weight that they carry, the total mass
     with the square of the reach, the first mode with 0.1 to 100 Hz and with the loop's rate, modal damping with the
-    critical one, the reach with 100 m.
+    critical one, the reach with 100 m, ranges of what is uncertain with the file's own number.
 
     Args:
         machine_or_path: a machine, problem, experiment or study, or the name or path of one; a URDF or MJCF file, too.
@@ -146,7 +146,7 @@ def _checked(loaded: AnyMachine | Problem | Experiment | Study, sentences: tuple
     loop = (loaded.loop if isinstance(loaded, AnyMachine | Problem) else None) or machine.loop
     found += slow_rate(machine, loop) if loop is not None else ()
     if isinstance(loaded, Problem):
-        found += _targets(loaded)
+        found += [*_targets(loaded), *distant_ranges(machine, loaded.uncertainty)]
         sentences += (*_volumes(loaded), *_weights(loaded))
     elif isinstance(loaded, Experiment):
         found += _offsets(loaded)

@@ -6,26 +6,23 @@ damping that no machine on a base has.
 
 from __future__ import annotations
 
-import inspect
 import math
-import warnings
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
 from flexopt.errors import ImplausibleMachine
 from flexopt.foundation.arrays import spread
+from flexopt.foundation.warned import warn_user
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop
-from flexopt.model.plausibility import Array, ImplausibleNumber, implausible_numbers
+from flexopt.model.plausibility import Array, ImplausibleNumber, distant_ranges, implausible_numbers
 from flexopt.plant import Plant, build_plant
 
 FIRST_MODE = (0.1, 100.0)  # Hz
 POSTURES = 4
-PACKAGE = Path(__file__).parents[1]
 
 
 @lru_cache(maxsize=64)
@@ -33,7 +30,8 @@ def implausibilities(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     """Everything about the machine that is allowed but hardly meant."""
     found = implausible_numbers(machine)
     # Where springs, masses or lengths are off by their units, so are the modes, by the same slip.
-    return found if any("stiffness" in finding.field for finding in found) else (*found, *_of_modes(machine))
+    modes = () if any("stiffness" in finding.field for finding in found) else _of_modes(machine)
+    return (*found, *modes, *distant_ranges(machine, machine.uncertainty))
 
 
 def warn_implausible(machine: AnyMachine) -> None:
@@ -44,10 +42,7 @@ def warn_implausible(machine: AnyMachine) -> None:
     count = "a number is" if len(found) == 1 else f"{len(found)} numbers are"
     more = "" if len(found) == 1 else f"; and {len(found) - 1} more"
     sentence = f"machine {machine.name!r}: {count} not plausible (`flexopt check` tells all): {found[0]}{more}"
-    frame, level = inspect.currentframe(), 1
-    while frame is not None and frame.f_back is not None and Path(frame.f_code.co_filename).is_relative_to(PACKAGE):
-        frame, level = frame.f_back, level + 1
-    warnings.warn(sentence, ImplausibleMachine, stacklevel=level)
+    warn_user(sentence, ImplausibleMachine)
 
 
 def slow_rate(machine: AnyMachine, loop: Loop) -> Iterator[ImplausibleNumber]:

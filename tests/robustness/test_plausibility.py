@@ -152,6 +152,18 @@ def tonnes_of_a_link(data: Data, rng: np.random.Generator) -> None:
     arm(data)[rng.integers(len(arm(data)))]["mass"] /= 1000
 
 
+def tonnes_of_the_base(data: Data, rng: np.random.Generator) -> None:
+    """The body that weighs most of those the arm does not carry."""
+    carried = [id(body) for body in arm(data)]
+    base = max((b for b in bodies(data) if id(b) not in carried), key=lambda body: body.get("mass", 0.0))
+    base["mass"] /= 1000
+
+
+def tonne_square_metres(data: Data, rng: np.random.Generator) -> None:
+    for body in bodies(data):
+        body["inertia"] = scaled(body.get("inertia", 1.0), 1e-3)
+
+
 def about_the_pivots(data: Data, rng: np.random.Generator) -> None:
     for body in arm(data):
         if "bodies" not in data:
@@ -209,6 +221,7 @@ SLIPS: dict[str, tuple[Callable[[Data, np.random.Generator], None], str]] = {
     "tonnes": (tonnes, r"in tonnes"),
     "tonnes and kg m²": (tonnes_beside_kilogram_inertia, r"in tonnes"),
     "tonnes of one link": (tonnes_of_a_link, r"in tonnes"),
+    "tonnes of the base": (tonnes_of_the_base, r"in tonnes"),
     "inertia about the pivots": (about_the_pivots, r"about the pivot"),
     "degrees": (degrees, r"degrees"),
     "kN m": (kilonewton_metres, r"probably in kN"),
@@ -476,3 +489,100 @@ def test_a_clearance_of_a_machine_without_volumes_is_told(tmp_path: Path) -> Non
         flexopt.solve_problem(flexopt.load_problem(tmp_path / "job.toml"))
     (tmp_path / "job.toml").write_text(text.replace("excavator", "boom-stick-bucket"), encoding="utf-8")
     assert "capsules" not in repr(flexopt.check(tmp_path / "job.toml"))
+
+
+@pytest.mark.parametrize("name", ["excavator", "boom-stick-bucket"])
+def test_an_inertia_in_tonnes_is_told_of_each_body_in_the_plane(name: str) -> None:
+    data = shipped(name)
+    tonne_square_metres(data, np.random.default_rng(0))
+    found = [finding for finding in _findings(data) if "in t m²" in finding.meant]
+    assert len(found) == len(bodies(data))
+    data = shipped(name)
+    assert f"in t m²: {data['base']['inertia']:g} kg m²" in found[0].meant
+
+
+def test_a_base_whose_angle_is_from_the_vertical_is_told() -> None:
+    data = shipped("boom-stick-bucket")
+    data["base"]["rest_angle"] = 0.0
+    assert "base.rest_angle" in [finding.field for finding in _findings(data)]
+    assert any("it is from the horizontal: 1.5708 is upright" in sentence for sentence in told(data))
+
+
+def test_the_length_that_is_too_long_is_the_one_named() -> None:
+    data = shipped("boom-stick-bucket")
+    del data["cylinders"]
+    data["links"][1]["length"] *= 1000
+    sentences = told(data)
+    assert len(sentences) == 2
+    assert all("links[1] (stick).length" in sentence for sentence in sentences)
+    data = shipped("slewing-excavator")
+    data["end_point"]["position"] = scaled(data["end_point"]["position"], 1000.0)
+    assert all("end-point from the joint of body 'bucket'" in sentence for sentence in told(data))
+
+
+@pytest.mark.parametrize(
+    ("range_", "meant"),
+    [
+        ({"of": "base.stiffness.y", "value": [0.5, 2.0]}, "that would be [2e+07, 8e+07] N/m"),
+        ({"of": "stiffness", "factor": [50, 200]}, "probably in per cent: [0.5, 2]"),
+        ({"of": "base.mass", "value": [5.0, 6.0]}, "is it in another unit?"),
+    ],
+)
+def test_a_range_far_from_the_files_number_is_told(range_: Data, meant: str) -> None:
+    excavator = flexopt.load("excavator")
+    (found,) = _findings(excavator.to_dict() | {"uncertainty": [range_]})
+    assert found.field == f"range of {range_['of']}"
+    assert meant in found.meant
+    with pytest.warns(ImplausibleMachine, match="lies far from") as caught:
+        flexopt.stable_region(excavator, (0.04, -2.0), loop={"kp": 1e4, "kv": 1e3}, ranges=[range_], points=2, boxes=0)
+    assert [warning.filename for warning in caught if "far from" in str(warning.message)] == [__file__]
+
+
+def test_a_problems_range_is_looked_at(tmp_path: Path) -> None:
+    text = 'name = "p"\nmachine = "excavator"\n[target]\nend_point = [0, 1.6]\n'
+    (tmp_path / "p.toml").write_text(text + '[[uncertainty]]\nof = "base.mass"\nvalue = [5, 6]\n', encoding="utf-8")
+    assert flexopt.check(tmp_path / "p.toml").findings[0].field == "range of base.mass"
+
+
+def test_ranges_about_the_files_number_or_of_nothing_are_not_told() -> None:
+    given = flexopt.load("excavator").to_dict()
+    near = [{"of": "base.stiffness.y", "value": [2e7, 9e7]}, {"of": "payload.mass", "value": [100, 200]}]
+    late = [{"of": "dead_time", "value": [0.0, 0.1]}, {"of": "damping", "factor": [0.2, 0.5]}]
+    assert _findings(given | {"uncertainty": near + late}) == ()
+
+
+def test_a_dead_time_in_ms_is_asked_for(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"dead_time = 5: must be at most 100 samples of 0.005 s; is it in ms\?"):
+        flexopt.evaluate(flexopt.load("excavator"), (0.5, -1.0), loop={"kp": 1e4, "dead_time": 5, "rate": 200})
+    with pytest.raises(InputError, match=r"10 s at 0.01 Hz, 0.1: .*; is the rate the period in s\?"):
+        flexopt.simulate(flexopt.load("excavator"), (0.5, -1.0), rate=0.01)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        ('rpy="0 0 0.4"', 'rpy="0 0 90"', r"rpy 0 0 90 rad turns by more than .*; in degrees it would be 0 0 1.5708"),
+        ('<mass value="80"/>', '<mass value="0"/>', r"boom_link' <inertial>: has moments of inertia and no mass"),
+    ],
+)
+def test_what_a_robot_file_says_oddly(tmp_path: Path, old: str, new: str, word: str) -> None:
+    with pytest.warns(flexopt.FlexoptWarning, match=word):
+        read(tmp_path, changed_text(URDF, old, new), URDF_MACHINE)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (
+            {"actuated": ["boom", "slew", "extend"]},
+            "actuated: is not in the order .* postures have: slew, boom, extend",
+        ),
+        (
+            {"end_point": {"link": "stick", "length": 0.4}},
+            "end_point.length: scales roll, pitch and yaw .* offset says",
+        ),
+    ],
+)
+def test_what_a_machine_file_says_oddly_of_a_robot(tmp_path: Path, change: Data, word: str) -> None:
+    with pytest.warns(flexopt.FlexoptWarning, match=word):
+        read(tmp_path, URDF, URDF_MACHINE | change)

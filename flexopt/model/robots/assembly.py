@@ -55,6 +55,7 @@ class Assembly:
         self._capsules = [self._capsule(index, table) for index, table in enumerate(overlay.capsules)]
         if from_collisions:
             self._capsules += [capsule for link in links for capsule in self._round(link)]
+        self._note_order()
         self._visuals = [visual for link in links for visual in self._seen(link)]
         massless = not any(body.inertial.mass or body.inertial.tensor.any() for body in self.bodies)
         if links and massless and not (overlay.payload.mass or self.faults):
@@ -183,6 +184,25 @@ class Assembly:
             self.faults.append(Fault(f"{link.element.place}: {link.element.label}", link.why))
         else:
             body.inertial = body.inertial + link.inertial.seen_from(pose)
+
+    def _note_order(self) -> None:
+        """Tell what of the file is read otherwise than it may be meant."""
+        listed = self.overlay.actuated
+        order = [body.joint["name"] for body in self.bodies if body.joint["name"] in listed]
+        # The place in the list of the nearest driven joint, of each body.
+        place: dict[str | None, int] = {None: -1}
+        inward = False
+        for body in self.bodies:
+            above, name = place[body.parent], body.joint["name"]
+            place[body.name] = listed.index(name) if name in listed else above
+            inward |= place[body.name] < above
+        if inward:
+            sentence = "is not in the order from the base outwards, which postures have"
+            self.warnings.append(f"actuated: {sentence}: {', '.join(order)}")
+        end = self.overlay.end_point
+        if "length" in end.model_fields_set and not {"roll", "pitch", "yaw"} & set(end.rows):
+            sentence = "scales roll, pitch and yaw among the rows, and there are none; offset says where it is"
+            self.warnings.append(f"end_point.length: {sentence}")
 
     def _check_turns(self, joint: Joint, role: Role) -> None:
         low, high = role.limits or (0.0, 0.0)

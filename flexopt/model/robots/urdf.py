@@ -29,6 +29,8 @@ KINDS: dict[str, Kind | None] = {
 # Bounds beyond these are none.
 BEYOND = {"effort": EFFORT.high, "velocity": SPEED.high}
 XACRO = "is xacro, a macro language; expand it to URDF first: xacro robot.urdf.xacro > robot.urdf"
+# rad: beyond it, and rounding, orientations are meant in degrees.
+WHOLE_TURN = 2 * np.pi + 0.01
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
@@ -158,7 +160,11 @@ def _origin(faults: Faults, holder: Element, of: Element) -> Pose:
             faults.add(origin, "quat_xyzw tells no orientation: it is zero", of=of)
             return Pose(position)
         return Pose(position, from_quaternion(np.array([w, x, y, z])))
-    return Pose(position, from_rpy(faults.numbers(origin, "rpy", 3, (0.0, 0.0, 0.0), of)))
+    angles = faults.numbers(origin, "rpy", 3, (0.0, 0.0, 0.0), of)
+    if np.abs(angles).max() > WHOLE_TURN:
+        told, meant = (" ".join(f"{x:.5g}" for x in each) for each in (angles, np.radians(angles)))
+        faults.warn(origin, f"rpy {told} rad turns by more than a whole turn; in degrees it would be {meant}", of=of)
+    return Pose(position, from_rpy(angles))
 
 
 def _inertial(faults: Faults, link: Element) -> Inertial:
@@ -175,6 +181,8 @@ def _inertial(faults: Faults, link: Element) -> Inertial:
     entries = [faults.number(moments, key, of=link) for key in MOMENTS]
     body = Inertial(faults.number(mass, "value", of=link), np.zeros(3), tensor(*entries))
     check_inertial(faults, element, body, link)
+    if body.mass == 0 and body.tensor.any():
+        faults.warn(element, "has moments of inertia and no mass", of=link)
     return body.seen_from(_origin(faults, element, link))
 
 
