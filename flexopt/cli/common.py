@@ -330,6 +330,9 @@ def table(name: str, entries: tuple[str, ...], read: Callable[[str], Any] = plac
         key, equals, value = entry.partition("=")
         if not equals or not key.strip():
             raise InputError(f"{name} = {entry!r}: must be NAME=VALUE")
+        several = re.split(r"[\s,;]+(?=[A-Za-z_][\w.*]*=)", entry.strip())
+        if len(several) > 1:
+            raise InputError(f"{name} = {entry!r}: give each its own: {' '.join(f'{name} {each}' for each in several)}")
         if key.strip() in found:
             raise InputError(f"{name} = {entry!r}: {key.strip()} is given twice")
         found[key.strip()] = read(value)

@@ -171,10 +171,20 @@ class Context:
             design = ((*low[:m], *joints.design[0]), (*high[:m], *joints.design[1]))
             turning = (*(False for _ in range(m)), *joints.turning)
         near = tuple((*(x + side * away for x in passive), *joints.sample[side > 0]) for side in (-1, 1))
-        text = "q = [passive; actuated]: displacements in m, relative angles in rad"
+        text = f"q = [passive; actuated]: displacements in m, relative angles in rad{self._counted(middle)}"
         sample = (near[0], near[1])
         return self.sizes.field("coordinates", "COORDINATES", unit_list(units), text, low=low, high=high, sample=sample,
                                 design=design, turning=turning)  # fmt: skip
+
+    def _counted(self, posture: Any) -> str:
+        """Which coordinates count from where the placement does, and so hold it."""
+        plant, names = self.plant, self.machine.coordinates
+        here, there = (
+            plant.rest.call([ca.DM(base), ca.DM(posture), plant.parameter_values])[0].full().ravel()
+            for base in (np.zeros(plant.n_base), np.ones(plant.n_base))
+        )
+        moved = [name for name, shift in zip(names, there - here, strict=False) if abs(shift) > 0.5]
+        return f"; {', '.join(moved)} in the inertial frame: at rest where the base is placed" if moved else ""
 
     @cached_property
     def arm_length(self) -> float:

@@ -10,7 +10,9 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from flexopt.errors import Fault, InputError, raise_if_any
@@ -112,7 +114,7 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[SavedQuantity, ...]]] = {
 }
 # Below this share of its scale a number says nothing.
 ROUNDING = 1e-12
-# Letters of a word or sentence in the table.
+# Letters of a line in the table: longer words and sentences go on in the next.
 LETTERS = 40
 
 
@@ -179,12 +181,16 @@ class Comparison(Result):
         lines = [("what it was asked", *self.names)] if self.differences else []
         lines += [(name, *texts) for name, texts in self.differences]
         lines += [(self.kind, *self.names), *((_named(row), *row.texts()) for row in self.rows)]
-        widths = [max(len(line[k]) for line in lines) for k in range(len(self.names) + 1)]
-        told = [
-            "  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip() for line in lines
+        cells = [[[name], *(wrap(text, LETTERS) or [""] for text in texts)] for name, *texts in lines]
+        widths = [max(len(part) for line in cells for part in line[k]) for k in range(len(self.names) + 1)]
+        rows = [list(zip_longest(*line, fillvalue="")) for line in cells]
+        blocks = [
+            ["  ".join(text.ljust(width) for text, width in zip(parts, widths, strict=True)).rstrip() for parts in row]
+            for row in rows
         ]
         if self.differences:
-            told.insert(len(self.differences) + 1, "")
+            blocks.insert(len(self.differences) + 1, [""])
+        told = [line for block in blocks for line in block]
         if any(value is None for row in self.rows for value in row.values):
             told.append("–: there is none, or it has no border")
         return "\n".join(told)
@@ -328,7 +334,7 @@ def _differences(documents: Sequence[Any]) -> list[tuple[str, tuple[str, ...]]]:
     for key in dict.fromkeys(key for each in flat for key in each):
         texts = tuple(each.get(key, "–") for each in flat)
         if len(set(texts)) > 1:
-            found.append((key.removeprefix("options."), tuple(text[:LETTERS] for text in texts)))
+            found.append((key.removeprefix("options."), texts))
     return found
 
 
@@ -349,5 +355,5 @@ def _text(value: float | str | None, error: float | None) -> str:
     if value is None:
         return "–"
     if isinstance(value, str):
-        return value[:LETTERS]
+        return value
     return f"{value:.5g}" + (f" ± {error:.1g}" if error else "")

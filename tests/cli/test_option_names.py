@@ -24,6 +24,13 @@ LOOP = ["--loop", "kp=1e4", "--loop", "kv=1e3"]
         (["evaluate", "excavator", "--posture", "0.04,-2.05", "--loop", "kp=-1"], "--loop kp = -1"),
         (["select", "article", "--objective", "decay", *LOOP, "--ranges", "stiffness=3,2"], "--ranges['stiffness']"),
         (["evaluate", "excavator", "--posture", "0.04,-2.05", "--gain", "-1"], "--gain = -1"),
+        *(
+            (
+                ["evaluate", "excavator", "--posture", "0.04,-2.05", "--loop", f"kp=1e4{between}kv=1e3"],
+                "give each its own: --loop kp=1e4 --loop kv=1e3",
+            )
+            for between in (",", " ", ", ")
+        ),
     ],
 )
 def test_the_option_is_named(arguments: list[str], said: str, command: Command) -> None:

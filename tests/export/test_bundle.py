@@ -174,3 +174,18 @@ def test_a_part_that_would_refuse_everything_is_not_written(tmp_path: Path) -> N
         export_c(machine, tmp_path / "b")
     assert not (tmp_path / "b").exists()
     export_c(machine, tmp_path / "b", parts=[part for part in PARTS if part not in ("margin", "levers", "loop")])
+
+
+def test_coordinates_that_hold_the_placement_say_so(machine: flexopt.Machine, tmp_path: Path) -> None:
+    """Of a machine in space passive coordinates count from the placement, which is an input beside them."""
+
+    def told(of: flexopt.Machine | flexopt.Tree, folder: str) -> str:
+        report = flexopt.export_c(of, tmp_path / folder, parts=["kinematics"])
+        header = (report.folder / "include" / f"{report.prefix}_control.h").read_text(encoding="utf-8")
+        before = header[: header.index("coordinates[")]
+        return " ".join(before[before.rindex("/*") :].replace("\n   *", " ").split())
+
+    assert told(machine, "planar").count("; base.x in the inertial frame: at rest where the base is placed") == 1
+    spatial = flexopt.load("mobile-manipulator")
+    assert isinstance(spatial, flexopt.Tree)
+    assert "inertial frame" not in told(spatial, "spatial")

@@ -95,6 +95,10 @@ def test_selections_and_verdicts(command: Command, tmp_path: Path) -> None:
     verdicts = [flexopt.verdict(found[0], loop={"kp": kp, "kv": kp / 10}, members=2, runs=0) for kp in (1e4, 3e4)]
     files = [save(tmp_path, name, each) for name, each in zip("ab", verdicts, strict=True)]
     document = command("compare", *files, "--json", "--plot", "beside.png").document
+    # Reasons are sentences, which go on in further lines of the table and lose none of their words.
+    table = command("compare", *files).stdout
+    assert max(len(each.reason) for each in verdicts) > 40
+    assert all(word in table.split() for each in verdicts for word in each.reason.split())
     rows = rows_of(document)
     assert rows["word"] == [each.word for each in verdicts]
     assert ["loop.kp", ["[10000.0, 10000.0]", "[30000.0, 30000.0]"]] in document["differences"]
