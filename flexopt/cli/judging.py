@@ -42,6 +42,8 @@ LOOP = value(
     "of the file's; default: all follows from the machine.",
     multiple=True,
 )
+MEMBERS = value("--members", "N", "Points of the uncertainty that decays are computed of (64 by default).", whole)
+RUNS = value("--runs", "N", "How many of them are run nonlinearly in each place, too (16 by default; 0: none).", whole)
 RANGES = value(
     "--ranges",
     "NAME=LO,HI",
@@ -71,8 +73,8 @@ def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | No
 @WEIGHTS
 @LOOP
 @RANGES
-@value("--members", "N", "Points of the uncertainty that decays are computed of (64 by default).", whole)
-@value("--runs", "N", "How many of them are run nonlinearly in each place, too (16 by default; 0: none).", whole)
+@MEMBERS
+@RUNS
 @value("--duration", "S", "Of a run, s (20 by default).", number)
 @of_picture("Draw the bands of every place: .png, .svg or .pdf.")
 @value("--html", "FILE", "Write a page: the word, the bands, the table, the rule.")

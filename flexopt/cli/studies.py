@@ -41,7 +41,7 @@ from flexopt.cli.common import (
     write_output,
 )
 from flexopt.cli.completing import argument
-from flexopt.cli.judging import LOOP, RANGES, asked_problem, real_loop
+from flexopt.cli.judging import LOOP, MEMBERS, RANGES, RUNS, asked_problem, real_loop
 from flexopt.cli.simulation import loop_options
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
@@ -169,6 +169,8 @@ def reproduce_command(as_json: bool, out: str | None, figures: str | None, **opt
 @loop_options("", *LOOPS)
 @LOOP
 @RANGES
+@MEMBERS
+@RUNS
 @value(
     "--points", "N", "Of the map along each axis (160; 48 in space and with four passive coordinates or more).", whole
 )
@@ -196,6 +198,7 @@ def report_command(as_json: bool, problem: str, out: str | None, pdf: str | None
         result = report(
             asked, experiment=experiment, simulation=simulation, points=options["points"], progress=progress,
             loop=real_loop(own, options["loop"]), ranges=table("--ranges", options["ranges"]),
+            **given(options, "members", "runs"),
         )  # fmt: skip
     write_output("--out", folder, lambda: result.write(folder))
     if pdf is not None:

@@ -49,6 +49,8 @@ from flexopt.study.verdict_result import Band, PlaceVerdict, Verdict
 
 # Members that decays are computed of, nonlinear runs, and places besides the present one that are told.
 MEMBERS, RUNS, TOLD = 64, 16, 3
+# How many points and runs a verdict may take.
+SIZES = {"members": whole(2, 100_000), "runs": whole(0, 100_000)}
 # Members at whose corners gains, margins and moves are looked at: up to 2³ of them.
 CORNERED = 3
 # Choosing places, decays there, runs, and gains.
@@ -73,8 +75,8 @@ _KEYWORDS = Keywords(SelectionOptions, SelectionKeywords, together=True)
 
 @public(
     problem=_judged,
-    members=whole(2, 100_000),
-    runs=whole(0, 100_000),
+    members=SIZES["members"],
+    runs=SIZES["runs"],
     duration=number("s", above=0.0, high=1e4),
     keywords=_KEYWORDS,
 )

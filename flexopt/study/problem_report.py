@@ -31,7 +31,7 @@ from flexopt.simulation.scenario import checked_options
 from flexopt.study.asked import any_problem
 from flexopt.study.default_gains import default_gains
 from flexopt.study.gains import BorderRow, border_row
-from flexopt.study.move_verdict import verdict
+from flexopt.study.move_verdict import MEMBERS, RUNS, SIZES, verdict
 from flexopt.study.place_loops import problems_of
 from flexopt.study.report_result import Report, ReportLoop
 from flexopt.study.surroundings import best_of, map_points, marks_in, problem_of, stands_of, surroundings
@@ -62,6 +62,8 @@ def _other_experiment(arguments: Arguments, field: str, value: Any) -> Any:
     experiment=_other_experiment,
     simulation=table,
     points=whole(2, POINTS_MAX),
+    members=SIZES["members"],
+    runs=SIZES["runs"],
     together=_together,
 )
 def report(
@@ -72,6 +74,8 @@ def report(
     loop: LoopLike | None = None,
     ranges: RangesLike | None = None,
     points: int | None = None,
+    members: int = MEMBERS,
+    runs: int = RUNS,
     progress: Progress | None = None,
 ) -> Report:
     """Solve a configuration problem and show the machine, the choice, a map, the closed loops and the gains.
@@ -90,6 +94,7 @@ def report(
             experiment, the problem or the machine. Where a controller is known the report says whether it pays to move,
             and the closed loops are its, unless `simulation` or the experiment's `[simulation]` say another.
         points: of the map, along each axis; 160; 48 in space, and with more than three passive coordinates.
+        members, runs: of the verdict, as of `flexopt.verdict`.
         progress: called with the number of stages done and of all.
 
     Raises:
@@ -129,7 +134,7 @@ def report(
         borders += rows or []
     stages.next()
     ground = ranges or getattr(problem, "uncertainty", None) or None
-    judged, why_not = _judged(selection, cast("Loop | None", known), ground)
+    judged, why_not = _judged(selection, cast("Loop | None", known), ground, members, runs)
     stages.next()
     described = isinstance(problem, Problem)
     return Report(
@@ -150,7 +155,9 @@ def report(
     )
 
 
-def _judged(selection: Selection | Stand | BasePlan, known: Loop | None, ground: Any) -> tuple[Verdict | None, str]:
+def _judged(
+    selection: Selection | Stand | BasePlan, known: Loop | None, ground: Any, members: int, runs: int
+) -> tuple[Verdict | None, str]:
     """Whether it pays to move, or why that cannot be said and what to give."""
     if problems_of(selection)[0].present_base is None:
         return None, (
@@ -163,7 +170,7 @@ def _judged(selection: Selection | Stand | BasePlan, known: Loop | None, ground:
             "problem, or by --loop (kp=1e4, say); --loop default lets all of them follow from the machine."
         )
     try:
-        return verdict(selection, loop=known, ranges=ground), ""
+        return verdict(selection, loop=known, ranges=ground, members=members, runs=runs), ""
     except FlexoptError as error:
         return None, f"It could not be judged: {error}"
 

@@ -325,6 +325,8 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         "loop": {"kp": 1e4, "kv": 1e3},
         "ranges": {"stiffness": [0.5, 2.0]},
         "points": 3,
+        "members": 2,
+        "runs": 1,
         "progress": print,
     },
     "robust_margin": lambda: STATE_SPACE,

@@ -228,3 +228,14 @@ def test_a_run_too_short_for_its_verdict_is_noted():
         assert noted == (loop.run.verdict == "undecided")
         assert noted == (loop.linear.stable != (loop.run.run.word == "converges"))
     assert any("too short" in note for note in result.notes)
+
+
+@pytest.mark.usefixtures("words_alone")
+def test_the_verdict_takes_as_many_members_as_asked_for(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    asked = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--members", "5", "--runs", "1")
+    command = Command(capsys, tmp_path)
+    found = command.json("report", "article", *asked, "--points", "3", "--out", "r")["verdict"]
+    alone = command.json("verdict", "article", *asked)
+    assert found["provenance"]["options"]["members"] == 5
+    assert [place["decay"] for place in found["places"]] == [place["decay"] for place in alone["places"]]
