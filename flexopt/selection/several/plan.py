@@ -39,7 +39,7 @@ from flexopt.selection.program import Program, values_of
 from flexopt.selection.several.by_loop import Asked
 from flexopt.selection.several.outcome_plan import outcome_plan
 from flexopt.selection.several.postures import Reached, reached_from
-from flexopt.selection.several.results import BasePlan, FixedPlacement
+from flexopt.selection.several.results import KEPT, BasePlan, FixedPlacement
 from flexopt.selection.several.solving import End, end_from, ends_from, not_below, places_at, verified
 from flexopt.selection.several.standing import best_placements, one_placement, standing_along
 from flexopt.selection.several.targets import build_problems, sample_bases, single_measure
@@ -53,8 +53,6 @@ COMMON, OWN = (401, 256), (201, 256)
 WAYS, STANDS = 3, 6
 # Ways that follow from the middle target alone, and the starts of its selection.
 CARRIED, CARRIED_STARTS = 4, 16
-# What the second, shortest way may give up, relative to the objective's scale.
-SLACK = 1e-4
 # Placements from which postures near to each other are looked for, with so many times the usual postures.
 PLACED, FINER = 128, 16
 BASE_RATE, SECONDS = 0.25, 10.0
@@ -310,7 +308,7 @@ def _still(program: Program, zs: list[Vector]) -> FixedPlacement:
 
 def _shortest(program: Program, good: list[End]) -> End:
     """The shortest of the ways near the verified ones that keep the best worst V."""
-    level = program.worth(good[0].x) / program.size - SLACK
+    level = program.worth(good[0].x) / program.size - KEPT
     shorter = program.kept(level)
     ways: list[End] = []
     for end in good:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -95,6 +96,15 @@ def test_start_and_rates_bind(excavator: flexopt.Machine) -> None:
     still = plan_base(excavator, PATH, objective="w2", max_base_rate=0.0, duration=6.0, workers=1)
     assert np.ptp(still.base) < 1e-7
     assert still.worth == pytest.approx(still.standing, abs=2e-4 * still.problems[0].objective_scale)
+
+
+def test_a_way_that_gave_up_a_little_for_its_shortness_says_so(plan: BasePlan) -> None:
+    assert plan.still is not None
+    assert "the shortest way is taken" not in repr(plan)
+    better = replace(plan, still=replace(plan.still, V=0 * plan.still.V))
+    assert better.worth < better.standing
+    sentence = "standing still; both count as best to 0.0001 of the objective's scale, and the shortest way is taken)"
+    assert sentence in repr(better)
 
 
 def test_what_stands_still_keeps_its_joints_rates() -> None:
