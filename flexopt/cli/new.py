@@ -124,11 +124,18 @@ def _springs(linear: Quantity, turning: Quantity) -> Callable[[Any, Mapping[str,
     return read
 
 
-def _of_ground(gives: str, directions: tuple[str, ...], least: int) -> list[Question]:
+def _of_ground(
+    gives: str, directions: tuple[str, ...], least: int, reach: Callable[[Mapping[str, Any]], float]
+) -> list[Question]:
     """What the machine stands on."""
 
     def some(known: Mapping[str, Any]) -> bool:
         return bool(known["gives"])
+
+    def proposed(known: Mapping[str, Any]) -> str:
+        from flexopt.study.new_machine import usual_frequency  # noqa: PLC0415
+
+        return f"{usual_frequency(reach(known)):g}"
 
     empty = f" (or {NONE}: the robot file has springs of its own)" if least == 0 else ""
     return [
@@ -147,7 +154,7 @@ def _of_ground(gives: str, directions: tuple[str, ...], least: int) -> list[Ques
             word_or(FROM_RATIO, _springs(LINEAR_DAMPING, TURNING_DAMPING)), lambda _: FROM_RATIO, some,
         ),
         Question(
-            "frequency", "Frequency of its swing, the arm held, Hz, up to 1000", one(FREQUENCY), lambda _: "2",
+            "frequency", "Frequency of its swing, the arm held, Hz, up to 1000", one(FREQUENCY), proposed,
             lambda known: some(known) and known["stiffness"] is None,
         ),
         Question(
@@ -197,7 +204,7 @@ def _of_plane(name: str) -> list[Question]:
             "base_inertia", "Inertia of the base about its centre of mass, kg m²", one(INERTIA),
             lambda known: f"{known['base_mass'] * (known['lengths'][0] / 4) ** 2:.6g}",
         ),
-        *_of_ground(",".join(PLANAR), PLANAR, 1),
+        *_of_ground(",".join(PLANAR), PLANAR, 1, lambda known: known["base_length"] + sum(known["lengths"])),
     ]  # fmt: skip
 
 
@@ -308,7 +315,7 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
         based = chain.floats or not chain.sprung
         questions = [
             Question("name", "Name of the machine", _name, lambda _: stem or chain.name),
-            *_of_ground("z,roll,pitch" if based else NONE, SPATIAL, 1 if based else 0),
+            *_of_ground("z,roll,pitch" if based else NONE, SPATIAL, 1 if based else 0, lambda _: chain.reach),
         ]
         known = answers(questions, options, ask=not yes)
         path = target or _file_name(known["name"])

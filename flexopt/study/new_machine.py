@@ -20,6 +20,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.escapes import one_line
 from flexopt.foundation.rendering import render
 from flexopt.model import AnyMachine, machine_from_dict
+from flexopt.model.plausibility import SAG
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reach import arm_length, sampled_ranges
@@ -39,6 +40,8 @@ FREQUENCY_MAX = 1e4
 BEHIND = re.compile(r'((?:[^#"]|"(?:[^"\\]|\\.)*")+?)\s+# (.*)')
 COMMENTS = 32
 UPRIGHT = "1.5707963"
+# Hz, of the swing of a machine of some metres; of its reach, how far a smaller one sinks on its springs at most.
+USUAL, SINKS = 2.0, SAG / 2
 PLANAR_UNITS = {"x": ("N/m", "N s/m"), "y": ("N/m", "N s/m"), "rotation": ("N m/rad", "N m s/rad")}
 
 
@@ -75,7 +78,7 @@ class Ground:
     gives: tuple[str, ...]
     stiffness: tuple[float, ...] | None = None
     damping: tuple[float, ...] | None = None
-    frequency: float = 2.0
+    frequency: float = USUAL
     ratio: float = 0.02
     alone: bool = False
 
@@ -112,6 +115,15 @@ class Ground:
             damping = tuple(rounded(2 * self.ratio / first(stiffness) * k) for k in stiffness)
             notes[1] = f" (so that {which} has the damping ratio {self.ratio:g} at posture {held})"
         return Springs(stiffness, damping, posture, (notes[0], notes[1]))
+
+
+def usual_frequency(reach: float) -> float:
+    """Of a swing that nobody has timed, Hz: the usual one, or of a machine of small `reach`, m, a higher one.
+
+    A spring that swings slowly gives far under its load, by g/ω², however small the machine is that stands on it.
+    """
+    sinking = math.sqrt(9.81 / (SINKS * reach)) / math.tau if reach > 0 else 0.0
+    return max(USUAL, math.ceil(10 * sinking) / 10)
 
 
 def _first_mode(plant: Plant, posture: Sequence[float]) -> float:

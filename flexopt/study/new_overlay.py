@@ -70,6 +70,12 @@ class RobotChain:
         """The robot's name, else the file's."""
         return self.robot.name or self.path.stem
 
+    @property
+    def reach(self) -> float:
+        """Of the end-point from where the root stands, m, every step stretched out."""
+        way = _way({link.name: link for link in self.robot.links}, self.end)
+        return float(sum(np.linalg.norm(link.pose.position) for link in way[1:]))
+
 
 def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> RobotChain:
     """A robot file, and the chain to a link or site: by default the link with the most joints before it.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import shlex
 import tomllib
 import warnings
@@ -295,3 +296,27 @@ def test_without_answers_nothing_is_written(command: Command, monkeypatch: pytes
     monkeypatch.setattr("sys.stdin", io.StringIO("digger\n"))
     assert command("new").code == 130
     assert not list(command.folder.iterdir())
+
+
+def test_springs_proposed_for_a_small_machine_carry_it(command: Command) -> None:
+    """At 2 Hz any machine sinks by 6 cm, which is much where it reaches 40 cm."""
+    command.write("arm.urdf", small(hand("named"), 0.25))
+    for name, arguments in (("robot", ("--from", "arm.urdf")), ("planar", ("--lengths", "0.2,0.15", "--masses", "1,0.6",
+                            "--base-length", "0.05", "--base-mass", "3"))):  # fmt: skip
+        followed(command, f"{name}.toml", *arguments)
+        assert [finding for finding in flexopt.check(f"{name}.toml").findings if "stiffness" in finding.field] == []
+        swing = float(re.search(r"swings at ([\d.]+) Hz", Path(f"{name}.toml").read_text(encoding="utf-8"))[1])
+        assert 3 < swing < 6
+    followed(command, "large.toml")
+    assert "swings at 2 Hz" in Path("large.toml").read_text(encoding="utf-8")
+    followed(command, "asked.toml", "--from", "arm.urdf", "--frequency", "2")
+    assert "swings at 2 Hz" in Path("asked.toml").read_text(encoding="utf-8")
+
+
+def small(robot: str, share: float) -> str:
+    """The same with every length a share of what it was."""
+
+    def shrunk(found: re.Match[str]) -> str:
+        return f'xyz="{" ".join(f"{share * float(x):g}" for x in found[1].split())}"'
+
+    return re.sub(r'(?<=<origin )xyz="([^"]*)"', shrunk, robot)
