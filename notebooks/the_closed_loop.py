@@ -59,7 +59,7 @@ flexopt.simulate(machine, posture_a, **gains).plot()
 best = flexopt.select(machine, (0.0, 1.6), base=0.0).best.evaluation
 for name, posture, base in (("A", posture_a, 0.0), ("B", posture_b, 0.0), ("optimised", best.posture, best.base[0])):
     border = flexopt.stability_border(machine, posture, base=float(base), kv=2e3)
-    print(f"{name:10s}", [f"{low:.3g} … {high:.3g} N/m" for low, high in border.intervals] or "no stable gain")
+    print(f"{name:10s}", [f"{low:.3g} … {high:.3g} N m" for low, high in border.intervals] or "no stable gain")
 
 # %% [markdown]
 # ## Moving the base while the end-point is held

@@ -95,40 +95,24 @@ print(flexopt.check(wrong))
 # %% [markdown]
 # ## Springs from what was counted
 #
-# The first mode depends on the stiffness alone in this machine, so that one number settles it. Frequencies are exact functions of every
-# parameter; a search is a line of SciPy.
+# Who counts a swing holds the arm. Then the base alone turns, with all that it carries: $M \ddot\varphi + D \dot\varphi + K \varphi = 0$,
+# $M$ the inertia about the ground point in that posture, so that $K = M \omega^2$. The measures have the joints free, as drives that
+# give torques leave them: there the same spring swings faster. `flexopt new --frequency` takes the same path.
 
 # %%
-from scipy.optimize import brentq
-
 held = [-1.1, -1.3, -0.6]  # how the arm was held when the swing was counted
+omega, ratio = 2 * math.pi * 1.4, math.log(2) / (2 * math.pi * 4)  # half in four swings
+
+plant = flexopt.build_plant(machine)
+p = plant.parameter_values
+carried = float(plant.mass(plant.rest([0.0], held, p), [0.0], p)[0, 0])
+stiffness, damping = carried * omega**2, 2 * ratio * omega * carried
+
 data = machine.to_dict()
-
-
-def with_stiffness(value: float) -> flexopt.Machine:
-    base = data["base"] | {"stiffness": data["base"]["stiffness"] | {"rotation": value}}
-    return flexopt.machine_from_dict(data | {"base": base})
-
-
-def first_mode(value: float) -> float:
-    return flexopt.evaluate(with_stiffness(value), held).frequencies_hz[0]
-
-
-stiffness = brentq(lambda x: first_mode(x) - 1.4, 1e4, 1e7)
-machine = with_stiffness(stiffness)
-print(f"stiffness {stiffness:.4g} N m/rad")
-
-# %% [markdown]
-# Half in four swings is a damping ratio of $\ln 2 / (2\pi \cdot 4)$; it grows with the damper's constant.
-
-# %%
-wanted = math.log(2) / (2 * math.pi * 4)
-now = flexopt.evaluate(machine, held).damping_ratios[0]
-data = machine.to_dict()
-damping = data["base"]["damping"]["rotation"] * wanted / now
-machine = flexopt.machine_from_dict(data | {"base": data["base"] | {"damping": {"rotation": damping}}})
+ground = {"stiffness": {"rotation": stiffness}, "damping": {"rotation": damping}}
+machine = flexopt.machine_from_dict(data | {"base": data["base"] | ground})
 here = flexopt.evaluate(machine, held)
-print(f"damping {damping:.4g} N m s/rad; damping ratio {here.damping_ratios[0]:.4f}, asked for {wanted:.4f}")
+print(f"{carried:.4g} kg m²: stiffness {stiffness:.4g} N m/rad, damping {damping:.4g} N m s/rad")
 here
 
 # %% [markdown]

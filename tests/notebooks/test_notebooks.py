@@ -4,8 +4,11 @@ from pathlib import Path
 
 import jupytext
 import nbformat
+import numpy as np
 import pytest
+from scipy.linalg import eigvalsh
 
+import flexopt
 from tests.notebooks.execution import FOLDER, executed, texts
 
 
@@ -33,3 +36,21 @@ def test_notebook_runs(path: Path):
     assert all(cell.execution_count for cell in cells)
     shown = {kind for cell in cells for output in cell.outputs for kind in output.get("data", {})}
     assert "image/png" in shown
+
+
+def test_springs_from_a_counted_swing_are_those_of_a_held_arm() -> None:
+    """By eigenvalues of the base's mass and stiffness with the joints fixed, as who counts a swing holds them."""
+    told = {}
+    for cell in jupytext.read(FOLDER / "your_own_machine.py").cells:
+        if cell.cell_type == "code":
+            exec(cell.source.replace("%matplotlib inline", ""), told)
+        if "held" in told:
+            break
+    machine, held = told["machine"], told["held"]
+    plant, p = flexopt.build_plant(machine), flexopt.build_plant(machine).parameter_values
+    m, base = plant.n_passive, [0.0]
+    mass = plant.mass(plant.rest(base, held, p), base, p).full()[:m, :m]
+    (value,) = eigvalsh(plant.stiffness(p).full()[:m, :m], mass)
+    assert np.sqrt(value) / (2 * np.pi) == pytest.approx(1.4, rel=1e-9)
+    damping = plant.damping(p).full()[0, 0] / (2 * mass[0, 0] * np.sqrt(value))
+    assert np.exp(-2 * np.pi * damping * 4) == pytest.approx(0.5, rel=1e-9)
