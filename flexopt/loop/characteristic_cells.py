@@ -173,7 +173,7 @@ def _cells_of(of: Characteristic, low: Vector, high: Vector) -> tuple[Cells, Vec
     omega = low[:, None] + (high - low)[:, None] * at
     error = of.aliases.error(low, high)
     # Where nothing bounds the aliases nothing is excluded, and no infinity is to meet a zero on the way.
-    bounded: NDArray[np.bool_] = np.isfinite(error).all(axis=(1, 2))
+    bounded: NDArray[np.bool_] = np.asarray(np.isfinite(error).all(axis=(1, 2)))
     error = np.where(bounded[:, None, None], error, 0.0)
     cut, rest = remainders(of, DEGREE, low, high, error)
     axes = [(1, at), *((2 + i, of.nodes(i)) for i in range(len(of.low)))]
