@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled import Batch, Recurrence
-from flexopt.errors import Fault, InputError
+from flexopt.errors import Fault, FlexoptWarning, InputError
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Document, MatrixLike, PostureLike, Progress, Vector
 from flexopt.foundation.boundary import array_of, of_machine, path, public, words
@@ -28,15 +28,19 @@ from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.plain import shown
 from flexopt.foundation.results import Tabled
 from flexopt.foundation.turns import available_cores
+from flexopt.foundation.warned import warn_user
 from flexopt.model import AnyMachine
+from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.parameter_ranges import parameter_range
 from flexopt.model.simulation import SimulationKeywords, SimulationOptions
+from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Behaviour, behaviour
 from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.members import Keep, Plan, member_loops, motion_constants
-from flexopt.simulation.run import check_residual, moves, runners
-from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options, note_options
+from flexopt.simulation.real_loop import in_shorter_steps, with_loop
+from flexopt.simulation.run import check_residual, moves, note_run, runners
+from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options
 from flexopt.simulation.verdict import LoopVerdict, judge
 
 if TYPE_CHECKING:
@@ -203,7 +207,7 @@ def _vary(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> 
     return arrays
 
 
-@public(together=note_options, vary=of_machine(_vary), keep=words("measures", "trajectories"), keywords=SIMULATED)
+@public(together=note_run, vary=of_machine(_vary), keep=words("measures", "trajectories"), keywords=SIMULATED)
 def simulate_ensemble(
     machine: AnyMachine,
     posture: PostureLike | None = None,
@@ -212,6 +216,7 @@ def simulate_ensemble(
     keep: Keep = "measures",
     threads: int | None = None,
     progress: Progress | None = None,
+    loop: LoopLike | None = None,
     options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
     **keywords: Unpack[SimulationKeywords],
 ) -> Ensemble:
@@ -227,6 +232,8 @@ def simulate_ensemble(
         keep: `"measures"` (default), or `"trajectories"` for every sample of every member, too.
         threads: among how many the members are divided; all cores by default. The results do not depend on it.
         progress: called with the number of members done and N.
+        loop: the real controller, as of `flexopt.simulate`; gains in `vary` stand in place of its own. By default the
+            machine's `[loop]`, unless an option or `vary` says of the loop.
 
     Raises:
         InputError: arguments are not usable (all faults in one message); the samples to keep exceed 4 GB.
@@ -241,24 +248,38 @@ def simulate_ensemble(
         >>> ensemble.dataset["growth_rate"].sizes["member"]
         3
     """
-    checked = checked_options("simulate_ensemble", machine, {"posture": posture} | keywords)
-    varied = dict(cast(Mapping[str, Vector], vary))
-    n = len(next(iter(varied.values())))
-    names = [parameter.name for parameter in machine.parameters]
-    zeros, motion = motion_constants(machine, {k: v for k, v in varied.items() if k in names}, n)
-    s = build_scenario(machine, checked, zeros, watched=True)
-    plan = Plan(s, zeros, varied, motion, n, keep)
-    _check_room(plan)
-    shares = _run(plan, threads or available_cores(), progress)
-    given = {name: list(np.shape(value)) for name, value in varied.items()}
-    settings = checked.model_dump(exclude_unset=True)
-    return Ensemble(
-        _dataset(plan, varied, shares),
-        provenance(machine, vary=given, keep=keep, **settings),
-        plan,
-        tuple(share.measures for share in shares),
-        np.concatenate([share.last for share in shares], axis=1) if moves(s) else None,
-    )
+    given: dict[str, Any] = {"posture": posture} | keywords
+    asked = dict(cast(Mapping[str, Vector], vary))
+    varied, real = asked, cast("Loop | None", loop) or own_loop(machine, given | asked)
+    if real is not None:
+        own = machine
+        machine, given, _, sentences = with_loop(machine, real, given, "simulate_ensemble")
+        for sentence in sentences:
+            warn_user(sentence, FlexoptWarning)
+        # What drives brake is brake in every member, on top of its own damping.
+        pairs = zip(own.parameters, machine.parameters, strict=True)
+        brakes = {before.name: after.value - before.value for before, after in pairs}
+        varied = {name: values + brakes.get(name, 0.0) for name, values in asked.items()}
+
+    def run(given: dict[str, Any]) -> Ensemble:
+        checked = checked_options("simulate_ensemble", machine, given)
+        n = len(next(iter(varied.values())))
+        names = [parameter.name for parameter in machine.parameters]
+        zeros, motion = motion_constants(machine, {k: v for k, v in varied.items() if k in names}, n)
+        s = build_scenario(machine, checked, zeros, watched=True)
+        plan = Plan(s, zeros, varied, motion, n, keep)
+        _check_room(plan)
+        shares = _run(plan, threads or available_cores(), progress)
+        shapes = {name: list(np.shape(value)) for name, value in asked.items()}
+        return Ensemble(
+            _dataset(plan, asked, shares),
+            provenance(machine, vary=shapes, keep=keep, **checked.model_dump(exclude_unset=True)),
+            plan,
+            tuple(share.measures for share in shares),
+            np.concatenate([share.last for share in shares], axis=1) if moves(s) else None,
+        )
+
+    return in_shorter_steps(run, given, real)
 
 
 def _check_room(plan: Plan) -> None:

@@ -71,7 +71,9 @@ def sampled_loop(
     options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
     **keywords: Unpack[LinearKeywords],
 ) -> SampledLoop:
-    """Multipliers of the loop that `simulate` runs, at its equilibrium.
+    """Multipliers of the loop that `simulate` runs with the same options, at its equilibrium.
+
+    Of a real controller, a machine's `[loop]`, `flexopt.outcome` tells.
 
     Between the samples x(t + h) = e^{Ah} x(t) + ∫₀ʰ e^{As} ds B τ, exactly. Limits, dead bands and rounding of
     measurements are left out: they do not exist for vanishing motions. Paths are left out: the base stands, and the
@@ -115,7 +117,7 @@ def stability_border(
     Example:
         >>> machine = flexopt.load("excavator")
         >>> border = flexopt.stability_border(machine, (0.0448, -2.0499), kv=2e3)
-        >>> round(float(border.intervals[0][1]), -4)  # N/m
+        >>> round(float(border.intervals[0][1]), -4)  # N m
         800000.0
     """
     scenario = linear_scenario(machine, {"posture": posture} | keywords, "stability_border")

@@ -6,11 +6,12 @@ In: a machine and `LoopSettings`. Out: options of a run, and what drives that se
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 
+from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.evaluation import settings_at
@@ -22,6 +23,7 @@ from flexopt.model.simulation import PART_OF_SAMPLE
 from flexopt.model.simulation_faults import BROUGHT_BY_TABLES, brought_twice, table_entries
 from flexopt.simulation.scenario import checked_options, design_configuration
 
+T = TypeVar("T")
 # Integration steps in a sample where those that the fastest mode needs are too long.
 SHORTER = (8, 64)
 
@@ -79,6 +81,21 @@ def note_loop(arguments: Arguments, given: Mapping[str, Any]) -> None:
     """Note options of a call that its loop brings itself."""
     if given["loop"] is not None:
         arguments.faults += brought_twice(given)
+
+
+def in_shorter_steps(run: Callable[[dict[str, Any]], T], given: dict[str, Any], real: Loop | None) -> T:
+    """A run of these options; of a real loop in shorter steps where those for the modes are too long.
+
+    Drives that serve rates brake joints so much that this may be.
+    """
+    if real is not None and given.get("substeps") is None:
+        for more in ({}, *({"substeps": steps} for steps in SHORTER[:-1])):
+            try:
+                return run(given | more)
+            except NoSolutionFound:
+                continue
+        given = given | {"substeps": SHORTER[-1]}
+    return run(given)
 
 
 def with_loop(

@@ -28,7 +28,7 @@ from flexopt.model.simulation import SimulationKeywords, SimulationOptions
 from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import STILL, Behaviour, behaviour
-from flexopt.simulation.real_loop import SHORTER, note_loop, with_loop
+from flexopt.simulation.real_loop import in_shorter_steps, note_loop, with_loop
 from flexopt.simulation.scenario import SIMULATED, Scenario, build_scenario, checked_options, note_options
 from flexopt.simulation.trajectory import Trajectory
 from flexopt.simulation.verdict import Ended
@@ -39,12 +39,13 @@ RESIDUAL_MAX = 1e-10
 NEAR_SINGULAR = 1e-3
 
 
-def _note(arguments: Arguments, given: Mapping[str, Any]) -> None:
+def note_run(arguments: Arguments, given: Mapping[str, Any]) -> None:
+    """Note the faults of a run's options, and of those that its loop brings."""
     note_options(arguments, given)
     note_loop(arguments, given)
 
 
-@public(together=_note, keywords=SIMULATED)
+@public(together=note_run, keywords=SIMULATED)
 def simulate(
     machine: AnyMachine,
     posture: PostureLike | None = None,
@@ -93,16 +94,12 @@ def simulate(
     settings, sentences, real = None, tuple[str, ...](), cast("Loop | None", loop) or own_loop(machine, given)
     if real is not None:
         machine, given, settings, sentences = with_loop(machine, real, given, "simulate")
-    # Drives that serve rates brake joints so much that steps for the modes may be too long.
-    tries = [{"substeps": steps} for steps in SHORTER] if real is not None and given.get("substeps") is None else []
-    while True:
+
+    def run(given: dict[str, Any]) -> Trajectory:
         scenario = build_scenario(machine, checked_options("simulate", machine, given))
-        try:
-            return simulate_checked(scenario, settings, sentences)
-        except NoSolutionFound:
-            if not tries:
-                raise
-            given |= tries.pop(0)
+        return simulate_checked(scenario, settings, sentences)
+
+    return in_shorter_steps(run, given, real)
 
 
 def simulate_checked(

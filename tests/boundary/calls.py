@@ -370,7 +370,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
     ),
     "simulate": lambda: _machine(posture=POSTURE, loop=None, **SIMULATE),
     "simulate_ensemble": lambda: _machine(
-        posture=POSTURE, vary={"kp": [1e4, 2e4]}, keep="measures", threads=1, progress=print, **SIMULATE
+        posture=POSTURE, vary={"kp": [1e4, 2e4]}, keep="measures", threads=1, progress=print, loop=None, **SIMULATE
     ),
     "solve_problem": lambda: {"problem": problem(), **RUN},
     "solve_selection": lambda: {"problem": selection().problem, **RUN},

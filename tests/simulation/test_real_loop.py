@@ -12,6 +12,7 @@ import flexopt
 from flexopt.cli import main
 from flexopt.errors import InputError, ModelError
 from flexopt.model.files import shipped_names
+from flexopt.model.parameter_values import with_parameters
 from flexopt.model.simulation_faults import BROUGHT, BROUGHT_BY_TABLES
 from flexopt.plant import build_plant
 
@@ -201,3 +202,36 @@ def test_an_experiment_falls_back_on_the_loop_of_its_machine(tmp_path: Path) -> 
     run = flexopt.run_experiment(flexopt.load_experiment(tmp_path / "e.toml"))
     np.testing.assert_array_equal(run.q, flexopt.simulate(machine, POSTURE, duration=0.1).q)
     assert run.loop is not None
+
+
+@pytest.mark.parametrize("name", ["torque", "rates"])
+def test_members_of_an_ensemble_are_runs_with_the_loop(name: str) -> None:
+    """Also where what varies is the damping that drives add to: the loop is then that of the changed machine."""
+    loop = LOOPS[name] | {"dead_time": 0.01}
+    machine = flexopt.load("excavator")
+    offsets = [[0.01, -0.02], [-0.005, 0.01]]
+    together = flexopt.simulate_ensemble(
+        machine, POSTURE, vary={"offset": offsets}, loop=loop, duration=0.3, keep="trajectories"
+    )
+    for k, offset in enumerate(offsets):
+        alone = flexopt.simulate(machine, POSTURE, loop=loop, duration=0.3, offset=offset)
+        np.testing.assert_allclose(together.dataset["q"].to_numpy()[k], alone.q, rtol=0, atol=1e-10)
+        assert together.linear_growth_rate[k] == pytest.approx(alone.linear_growth_rate, rel=1e-9)
+    varied = {"boom.joint_damping": [0.0, 4e3], "payload.mass": [0.0, 150.0]}
+    several = flexopt.simulate_ensemble(machine, POSTURE, vary=varied, loop=loop, duration=0.1)
+    for k, (damping, mass) in enumerate(zip(*varied.values(), strict=True)):
+        changed = with_parameters(machine, {"boom.joint_damping": damping, "payload.mass": mass})
+        told = flexopt.outcome(changed, POSTURE, loop=loop)
+        assert several.linear_growth_rate[k] == pytest.approx(-told.decay, abs=1e-8)
+    np.testing.assert_array_equal(several.dataset["boom.joint_damping"], varied["boom.joint_damping"])
+
+
+def test_an_ensemble_falls_back_on_the_loop_of_its_machine() -> None:
+    machine = with_own_loop(**LOOPS["torque"])
+    vary = {"payload.mass": [0.0, 100.0]}
+    own = flexopt.simulate_ensemble(machine, POSTURE, vary=vary, duration=0.2)
+    given = flexopt.simulate_ensemble(flexopt.load("excavator"), POSTURE, vary=vary, loop=LOOPS["torque"], duration=0.2)
+    np.testing.assert_array_equal(own.linear_growth_rate, given.linear_growth_rate)
+    # Gains that vary are the whole controller, as of `simulate`.
+    gains = flexopt.simulate_ensemble(machine, POSTURE, vary={"kp": [1e4]}, kv=1e3, duration=0.2)
+    assert gains.linear_growth_rate[0] == flexopt.simulate(machine, POSTURE, kp=1e4, kv=1e3).linear_growth_rate
