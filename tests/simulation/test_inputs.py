@@ -80,7 +80,7 @@ FAULTS = {
     "duration zero": ({"duration": 0}, ["duration = 0", "greater than 0", "s"]),
     "duration negative": ({"duration": -3.0}, ["duration = -3", "greater than 0"]),
     "rate zero": ({"rate": 0}, ["rate = 0", "greater than 0", "Hz"]),
-    "too many samples": ({"duration": 1e6, "rate": 1e5}, ["duration, rate = 1e+11", "10000000 samples"]),
+    "too many samples": ({"duration": 1e6, "rate": 1e5}, ["duration, rate = 1e+06 s at 100000 Hz, 1e+11", "10000000 samples"]),
     "no sample": ({"duration": 1e-9}, ["duration, rate", "between 1 and"]),
     "substeps none": ({"substeps": 0}, ["substeps = 0", "between 1 and 1000"]),
     "substeps half": ({"substeps": 1.5}, ["substeps = 1.5", "whole number"]),

@@ -13,7 +13,7 @@ from benchmarks.together import RATE, SECONDS, Together, asked, program_of
 from flexopt.selection.check import infeasible, prove_program
 from flexopt.selection.program import Program
 from flexopt.selection.several import TargetConfiguration
-from flexopt.selection.several.plan import SLACK
+from flexopt.selection.several.results import KEPT
 from flexopt.selection.several.solving import end_from
 
 MACHINE = "truck-crane"
@@ -100,5 +100,5 @@ def test_a_plan_on_kinks() -> None:
     # The shortest way gives up a little: what it is near is the best.
     best = end_from(program, packed(program, found.places))
     assert not best.violations
-    assert program.worth(best.x) - found.worth <= (SLACK + 1e-6) * program.size
+    assert program.worth(best.x) - found.worth <= (KEPT + 1e-6) * program.size
     assert no_better_nearby(program, best.x, 3) >= 10
