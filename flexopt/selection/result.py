@@ -262,7 +262,7 @@ class Selection(Pictured, Result):
 
     @property
     def nothing_to_gain(self) -> str:
-        """A sentence where the present configuration is as good as the best, to 1e-4 of the scale; else empty."""
+        """A sentence where the present configuration is as good as the best, to 1e-4 of the scale, or better."""
         problem, now = self.problem, self.initial
         if now is None or len(problem.sought) > 1:
             return ""
@@ -273,6 +273,9 @@ class Selection(Pictured, Result):
         short = self.best.objective - float(problem.branches(problem.objective, z)[0][0])
         if short > NOTHING * problem.objective_scale:
             return ""
+        if short < -NOTHING * problem.objective_scale:
+            more = f"{-short:.3g} more {problem.name} than what is chosen"
+            return f"the present configuration has {more}: where climbs from it end could not be verified"
         return f"nothing to gain: the present configuration has as much {problem.name}, to {NOTHING:g} of |a||b|"
 
     @property

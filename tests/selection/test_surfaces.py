@@ -216,3 +216,12 @@ def test_an_epsilon_that_nobody_sought_is_told_of_where_others_have_twice_as_muc
     assert told.left_out.startswith(f"the objective leaves ε_max out: 0.1 at the best, {most:.4g} at candidate ")
     assert told.left_out in repr(told)
     assert told.to_dict()["left_out"] == told.left_out
+
+
+def test_a_present_configuration_that_is_better_is_told() -> None:
+    selection = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), base=0.0)
+    last = selection.candidates[-1]
+    poorer = replace(selection, initial=selection.best.evaluation, best=last, candidates=(last,))
+    more = selection.best.objective - last.objective
+    assert more > 1e-3 * selection.problem.objective_scale
+    assert f"the present configuration has {more:.3g} more w1 than what is chosen" in repr(poorer)
