@@ -88,14 +88,14 @@ def in_shorter_steps(run: Callable[[dict[str, Any]], T], given: dict[str, Any], 
 
     Drives that serve rates brake joints so much that this may be.
     """
-    if real is not None and given.get("substeps") is None:
-        for more in ({}, *({"substeps": steps} for steps in SHORTER[:-1])):
-            try:
-                return run(given | more)
-            except NoSolutionFound:
-                continue
-        given = given | {"substeps": SHORTER[-1]}
-    return run(given)
+    own_steps = real is None or given.get("substeps") is not None
+    *first, last = [{}] if own_steps else [{}, *({"substeps": steps} for steps in SHORTER)]
+    for more in first:
+        try:
+            return run(given | more)
+        except NoSolutionFound:
+            continue
+    return run(given | last)
 
 
 def with_loop(
