@@ -65,6 +65,7 @@ def plot_stand(sheet: Sheet, stand: Stand) -> None:
     numbers = np.arange(1, len(places) + 1)
     shades = [inks.chosen if k == stand.worst else inks.other for k in range(numbers.size)]
     panels[0].bar(numbers, stand.shown_objective, 0.6, color=shades)
+    panels[0].axhline(0.0, color=inks.muted, linewidth=0.8, zorder=0)
     panels[0].set_ylabel(_sought(stand))
     panels[0].set_title("objective at each target" + (", 0 is best" if stand.unit is None else ""), loc="right")
     _draw_measures(panels[1], places, numbers)
