@@ -17,7 +17,16 @@ from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.ascent_member import AscentMember
-from flexopt.selection.ascent_model import DIFFERENCE, ROUNDING, Cone, Point, SecondOrder, Step, best_step
+from flexopt.selection.ascent_model import (
+    DIFFERENCE,
+    ROUNDING,
+    Cone,
+    Point,
+    SecondOrder,
+    Step,
+    best_step,
+    halves,
+)
 from flexopt.selection.cones import SHARED, TINY, mode_cones
 from flexopt.selection.coupling import own_directions
 from flexopt.selection.programs import Bounds
@@ -151,8 +160,7 @@ class Ascent:
         """−β |((V_1 − V_2) / 2, g_12)|, in a list; none where ε_max takes no part."""
         if not self._kinks.any():
             return []
-        slopes = np.vstack([(epsilon_x[0] - epsilon_x[1]) / 2, epsilon_x[2]])
-        return [Cone(np.array([-gap / 2, 0.0]), slopes, self._kinks, np.array([-1.0, 0.0]))]
+        return [Cone(np.array([-gap / 2, 0.0]), halves(epsilon_x), self._kinks, np.array([-1.0, 0.0]))]
 
     def onto_rows(self, x: Vector) -> tuple[Vector, bool] | None:
         """The point nearest to x, to first order, on the rows, and whether they hold there; None without slopes."""
@@ -277,9 +285,10 @@ class Ascent:
                 distance = min(2 * distance, GREATEST)
             elif gain < FAIR * step.gain - rounding:
                 distance = step.length / 2
-            if step.gain <= rounding and not self._off(there, step) < 0.5 * self._off(here, step):
+            carried = step.carried(here, there)
+            if step.gain <= rounding and not self._off(there, carried) < 0.5 * self._off(here, step):
                 return None, None, distance
-            return there, step, distance
+            return there, carried, distance
         return None, None, 0.0
 
     def _corrected(self, there: Point | None, step: Step, distance: float, cones: tuple[int, ...]) -> Point | None:
@@ -332,19 +341,23 @@ class Ascent:
         if self.shortest:
             ways = free @ self.steps.T
             smooth += float(step.pulls[-1]) * ways @ ways.T
-        margins = np.zeros((2, len(free), len(free)))
+        margins, turning = np.zeros((2, len(free), len(free))), np.zeros((2, len(free), len(free)))
         pull = float(step.pulls @ self._kinks)
         if len(free) and pull > 0:
             margin = self.members[0].margin
-            ahead = [margin(here.x + DIFFERENCE * way) for way in free]
+            ahead = np.array([margin(here.x + DIFFERENCE * way) for way in free])
             # What is kept may have multipliers of thousands, which the error of one-sided differences is multiplied by.
             central = pull > DEAR * float(self._kinks.max())
-            behind = [margin(here.x - DIFFERENCE * way) if central else here.epsilon_slopes for way in free]
-            change = (np.array(ahead) - np.array(behind))[:, :2] @ free.T / (DIFFERENCE * (2 if central else 1))
-            margins = (change.transpose(1, 0, 2) + change.transpose(1, 2, 0)) / 2
-        if not (np.isfinite(smooth).all() and np.isfinite(margins).all()):
+            behind = np.array([margin(here.x - DIFFERENCE * way) if central else here.epsilon_slopes for way in free])
+            if not (np.isfinite(ahead).all() and np.isfinite(behind).all()):
+                return None
+            apart = DIFFERENCE * (2 if central else 1)
+            margins = _symmetric((ahead - behind)[:, :2] @ free.T / apart)
+            change = np.array([here.turned(end) - here.turned(begin) for end, begin in zip(ahead, behind, strict=True)])
+            turning = _symmetric(change @ free.T / apart)
+        if not np.isfinite(smooth).all():
             return None
-        return SecondOrder(here, free, smooth, margins, step, cones)
+        return SecondOrder(here, free, smooth, margins, turning, step, cones)
 
     def _held(self, here: Point, step: Step, cones: tuple[int, ...]) -> dict[int, tuple[float, Vector]]:
         """What `smooth_slope` holds of modes whose cones are looked at, ν as a step pulls it."""
@@ -355,3 +368,8 @@ class Ascent:
                 pull = step.cone_pulls.get(number, float(step.pulls @ cone.sizes) * cone.unit)
                 held[number] = float(step.pulls @ here.alphas[:, number // 2]), pull / max(size, TINY)
         return held
+
+
+def _symmetric(change: Vector) -> Vector:
+    """Second derivatives (k, d, d) from changes (d, k, d) of k slopes along d ways."""
+    return (change.transpose(1, 0, 2) + change.transpose(1, 2, 0)) / 2

@@ -115,6 +115,11 @@ class Point:
         """Number of the cone of ε_max."""
         return 2 * self.n_modes if len(self.cones) > 2 * self.n_modes else None
 
+    def turned(self, epsilon_slopes: Vector) -> Vector:
+        """C of the cone of ε_max at a point nearby (2, n), by the eigenvectors of this one."""
+        nearby = halves(epsilon_slopes)
+        return turn(nearby, halves(self.epsilon_slopes)) @ nearby
+
     def near(self, distance: float) -> tuple[int, ...]:
         """Numbers of the cones that steps with entries of this size may meet; of a mode's two the nearer one."""
         chosen: list[int] = []
@@ -156,6 +161,22 @@ class Step:
     def slope(self) -> float:
         """The Lagrangian's gradient where the step begins, its largest entry."""
         return float(np.abs(self.bend @ self.d).max())
+
+    def carried(self, begin: Point, end: Point) -> Step:
+        """The step with its force on the cone of ε_max told by the eigenvectors at its end, where it kept to the tip.
+
+        At a kink eigenvectors are any two of a plane: which ones a point has says nothing of those next to it.
+        """
+        number = end.margin_cone
+        pull = None if number is None else self.cone_pulls.get(number)
+        if number is None or pull is None:
+            return self
+        total = float(self.pulls @ end.cones[number].sizes)
+        on_tip = float(np.linalg.norm(pull)) < INSIDE * total
+        turned = (
+            turn(halves(begin.epsilon_slopes), halves(end.epsilon_slopes)) @ pull if on_tip else np.array([-total, 0.0])
+        )
+        return replace(self, cone_pulls={**self.cone_pulls, number: turned})
 
     def left_at(self, at: Point) -> Vector:
         """What is left of V's gradient (n,) at a point, with this step's multipliers."""
@@ -245,6 +266,17 @@ def _guess(before: Step, cones: dict[int, Cone], units: Vector) -> tuple[Vector,
     return np.append(before.row_pulls, -before.pulls), forces
 
 
+def halves(epsilon_slopes: Vector) -> Vector:
+    """C of the cone of ε_max, (2, n), from slopes of its branches and of their coupling, (3, n)."""
+    return np.vstack([(epsilon_slopes[0] - epsilon_slopes[1]) / 2, epsilon_slopes[2]])
+
+
+def turn(slopes: Vector, onto: Vector) -> Vector:
+    """The orthogonal (2, 2) that takes slopes C nearest to others, to undo what eigenvectors turn between points."""
+    left, _, right = np.linalg.svd(onto @ slopes.T)
+    return left @ right
+
+
 @dataclass(frozen=True)
 class SecondOrder:
     """Second derivatives at a point along the directions that the equations leave, the rows of `free` (d, n).
@@ -253,7 +285,8 @@ class SecondOrder:
         here: the point.
         free: see above.
         smooth: those of the Lagrangian without ε_max and without what the cones bend, sign changed, (d, d).
-        margins: those of both branches of ε_max, (2, d, d).
+        margins: those of both branches of ε_max, (2, d, d);  turning: of the c of its cone, by the eigenvectors of
+            `here`, (2, d, d).
         step: the one whose multipliers count;  cones: numbers of those that are looked at.
     """
 
@@ -261,6 +294,7 @@ class SecondOrder:
     free: Vector
     smooth: Vector
     margins: Vector
+    turning: Vector
     step: Step
     cones: tuple[int, ...]
 
@@ -306,11 +340,11 @@ class SecondOrder:
         number = self.here.margin_cone
         if number is None:
             return self.here
-        cone, (gap, turn) = self.here.cones[number], self._apart(self.here)
-        size = float(turn @ turn)
+        cone, (gap, coupling) = self.here.cones[number], self._apart(self.here)
+        size = float(coupling @ coupling)
         if gap == 0.0 or size**2 == 0.0:
             return self.here
-        seen = gap * float(turn @ (self.margins[1] - self.margins[0]) @ turn) / (4 * size**2)
+        seen = gap * float(coupling @ (self.margins[1] - self.margins[0]) @ coupling) / (4 * size**2)
         scale = np.array([[1.0], [np.sqrt(np.clip(seen, 0.0, 1.0))]])
         cones = list(self.here.cones)
         cones[number] = replace(cone, slopes=cone.slopes * scale)
@@ -330,12 +364,12 @@ class SecondOrder:
         if number is None:
             return 0.0, np.zeros(len(self.free))
         cone = at.cones[number]
-        gap, turn, pull = -2 * float(cone.value[0]), self.free @ cone.slopes[1], 2 * self.free @ cone.slopes[0]
-        near = gap < APART * DIFFERENCE * float(np.linalg.norm(pull) + 2 * np.linalg.norm(turn))
-        return 0.0 if near else gap, turn
+        gap, coupling, pull = -2 * float(cone.value[0]), self.free @ cone.slopes[1], 2 * self.free @ cone.slopes[0]
+        near = gap < APART * DIFFERENCE * float(np.linalg.norm(pull) + 2 * np.linalg.norm(coupling))
+        return 0.0 if near else gap, coupling
 
     def _of_margin(self, *, coupled: bool) -> Vector:
-        """Second derivatives of what the objectives take of ε_max, (d, d); of the mean where differences mix it."""
+        """Second derivatives of what the objectives take of ε_max, (d, d); of the mean and c where branches are one."""
         number = self.here.margin_cone
         if number is None:
             return np.zeros(self.smooth.shape)
@@ -343,10 +377,10 @@ class SecondOrder:
         pull = self.step.cone_pulls.get(number, np.array([-total, 0.0]))
         low, high = (total - float(pull[0])) / 2, (total + float(pull[0])) / 2
         first, second = self.margins
+        gap, coupling = self._apart(self.mixed)
+        if gap == 0.0:
+            return total * (first + second) / 2 - np.tensordot(pull, self.turning, 1)
         if not coupled:
             return low * first + high * second
-        gap, turn = self._apart(self.mixed)
-        if gap == 0.0:
-            return total * (first + second) / 2
-        bent = 2 * np.outer(turn, turn) / gap
+        bent = 2 * np.outer(coupling, coupling) / gap
         return low * (first + bent) + high * (second - bent)

@@ -17,14 +17,14 @@ from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
 from flexopt.selection.ascent import CUT_SHORT
 from flexopt.selection.assumed import in_the_way
-from flexopt.selection.check import FIRST_ORDER, Proof, prove, prove_program
+from flexopt.selection.check import FIRST_ORDER, Proof, infeasible, prove, prove_program
 from flexopt.selection.exchanged import kept_apart
 from flexopt.selection.newton import polished
 from flexopt.selection.problem import SelectionProblem, beyond_bounds
 from flexopt.selection.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, Program, single
 from flexopt.selection.result import SAME_VALUE, Attempt, Kept, missed_chance
 from flexopt.selection.rounds import IN_VAIN, LEFT_OPEN, ROUNDS, further_starts
-from flexopt.selection.seen import better_than, kept_peaks, seen_values, value_at
+from flexopt.selection.seen import BETTER, better_than, kept_peaks, seen_values, value_at
 from flexopt.selection.starts import climbs
 
 SAME_POINT = 1e-4
@@ -46,6 +46,8 @@ AROUND_STARTS = 8
 # derivatives change quickly a step of full length ends behind the hill. How often it goes on from where it came to.
 WITHIN = (np.inf, 1e-1, 1e-2, 1e-3)
 ONWARD = 12
+# How many of the ends that could not be verified and are better than every optimum are taken up again.
+TAKEN_UP = 2
 
 # IPOPT's word for a point from which only rounding is left to be stepped.
 NO_STEP = "Search_Direction_Becomes_Too_Small"
@@ -54,12 +56,15 @@ NO_STEP = "Search_Direction_Becomes_Too_Small"
 Found = tuple[Vector, Proof, int]
 # The same with the solver's status; no proof where the point is no number.
 SolveOutcome = tuple[Vector, Proof | None, int, str]
+# Distinct verified optima, what became of each start, and V of the best end that could not be verified, where that is
+# better than all of them.
+Optima = tuple[list[Found], list[Attempt], float | None]
 
 
 def first_optima(
     problem: SelectionProblem, starts: list[Vector], workers: int, progress: Progress | None
-) -> tuple[SelectionProblem, list[Found], list[Attempt]]:
-    """The problem, distinct verified optima from the starts, and what became of each start.
+) -> tuple[SelectionProblem, Optima]:
+    """The problem, and its optima from the starts.
 
     In the problem frequencies are kept apart where solves came near to where they meet, see `exchanged`.
 
@@ -71,35 +76,60 @@ def first_optima(
         ends, problem = [z for z, *_ in (*found, *failures)], apart
         found, attempts, failures = _attempted(problem, [*ends, *starts], workers, progress, _solve_start)
     found, attempts = _not_below_seen(problem, found, attempts, failures)
-    return problem, *_in_rounds(problem, found, attempts, workers, progress)
+    found, attempts, more = _in_rounds(problem, found, attempts, workers, progress)
+    return problem, _taken_up(problem, found, attempts, failures + more)
+
+
+def _taken_up(
+    problem: SelectionProblem, found: list[Found], attempts: list[Attempt], failures: list[tuple[Vector, Proof]]
+) -> Optima:
+    """The optima, after more from ends that break nothing and are better, but could not be verified."""
+    least = BETTER * problem.objective_scale
+
+    def ahead(ends: list[tuple[Vector, Proof]]) -> list[tuple[float, Vector]]:
+        best = max(value_at(problem, z) for z, _, _ in found)
+        good = [(value_at(problem, z), z) for z, _ in ends if not infeasible(single(problem), z)]
+        return sorted((end for end in good if end[0] > best + least), key=lambda end: -end[0])
+
+    for value, z in ahead(failures)[:TAKEN_UP]:
+        if value <= max(value_at(problem, other) for other, _, _ in found) + least:
+            continue
+        more, others, failed = _attempted(problem, [z], 1, None, partial(_climbed, WITHIN[1]))
+        found = found + [item for item in more if _is_new(problem, item[0], found)]
+        attempts, failures = attempts + [replace(other, value=None) for other in others], failures + failed
+    left = ahead(failures)
+    return found, attempts, left[0][0] if left else None
 
 
 def _in_rounds(
     problem: SelectionProblem, found: list[Found], attempts: list[Attempt], workers: int, progress: Progress | None
-) -> tuple[list[Found], list[Attempt]]:
-    """The optima and attempts with those of further rounds; there are none where a number of starts is asked for."""
+) -> tuple[list[Found], list[Attempt], list[tuple[Vector, Proof]]]:
+    """The optima and attempts with those of further rounds, and what failed in these.
+
+    There are none where a number of starts is asked for.
+    """
     left_open = (missed_chance(problem, attempts) or 0.0) > LEFT_OPEN
-    best, in_vain = max(value_at(problem, z) for z, _, _ in found), 0
+    best, in_vain, failures = max(value_at(problem, z) for z, _, _ in found), 0, list[tuple[Vector, Proof]]()
     for number in range(ROUNDS if left_open and problem.starts is None and climbs(problem) else 0):
         if in_vain == IN_VAIN or any(proof.unsurpassed for _, proof, _ in found):
             break
         ranked = sorted(found, key=lambda item: -value_at(problem, item[0]))
         starts = further_starts(problem, [z for z, _, _ in ranked], number, workers)
         told = partial(_told_of_all, progress, len(attempts)) if progress is not None else None
-        more, others, _ = _attempted(problem, starts, workers, told, _solve_start, best)
+        more, others, failed = _attempted(problem, starts, workers, told, _solve_start, best)
         found = found + [item for item in more if _is_new(problem, item[0], found)]
-        attempts = attempts + others
+        attempts, failures = attempts + others, failures + failed
         better = max((value_at(problem, z) for z, _, _ in more), default=-np.inf)
         in_vain = 0 if better > best + SAME_VALUE * problem.objective_scale else in_vain + 1
         best = max(best, better)
-    return found, attempts
+    return found, attempts, failures
 
 
 def _told_of_all(progress: Progress, before: int, done: int, count: int) -> None:
     progress(before + done, before + count)
 
 
-def later_optima(problem: SelectionProblem, starts: list[Vector], workers: int) -> tuple[list[Found], list[Attempt]]:
+def later_optima(problem: SelectionProblem, starts: list[Vector], workers: int) -> Optima:
     """The same of a later objective, from optima of the one before and what the scan knows to keep them.
 
     These are few, and may lie where the solver gets stuck: in a valley as narrow as what the earlier objectives may
@@ -117,7 +147,7 @@ def later_optima(problem: SelectionProblem, starts: list[Vector], workers: int) 
         near = starts if distance == 0 else _around(problem, starts, distance, round_number)
         found, more, failed = _attempted(problem, near, workers, None, _finish)
         attempts, failures = attempts + more, failures + failed
-    return _not_below_seen(problem, found, attempts, failures)
+    return _taken_up(problem, *_not_below_seen(problem, found, attempts, failures), failures)
 
 
 def _not_below_seen(
@@ -364,11 +394,13 @@ def nearly_feasible(program: Program, x: Vector) -> bool:
     return all(np.abs(beyond_bounds(problem, program.of(x, k))).max() <= NEARLY for k, problem in each)
 
 
-def next_stage(problem: SelectionProblem, found: list[Found]) -> tuple[SelectionProblem, Kept]:
+def next_stage(
+    problem: SelectionProblem, found: list[Found], unverified: float | None
+) -> tuple[SelectionProblem, Kept]:
     """The problem of the next objective, with the best value of the present one to be kept; and what that is."""
     values = [value_at(problem, z) for z, _, _ in found]
     best = max(values)
-    kept = Kept(problem.objective.name, best, best - problem.given_up(best))
+    kept = Kept(problem.objective.name, best, best - problem.given_up(best), unverified=unverified)
     found[:] = [item for item, value in zip(found, values, strict=True) if value >= kept.at_least]
     return replace(problem, kept=(*problem.kept, kept.at_least)), kept
 

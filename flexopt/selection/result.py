@@ -150,18 +150,30 @@ class Kept:
     """An objective that the next ones keep: its name, the best V found, and what V must be at least.
 
     Of what shall be small, `"settling"` and `"swing"`, what it may be at most. A bound that is none is infinite (JSON:
-    null).
+    null). `unverified`: as of `Selection`.
     """
 
     objective: str
     best: float
     at_least: float
     at_most: float = math.inf
+    unverified: float | None = None
 
     def __str__(self) -> str:
+        told = unverified_told(self.objective, self.unverified)
+        further = f"; {told}" if told else ""
         if math.isfinite(self.at_most):
-            return f"{self.objective} kept: at most {self.at_most:.6g}, {self.at_most - self.best:.1e} above its best"
-        return f"{self.objective} kept: at least {self.at_least:.6g}, {self.best - self.at_least:.1e} below its best"
+            above = f"{self.at_most - self.best:.1e} above its best"
+            return f"{self.objective} kept: at most {self.at_most:.6g}, {above}{further}"
+        below = f"{self.best - self.at_least:.1e} below its best"
+        return f"{self.objective} kept: at least {self.at_least:.6g}, {below}{further}"
+
+
+def unverified_told(objective: str, value: float | None) -> str:
+    """A sentence on a climb that came further than the best; empty where there is none."""
+    if value is None:
+        return ""
+    return f"a climb that could not be verified came to {objective} {value:.6g}; more starts may settle it"
 
 
 @dataclass(frozen=True)
@@ -179,6 +191,8 @@ class Selection(Pictured, Result):
         attempts: every start and its outcome.
         kept: of objectives in order, what those before the last keep.
         problem: what was solved.
+        unverified: the best V of a climb that broke no constraint but could not be verified where it ended, where that
+            is better than the best candidate's; else None. Of several objectives in order that of the last.
 
     Example:
         >>> selection = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), base=0.0, starts=8)
@@ -190,7 +204,7 @@ class Selection(Pictured, Result):
 
     DOCUMENT = (
         "status converged best edges decided_by nothing_to_gain left_out candidates initial attempts missed_chance "
-        "kept problem provenance"
+        "unverified kept problem provenance"
     )
 
     best: Candidate
@@ -200,6 +214,7 @@ class Selection(Pictured, Result):
     kept: tuple[Kept, ...]
     problem: SelectionProblem
     provenance: Document = field(repr=False)
+    unverified: float | None = None
 
     @property
     def converged(self) -> bool:
@@ -329,7 +344,13 @@ class Selection(Pictured, Result):
             )
         lines += [
             f"  {sentence}"
-            for sentence in (*self.edges, self.decided_by, self.left_out, self.nothing_to_gain)
+            for sentence in (
+                unverified_told(problem.objective.name, self.unverified),
+                *self.edges,
+                self.decided_by,
+                self.left_out,
+                self.nothing_to_gain,
+            )
             if sentence
         ]
         lines += [f"  {assumption}" for assumption in problem.assumed]

@@ -172,12 +172,12 @@ def solved(
     warn_implausible(problem.machine)
     count = workers or available_cores()
     starts = starting_points(problem, count)
-    problem, found, attempts = first_optima(problem, starts, count, progress)
+    problem, (found, attempts, unverified) = first_optima(problem, starts, count, progress)
     kept: list[Kept] = []
     while len(problem.kept) + 1 < len(problem.objectives):
-        problem, now = next_stage(problem, found)
+        problem, now = next_stage(problem, found, unverified)
         kept.append(now)
-        found, more = later_optima(problem, [z for z, _, _ in found], count)
+        found, more, unverified = later_optima(problem, [z for z, _, _ in found], count)
         attempts += more
     if progress is not None and len(attempts) > len(starts):
         # Later objectives, and points that were seen to be better, bring starts of their own.
@@ -201,6 +201,7 @@ def solved(
         kept=tuple(kept),
         problem=problem,
         provenance=provenance(problem.machine, **options),
+        unverified=unverified,
     )
 
 

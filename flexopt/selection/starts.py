@@ -159,12 +159,14 @@ def starting_points(problem: SelectionProblem, workers: int = 1) -> list[Vector]
     scan = problem.scan
     z = np.vstack([scan.base, scan.posture])
     if problem.measures.plant.closed_form:
-        feasible = scan.violation <= FEASIBLE
+        count, feasible = problem.starts or STARTS_OF_SCAN, scan.violation <= FEASIBLE
         chosen = peaks(scan, among=feasible)
         points = [z[:, k] for k in chosen]
         if not feasible.all():
             points += _onto_constraints(problem, z, feasible)
-        return points[: problem.starts or STARTS_OF_SCAN]
+        if problem.redundancy > 1 and feasible.any():
+            points = _alternating(_from_anywhere(problem, z[:, feasible], count, workers), points)
+        return points[:count]
     # What breaks a constraint is started from only where nothing else is left.
     count, good = problem.starts or STARTS, scan.violation <= 0
     cost = problem.travel_cost(problem.sought[0], z.T)[0]
@@ -181,14 +183,35 @@ def climbs(problem: SelectionProblem) -> bool:
     return problem.redundancy > 1 and not problem.measures.plant.closed_form and not problem.sought[0].has_kinks
 
 
+def _from_anywhere(problem: SelectionProblem, z: Vector, count: int, workers: int) -> list[Vector]:
+    """Where points (n_z, N), taken evenly, lead that climb at random, apart from each other, the best first.
+
+    On a surface the best points of a sample are often of one wide hill, and a higher, narrow one shows in none.
+    """
+    each = max(1, z.shape[1] // (CLIMBING * count))
+    return apart(problem, climbed([(problem, z[:, ::each])], value_of_all, workers)[0], count)
+
+
+def value_of_all(problem: SelectionProblem, z: Vector) -> Vector:
+    """V (N,) of points (n_z, N), ε_max too, the cost of travel taken off."""
+    values, n_base = values_of(problem, z), problem.measures.plant.n_base
+    if problem.objective.has_kinks:
+        values = values + problem.objective.beta * problem.quantities.epsilon_max(z[:n_base], z[n_base:])
+    return values
+
+
+def _alternating(one: list[Vector], other: list[Vector]) -> list[Vector]:
+    pairs = zip_longest(one, other)
+    return [point for pair in pairs for point in pair if point is not None]
+
+
 def _in_turn(problem: SelectionProblem, z: Vector, count: int, values_at: Values, workers: int) -> list[Vector]:
     """Where the points lead that climb at random, freely and in the planes of symmetry, in turn, the best first."""
     sets = [(problem, z), *((plane, _into(plane, z[:, ::2])) for plane in _planes(problem))]
     first, *others = climbed(sets, values_at, workers)
     free = apart(problem, first, count)
     inside = [point for points in others for point in apart(problem, points, INSIDE)]
-    pairs = zip_longest(free[: len(inside)], inside)
-    return [*(start for pair in pairs for start in pair if start is not None), *free[len(inside) :]][:count]
+    return [*_alternating(free[: len(inside)], inside), *free[len(inside) :]][:count]
 
 
 def _planes(problem: SelectionProblem) -> list[SelectionProblem]:

@@ -163,6 +163,25 @@ def test_a_bent_ridge_is_followed() -> None:
     np.testing.assert_allclose(found[0], [1.0, 1.0, 0.0], atol=1e-4)
 
 
+def test_a_bent_kink_is_followed_quadratically() -> None:
+    """The tip of λ_min of [[u, v], [v, −u]] is a bent surface: how u and v bend along it says how far steps lead.
+
+    On u = x_0 − 0.8 x_2² = 0, v = x_1 + x_2 x_3 = 0 what is left is 0.76 x_2² − 0.1 x_2 x_3 − (x_2 − 0.3)²
+    − (x_3 − 0.2)² / 2.
+    """
+    u, v = (lambda x: x[0] - 0.8 * x[2] ** 2), (lambda x: x[1] + x[2] * x[3])
+    smooth = lambda x: 0.95 * x[0] + 0.1 * x[1] - (x[2] - 0.3) ** 2 - (x[3] - 0.2) ** 2 / 2  # noqa: E731
+    ascent = toy(5, smooth, (u, lambda x: -u(x), v), lambda x: x[4])
+    best = np.linalg.solve([[-0.48, -0.1], [-0.1, -1.0]], [-0.6, -0.2])
+    wanted = [0.8 * best[0] ** 2, -best[0] * best[1], *best, 0.0]
+    found = ascent.climbed(np.array([0.1, 0.3, -0.2, 0.9, 0.0]), 60)
+    assert found is not None
+    assert found[2] == DONE
+    # The gradient is below 1e-7, and V bends by 0.46 at least.
+    np.testing.assert_allclose(found[0], wanted, atol=5e-7)
+    assert found[1] <= 20
+
+
 @pytest.mark.parametrize("objective", ["epsilon_max", "V"])
 def test_steps_never_lead_down_nor_off_the_rows(objective: str) -> None:
     weights = [1.0, 0.3, 0.3, 1e-3] if objective == "V" else None

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import flexopt
-from benchmarks.selection_truth import cases, examined, machines, scanned
-from flexopt.selection import optima
+from benchmarks.selection_truth import GAIN, cases, doubled_margins, examined, machines, scanned
+from flexopt.selection import check, optima
+from flexopt.selection.program import single
 from flexopt.selection.seen import better_than, seen_values, settled, value_at
 from tests.cli.command import Command
 
@@ -40,7 +41,7 @@ def test_the_scan_tells_where_a_selection_falls_short(machine):
     assert better_than(poor, float(values.max()) - 1e-3, values) is not None
     assert better_than(poor, float(values.max()) + 1e-3, values) is None
     worst = np.vstack([problem.scan.base, problem.scan.posture])[:, values.argmin()]
-    _, found, attempts = optima.first_optima(poor, [worst], 1, None)
+    _, (found, attempts, _) = optima.first_optima(poor, [worst], 1, None)
     assert max(value_at(poor, z) for z, _, _ in found) >= max(values.max(), scan.epsilon.max()) - BAR
     assert len(attempts) > 1
 
@@ -51,6 +52,47 @@ def test_a_better_point_that_leads_nowhere_is_an_error(machine, monkeypatch):
     monkeypatch.setattr(optima, "better_than", lambda problem, value, values: problem.wrapped(np.zeros(3)))
     with pytest.raises(flexopt.NoSolutionFound, match="of a configuration that was seen"):
         flexopt.solve_selection(problem)
+
+
+@pytest.mark.filterwarnings("ignore:ε_max has a kink")
+def test_a_hill_that_no_point_of_the_scan_shows():
+    """On a surface the best points of a scan are of one wide hill; a higher one is narrow, with the arm folded."""
+    machine, targets = next((machine, targets) for _, machine, targets, _ in machines([33]))
+    folded = np.array([1.22289, 2.73154, 0.16878, -3.07209, -3.08174, -3.02446])
+    (high,) = doubled_margins(machine, "transpose", folded[:, None])
+    options = {"objective": "epsilon_max", "control": "transpose", "gain": GAIN}
+    problem = flexopt.build_selection(machine, targets[0], starts=16, **options)
+    assert problem.scan.epsilon.max() < high - 1e-3
+    best = flexopt.solve_selection(problem, workers=1).best
+    assert best.objective > high
+    # The oracle doubles in plain NumPy.
+    assert abs(doubled_margins(machine, "transpose", best.z[:, None])[0] - best.objective) < 1e-8
+
+
+def test_an_end_that_could_not_be_verified_is_told(machine, monkeypatch):
+    problem = flexopt.build_selection(machine, TARGET, objective="epsilon_max")
+    whole = flexopt.solve_selection(problem)
+    assert whole.unverified is None
+    high, low = whole.best.objective, whole.candidates[-1].objective
+    assert low < high - 1e-6
+
+    def doubted(program, z):
+        proof = check.prove_program(program, z)
+        violations = {"second-order optimality": 1.0} if value_at(program.first, z) > low + 1e-9 else {}
+        return dataclasses.replace(proof, violations=proof.violations | violations)
+
+    monkeypatch.setattr(optima, "prove_program", doubted)
+    monkeypatch.setattr(optima, "prove", lambda problem, z: doubted(single(problem), z))
+    monkeypatch.setattr(optima, "seen_values", lambda problem: np.full(problem.scan.size, -np.inf))
+    selection = flexopt.solve_selection(problem, workers=1)
+    assert selection.best.objective == pytest.approx(low, abs=1e-9)
+    assert selection.unverified == pytest.approx(high, abs=1e-9)
+    assert selection.to_dict()["unverified"] == selection.unverified
+    assert f"could not be verified came to epsilon_max {high:.6g}" in repr(selection)
+    ordered = flexopt.build_selection(machine, TARGET, objective="epsilon_max,w1")
+    (kept,) = flexopt.solve_selection(ordered, workers=1).kept
+    assert kept.unverified == pytest.approx(high, abs=1e-9)
+    assert f"came to epsilon_max {high:.6g}" in str(kept)
 
 
 def test_points_are_moved_onto_the_rows_under_gravity(machine):

@@ -14,7 +14,7 @@ from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.problem import elsewhere
-from flexopt.selection.result import Selection, units_of_columns
+from flexopt.selection.result import Selection, units_of_columns, unverified_told
 
 # Of the best value, by which the present one may be less and nothing is to gain.
 ALIKE = 1e-3
@@ -32,9 +32,8 @@ class OutcomeSelection(Selection):
             before the loop grows, as far as was looked, 10 at most; the fastest loop is often the most fragile one.
         loop: as it was given;  uncertainty: what the worst case is taken over; empty: none.
         present: the measure of the present configuration, of the machine's own numbers, where there is one that has it.
-        unverified: the best value of a climb that did not end where it could be verified, where that is better than
-            the best candidate's; else None.
-        others: as of `Selection`; `initial` has the gains of the best candidate where gains were chosen.
+        others: as of `Selection`, `unverified` in the measure's own unit; `initial` has the gains of the best candidate
+            where gains were chosen.
     """
 
     criterion: Measure = field(default=MEASURES[DECAY], repr=False)
@@ -43,9 +42,8 @@ class OutcomeSelection(Selection):
     settings: tuple[LoopSettings, ...] = field(default=(), repr=False)
     loop: Loop | None = field(default=None, repr=False)
     uncertainty: tuple[Uncertainty, ...] = ()
-    unverified: float | None = None
 
-    DOCUMENT = Selection.DOCUMENT + " measure gains radii unverified uncertainty=_uncertainty"
+    DOCUMENT = Selection.DOCUMENT + " measure gains radii uncertainty=_uncertainty"
 
     @property
     def gains(self) -> tuple[dict[str, float], ...]:
@@ -116,9 +114,7 @@ class OutcomeSelection(Selection):
             chosen = "".join(f" {gain:10.4g}" for gain in gains.values())
             lines.append(f"  {rank:4d} {numbers} {candidate.objective:16.6g} {radius:7.3g}{chosen}{active}")
         if self.unverified is not None:
-            lines.append(
-                f"  a climb that could not be verified came to {self.unverified:.6g}; more starts may settle it"
-            )
+            lines.append(f"  {unverified_told(self.measure, self.unverified)}")
         lines.append(f"  in {units_of_columns(best)}; radius: by which factor springs may be softer or stiffer")
         lines += [f"  {sentence}" for sentence in (self.nothing_to_gain, *map(str, self.kept)) if sentence]
         if self.initial is not None and self.present is not None:

@@ -39,6 +39,7 @@ from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.outcomes.shared import SharedProgram
 from flexopt.selection.outcomes.starting import starts_from
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.result import unverified_told
 from flexopt.selection.several.results import ConfigurationSet, TargetConfiguration
 from flexopt.selection.solve import constraint_values
 
@@ -102,9 +103,7 @@ class ByLoop(ConfigurationSet):
         lines += [f"  worst over {over}"] if over else []
         lines += [f"  {name} {value:.4g}, chosen with the configurations" for name, value in self.gains.items()]
         if self.unverified is not None:
-            lines.append(
-                f"  a climb that could not be verified came to {self.unverified:.6g}; more starts may settle it"
-            )
+            lines.append(f"  {unverified_told(self.measure, self.unverified)}")
         return "\n".join([*lines, *repr(self.settings).splitlines()])
 
 
