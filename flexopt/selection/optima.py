@@ -35,6 +35,8 @@ NEARLY = 1e-3
 CLIMBED = 8
 # How many of those that were cut short below the best optimum are taken up again, too: one may be on a long way.
 BEHIND = 1
+# How often one that was cut short and is ahead of all optima goes on: along what is kept of ε_max ways are long.
+RESUMED = 4
 # How often an ascent that rounding stopped short of an optimum is begun anew from where it came to: multipliers of what
 # is kept are large, and the step's predicted gain is less than rounding before the slope is gone.
 AGAIN = 3
@@ -224,12 +226,13 @@ def _attempted(
         single(problem).build()
     task = partial(solve, problem, starts)
     solved = in_parallel(task, len(starts), workers, done, meanwhile, lost, at_once=at_once)
-    unfinished = _promising(problem, solved, known)
-    points = [solved[number][0] for number in unfinished]
-    task, lost = partial(_resume, problem, points), partial(_lost, points)
-    resumed = in_parallel(task, len(points), workers, lost=lost, at_once=at_once)
-    for number, (z, proof, more, status) in zip(unfinished, resumed, strict=True):
-        solved[number] = z, proof, solved[number][2] + more, status
+    for behind in (BEHIND if known == -np.inf else 0, *[0] * (RESUMED - 1)):
+        unfinished = _promising(problem, solved, known, behind)
+        points = [solved[number][0] for number in unfinished]
+        task, lost = partial(_resume, problem, points), partial(_lost, points)
+        resumed = in_parallel(task, len(points), workers, lost=lost, at_once=at_once)
+        for number, (z, proof, more, status) in zip(unfinished, resumed, strict=True):
+            solved[number] = z, proof, solved[number][2] + more, status
     for start, (z, proof, iterations, status) in zip(starts, solved, strict=True):
         outcome, value = f"solver: {status}", None
         if proof is not None:
@@ -365,10 +368,9 @@ def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> Sol
     return climbed_from(single(problem), points[number])
 
 
-def _promising(problem: SelectionProblem, solved: list[SolveOutcome], known: float) -> list[int]:
-    """As `promising`, of the starts that were cut short; of first starts one that is behind is taken up, too."""
+def _promising(problem: SelectionProblem, solved: list[SolveOutcome], known: float, behind: int) -> list[int]:
+    """As `promising`, of the starts that were cut short."""
     short = [k for k, (_, proof, _, status) in enumerate(solved) if status == CUT_SHORT and proof is not None]
-    behind = BEHIND if known == -np.inf else 0
     return promising(single(problem), solved, short, behind, known) if _hurried(problem) else []
 
 
