@@ -39,7 +39,6 @@ from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.outcomes.shared import SharedProgram
 from flexopt.selection.outcomes.starting import starts_from
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import unverified_told
 from flexopt.selection.several.results import ConfigurationSet, TargetConfiguration
 from flexopt.selection.solve import constraint_values
 
@@ -55,14 +54,12 @@ class ByLoop(ConfigurationSet):
         criterion: what is sought.
         settings: of the loop, the same at every target;  loop: as it was given.
         uncertainty: what the worst case is taken over; empty: none.
-        unverified: as of `OutcomeSelection`.
     """
 
     criterion: Measure = field(default=MEASURES["decay"], repr=False)
     settings: LoopSettings | None = field(default=None, repr=False)
     loop: Loop | None = field(default=None, repr=False)
     uncertainty: tuple[Uncertainty, ...] = ()
-    unverified: float | None = None
 
     @property
     def objective(self) -> str:
@@ -93,7 +90,7 @@ class ByLoop(ConfigurationSet):
     def _document(self, status: str, own: dict[str, Any], targets: str) -> dict[str, Any]:
         uncertainty = [each.model_dump(exclude_none=True) for each in self.uncertainty]
         more = {"measure": self.measure, "gains": self.gains, "settings": self.settings and self.settings.to_dict()}
-        more |= {"uncertainty": uncertainty, "unverified": self.unverified}
+        more |= {"uncertainty": uncertainty}
         return super()._document(status, own, targets) | json_ready(more)
 
     def __repr__(self) -> str:
@@ -102,8 +99,6 @@ class ByLoop(ConfigurationSet):
         lines = [super().__repr__(), f"  {self.measure}, the worst: {worth:.6g} {self.unit}".rstrip()]
         lines += [f"  worst over {over}"] if over else []
         lines += [f"  {name} {value:.4g}, chosen with the configurations" for name, value in self.gains.items()]
-        if self.unverified is not None:
-            lines.append(f"  {unverified_told(self.measure, self.unverified)}")
         return "\n".join([*lines, *repr(self.settings).splitlines()])
 
 

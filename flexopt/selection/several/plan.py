@@ -40,7 +40,7 @@ from flexopt.selection.several.by_loop import Asked
 from flexopt.selection.several.outcome_plan import outcome_plan
 from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.results import KEPT, BasePlan, FixedPlacement
-from flexopt.selection.several.solving import End, end_from, ends_from, not_below, places_at, verified
+from flexopt.selection.several.solving import End, end_from, ends_from, not_below, places_at, taken_up, verified
 from flexopt.selection.several.standing import best_placements, one_placement, standing_along
 from flexopt.selection.several.targets import build_problems, sample_bases, single_measure
 from flexopt.selection.several.ways import coarse_ways, nodes_of, on_lines, travelled
@@ -182,6 +182,7 @@ def plan_base(
         raise NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
     ends = ends_from(program, begins, count, progress)
     good = not_below(program, verified(program, ends, "way"), begins, "way")
+    good, unverified = taken_up(program, good, ends, "way")
     end = _shortest(program, good)
     best = program.unwound(end.x)
     places = places_at(program, best)
@@ -199,6 +200,7 @@ def plan_base(
         kinks=end.kinks,
         attempts=(len(ends), len(good)),
         problems=problems,
+        unverified=unverified,
         provenance=provenance(machine, **stated, objective=problems[0].name, control=asked.control, seed=seed),
     )
 

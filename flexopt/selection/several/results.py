@@ -24,6 +24,7 @@ from flexopt.selection.result import (
     in_columns,
     in_margin,
     units_of_columns,
+    unverified_told,
 )
 
 # What the shortest way may give up, relative to the objective's scale.
@@ -67,6 +68,8 @@ class ConfigurationSet(Tabled):
             in `flexopt.selection.result.Candidate`.
         attempts: starts, and how many led to a verified optimum.
         problems: the configuration problem of each target.
+        unverified: what the best climb was worth that broke no constraint but could not be verified where it ended,
+            where that is better than what was chosen; else None.
     """
 
     places: tuple[TargetConfiguration, ...]
@@ -75,6 +78,7 @@ class ConfigurationSet(Tabled):
     attempts: tuple[int, int]
     problems: tuple[SelectionProblem, ...] = field(repr=False)
     provenance: Document = field(repr=False)
+    unverified: float | None = field(default=None, kw_only=True)
 
     @property
     def converged(self) -> bool:
@@ -121,7 +125,8 @@ class ConfigurationSet(Tabled):
         document = {"status": status, "converged": self.converged}
         document |= own | {"worst": self.worst, "places": [place.to_dict() for place in self.places]}
         document |= {"base_coordinates": self.places[0].evaluation.base_coordinates}
-        document |= {"stationarity": self.stationarity, "kinks": self.kinks, "provenance": self.provenance}
+        document |= {"stationarity": self.stationarity, "kinks": self.kinks, "unverified": self.unverified}
+        document |= {"provenance": self.provenance}
         problem = self.problems[0].to_dict() | {targets: [place.target for place in self.places]}
         return json_ready(document | {"problem": problem})
 
@@ -133,7 +138,11 @@ class ConfigurationSet(Tabled):
         return [
             f"{first.machine.name}: {what}, {how}",
             *_table(self.places, self.shown_objective, self.worst, "V" if self.unit is None else self.objective),
-            *([f"  {self.left_out}"] if self.left_out else []),
+            *(
+                f"  {sentence}"
+                for sentence in (unverified_told(self.objective, self.unverified), self.left_out)
+                if sentence
+            ),
             *named,
         ]
 

@@ -175,6 +175,27 @@ def not_below(program: Program, good: list[End], seen: list[Vector], what: str) 
     return found
 
 
+def taken_up(program: Program, good: list[End], ends: list[End], what: str) -> tuple[list[End], float | None]:
+    """The verified ends, with more from ends that break nothing and are better; what the best that still fails is worth.
+
+    Args:
+        program: the problem.
+        good: from `not_below`.
+        ends: of all starts.
+        what: is looked for.
+    """
+
+    def ahead(among: list[End]) -> list[End]:
+        least = program.worth(good[0].x) + BETTER * program.size
+        better = [end for end in among if end.violations and program.worth(end.x) > least]
+        return sorted((end for end in better if not infeasible(program, end.x)), key=lambda end: -program.worth(end.x))
+
+    further = [_told(program, climbed_from(program, end.x)) for end in ahead(ends)[:TRIED]]
+    good = verified(program, [*good, *further], what)
+    left = ahead([*ends, *further])
+    return good, program.worth(left[0].x) if left else None
+
+
 def places_at(program: Program, x: Vector) -> tuple[TargetConfiguration, ...]:
     """The configuration at every target."""
     places: list[TargetConfiguration] = []

@@ -122,7 +122,7 @@ def select_stand(
     if not bases.shape[1]:
         raise none_reaches_all(len(points))
     found = [reached_from(problem, bases, asked.seed) for problem in problems]
-    good, tried = best_placements(
+    good, unverified, tried = best_placements(
         program, bases, found, asked.starts or default_starts(program), asked.seed, count, progress
     )
     best = good[0].x
@@ -136,6 +136,7 @@ def select_stand(
         kinks=good[0].kinks,
         attempts=(tried, len(good)),
         problems=problems,
+        unverified=unverified,
         provenance=provenance(machine, **stated, objective=problems[0].name, control=asked.control, seed=asked.seed),
     )
 

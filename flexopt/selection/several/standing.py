@@ -15,7 +15,7 @@ from flexopt.selection.coupling import Coupling
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Program
 from flexopt.selection.several.postures import Reached, reached_from
-from flexopt.selection.several.solving import End, end_from, ends_from, not_below, verified
+from flexopt.selection.several.solving import End, end_from, ends_from, not_below, taken_up, verified
 from flexopt.selection.several.targets import none_reaches_all
 
 # V stands in for where a target has no allowed posture in a sum.
@@ -76,8 +76,8 @@ def best_placements(
     seed: int,
     workers: int,
     progress: Progress | None,
-) -> tuple[list[End], int]:
-    """Verified optima, best first, and how many solves were made.
+) -> tuple[list[End], float | None, int]:
+    """Verified optima, best first, what an end that could not be verified is worth more, and how many solves were made.
 
     Args:
         program: from `one_placement`.
@@ -103,8 +103,8 @@ def best_placements(
     picks = [_picks(reached) for reached in found]
     best = np.argsort(-_worth(program, found), kind="stable")[:SEEN]
     seen = [program.packed([r.z[:, j, pick[j]] for r, pick in zip(found, picks, strict=True)]) for j in best]
-    good = verified(program, ends, "placement")
-    return not_below(program, good, [*begins, *seen], "placement"), len(ends)
+    good = not_below(program, verified(program, ends, "placement"), [*begins, *seen], "placement")
+    return *taken_up(program, good, ends, "placement"), len(ends)
 
 
 def _starts(program: Program, bases: Vector, found: list[Reached], count: int, seed: int) -> list[Vector]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +12,11 @@ import pytest
 import flexopt
 from flexopt import FlexoptError, build_measures, evaluate, inverse_kinematics, load, select
 from flexopt.errors import InputError, UnreachableTarget
+from flexopt.foundation.arrays import Vector
 from flexopt.robustness import evaluate_w
-from flexopt.selection.several import Stand, select_stand
+from flexopt.selection import check, optima
+from flexopt.selection.program import Program
+from flexopt.selection.several import Stand, select_stand, standing
 
 TARGETS = [[0.0, 1.6], [0.3, 1.2], [-0.2, 1.9]]
 MARGIN = math.sin(math.radians(10.0)) ** 2
@@ -175,3 +179,23 @@ def test_a_stand_for_one_target_is_a_choice_for_it(
     assert "1 target from" in repr(stand)
     assert "the worst" not in repr(stand)
     assert stand.shown_objective[0] == (0.0 if weights[1] == 0.0 else stand.worth)
+
+
+def test_an_end_that_could_not_be_verified_is_told(excavator: flexopt.Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    options: dict[str, Any] = {"objective": "w2", "starts": 6, "workers": 1}
+    whole = select_stand(excavator, TARGETS[:2], **options)
+    assert whole.unverified is None
+    assert whole.to_dict()["unverified"] is None
+    low = whole.alternatives[0][0]
+
+    def doubted(program: Program, x: Vector) -> check.Proof:
+        proof = check.prove_program(program, x)
+        violations = {"second-order optimality": 1.0} if program.worth(x) > low + 1e-3 * abs(low) else {}
+        return replace(proof, violations=proof.violations | violations)
+
+    monkeypatch.setattr(optima, "prove_program", doubted)
+    monkeypatch.setattr(standing, "not_below", lambda program, good, seen, what: good)
+    lesser = select_stand(excavator, TARGETS[:2], **options)
+    assert lesser.worth == pytest.approx(low, rel=1e-6)
+    assert lesser.unverified == pytest.approx(whole.worth, rel=1e-6)
+    assert f"a climb that could not be verified came to w2 {whole.worth:.6g}" in repr(lesser)
