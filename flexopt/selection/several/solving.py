@@ -176,7 +176,7 @@ def not_below(program: Program, good: list[End], seen: list[Vector], what: str) 
 
 
 def taken_up(program: Program, good: list[End], ends: list[End], what: str) -> tuple[list[End], float | None]:
-    """The verified ends, with more from ends that break nothing and are better; what the best that still fails is worth.
+    """The verified ends, with more from ends that break nothing and are better; what the best that fails is worth.
 
     Args:
         program: the problem.
