@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.ascent_model import Cone
+from flexopt.selection.ascent_model import Cone, halves
 from flexopt.selection.cones import SHARED, mode_cones, name_of
 from flexopt.selection.multipliers import FirstOrderModel, Kink
 from flexopt.selection.objective import KINK
@@ -62,7 +62,8 @@ def linearised(program: Program, x: Vector) -> FirstOrderModel:
         corners.append(share * cone.axes @ wide)
         rows_of = slice(begin, begin + len(corners[-1]))
         full = program.prefix(k) + (name if j == n_objectives - 1 else f"{name} that is kept")
-        kinks.append(Kink(full, rows_of, first, k, number, cone.axes, share * alpha))
+        value = share * cone.axes @ cone.value
+        kinks.append(Kink(full, rows_of, first, k, number, cone.axes, share * alpha, j, value))
 
     identity, moving = np.eye(local.gradient.size), np.ones(local.gradient.size)
     fixed: list[Vector] = []
@@ -103,8 +104,8 @@ def _tips(
             continue
         apart = float(np.hypot(np.linalg.norm(slopes[1] - slopes[0]), 2 * np.linalg.norm(slopes[2])))
         if values[1] - values[0] <= min(KINK, MEETS * apart):
-            halves = np.vstack([(slopes[0] - slopes[1]) / 2, slopes[2]])
-            yield j, KINK_NAME, Cone(np.zeros(2), halves, np.ones(1), np.array([-1.0, 0.0])), None, 0.0
+            value = np.array([(values[0] - values[1]) / 2, 0.0])
+            yield j, KINK_NAME, Cone(value, halves(slopes), np.ones(1), np.array([-1.0, 0.0])), None, 0.0
     alphas = _pulls_of_w(program, k, x)
     if not alphas.any():
         return

@@ -18,6 +18,8 @@ STATIONARITY_TOLERANCE = 1e-6
 ROUNDS, OVER = 200, 1e-9
 # Of kinks by configuration and number in `mode_cones`, what `smooth_slope` holds.
 Held = dict[tuple[int, int], tuple[float, Vector]]
+# Of kinks of ε_max by configuration and objective the p (2,).
+HeldMargins = dict[tuple[int, int], Vector]
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,7 @@ class Kink:
         first: number of the objective among the inequalities, whose multiplier limits |p|; None of what is sought.
         member: number of the configuration;  number: of the cone in `mode_cones`, None of ε_max.
         axes: of C, (k, r);  alpha: α_i / size of the objective.
+        objective: number of the objective;  value: c along the axes, in the units of the rows, (k,).
     """
 
     name: str
@@ -38,6 +41,8 @@ class Kink:
     number: int | None = None
     axes: Vector | None = None
     alpha: float = 0.0
+    objective: int = 0
+    value: Vector | None = None
 
 
 @dataclass(frozen=True)
@@ -100,6 +105,14 @@ class FirstOrderModel:
                 more = kink.alpha * (multipliers[kink.rows] @ kink.axes)
                 found[of] = alpha + kink.alpha * limit, pull + more
         return found
+
+    def held_margins(self, multipliers: Vector) -> HeldMargins:
+        """What kinks of ε_max pull: −pᵀ C is part of the Lagrangian's gradient, the mean of the branches the rest."""
+        return {
+            (kink.member, kink.objective): multipliers[kink.rows] @ kink.axes
+            for kink in self.kinks
+            if kink.number is None and kink.axes is not None
+        }
 
     def weights(self, multipliers: Vector, kept: list[int]) -> Vector:
         """Multipliers of the constraints, (n_g,): the Lagrangian is V − weightsᵀ g."""

@@ -95,7 +95,7 @@ class _Bend:
         """Those at a point; None where it is no strict maximum along the rows."""
         _, singular, directions = np.linalg.svd(local.rows(kept))
         free = directions[int(np.sum(singular > 1e-9 * singular[0])) :]
-        bent = lagrangian_hessian(program, x, free, local.weights(multipliers, kept), local.held(multipliers, kept))
+        bent = lagrangian_hessian(program, x, free, local, multipliers, kept)
         if not np.all(np.isfinite(bent)) or (free.size and np.linalg.eigvalsh(bent)[-1] >= 0.0):
             return None
         return _Bend(free, bent)
@@ -120,5 +120,8 @@ def _beyond(program: Program, x: Vector, local: FirstOrderModel, kept: list[int]
         i = int(np.argmax(np.abs(row)))
         lower, upper = (bound[i] for bound in program.bounds())
         active.append(float(x[i] - lower if row[i] > 0 else upper - x[i]) / float(program.scale[i]))
-    others = len(local.equalities) - len(equal)
-    return np.array([*equal, *[0.0] * others, *(active[j] for j in kept)])
+    of_equalities = np.zeros(len(local.equalities))
+    of_equalities[: len(equal)] = equal
+    for kink in local.kinks:
+        of_equalities[kink.rows] = kink.value
+    return np.concatenate([of_equalities, [active[j] for j in kept]])

@@ -9,12 +9,13 @@ import numpy as np
 
 from flexopt.algebra.feasible import shortest_steps
 from flexopt.foundation.arrays import Vector
+from flexopt.selection.ascent_model import halves, turn
 from flexopt.selection.cones import SHARED, Parallel, smooth_slope
 from flexopt.selection.coupling import own_directions
 from flexopt.selection.first_order import TIP
-from flexopt.selection.multipliers import FirstOrderModel, Held
+from flexopt.selection.multipliers import FirstOrderModel, Held, HeldMargins
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.program import Program
+from flexopt.selection.program import Linearisation, Program
 from flexopt.selection.programs import Local
 
 # How far a point may be off the rows that it is moved onto.
@@ -77,56 +78,68 @@ def largest_curvature(
 ) -> tuple[float, int | None]:
     """Largest curvature of V − λᵀ c on the null space of the active rows, by central differences of exact gradients.
 
-    0 where nothing is free, at a kink, where the branches change places within the step, and where no point nearby
-    along that direction is better: differences mislead where second derivatives change within the step. And along how
-    many directions there is none; None at a kink of ε_max.
+    0 where nothing is free, and where no point nearby along that direction is better: differences mislead where second
+    derivatives change within the step. And along how many directions there is none.
     """
     rows = local.rows(list(range(len(local.inequalities))))
     _, singular, directions = np.linalg.svd(rows)
     free = directions[int(np.sum(singular > DEPENDENT * singular[0])) :] if len(rows) else np.eye(local.gradient.size)
-    if any(kink.number is None for kink in local.kinks):
-        return 0.0, None
     if not free.size:
         return 0.0, 0
-    weights, held = local.weights(multipliers, kept), local.held(multipliers, kept)
-    values, vectors = np.linalg.eigh(lagrangian_hessian(program, x, free, weights, held))
+    weights = local.weights(multipliers, kept)
+    values, vectors = np.linalg.eigh(lagrangian_hessian(program, x, free, local, multipliers, kept))
     largest, flat = float(values[-1]), int(np.sum(values >= -CURVATURE_TOLERANCE))
     if largest > CURVATURE_TOLERANCE and not _rises(program, x, local, free.T @ vectors[:, -1], weights, largest):
         return 0.0, flat
     return largest, flat
 
 
-def lagrangian_hessian(program: Program, x: Vector, free: Vector, weights: Vector, held: Held) -> Vector:
+def lagrangian_hessian(
+    program: Program, x: Vector, free: Vector, local: FirstOrderModel, multipliers: Vector, kept: list[int]
+) -> Vector:
     """Second derivatives of V − weightsᵀ c along the rows of `free` (d, n_x), scaled variables, (d, d).
 
-    `held`, from `FirstOrderModel.held`: where w_i have kinks what is left of them that is smooth.
+    At kinks of what is left of w_i and ε_max that is smooth, with the multipliers of the kinks.
     """
+    weights, held = local.weights(multipliers, kept), local.held(multipliers, kept)
+    margins = local.held_margins(multipliers)
     hessian = np.zeros((len(free), len(free)))
     for k, place in enumerate(program.coupling.places):
         # What the others do does not matter to this one's second derivatives, and it has few directions of its own.
         along, basis = own_directions(free, place)
-        hessian += along @ _second_derivatives(program, k, program.of(x, k), basis, weights, held) @ along.T
+        second = _second_derivatives(program, k, program.of(x, k), basis, weights, held, margins)
+        hessian += along @ second @ along.T
     if program.goal == "motion":
         steps = free @ program.coupling.steps(free.shape[1]).T
         hessian -= steps @ steps.T
     return (hessian + hessian.T) / 2
 
 
-def _second_derivatives(program: Program, k: int, z: Vector, basis: Vector, weights: Vector, held: Held) -> Vector:
+def _second_derivatives(
+    program: Program, k: int, z: Vector, basis: Vector, weights: Vector, held: Held, margins: HeldMargins
+) -> Vector:
     """Second derivatives of configuration k's share in the Lagrangian along a basis (d, n_z) of z / scale, (d, d)."""
     count, kept, n_rows = program.coupling.count, len(program.first.kept), len(program.first.constraints)
     before = n_rows * count + len(program.coupling.pairs)
     weighted = before + kept * count == weights.size
     of_value = program.share[k] if weighted else -weights[before + kept * count + k]
+    shares = [*(-weights[before + j * count + k] for j in range(kept)), of_value]
 
     tips = {number: pull for (member, number), pull in held.items() if member == k}
     smooth = program.without_modes({number // 2 for number in tips})
+    # The p of a kink of what is sought is told per share of the configuration.
+    pulls = {j: p * (of_value if weighted and j == kept else 1.0) for (member, j), p in margins.items() if member == k}
+    by = {j: halves(slopes) for j, slopes in enumerate(smooth.slopes_of(k, z)[2]) if j in pulls} if pulls else {}
 
     def pull(there: Vector) -> Vector:
         row_slopes, _, slopes = smooth.slopes_of(k, there)
-        total = of_value * slopes[-1][0] - weights[k * n_rows : (k + 1) * n_rows] @ row_slopes
-        for j in range(kept):
-            total = total - weights[before + j * count + k] * slopes[j][0]
+        total = -weights[k * n_rows : (k + 1) * n_rows] @ row_slopes
+        for j, (share, own) in enumerate(zip(shares, slopes, strict=True)):
+            if j not in pulls:
+                total = total + share * own[0]
+                continue
+            cone = halves(own)
+            total = total + share * (own[0] + own[1]) / 2 - pulls[j] @ turn(cone, by[j]) @ cone
         if tips:
             f, f_z, _ = program.problems[k].factors(there)
             total = total + smooth_slope(f, f_z * program.first.scale, tips)
@@ -156,15 +169,25 @@ def _rises(
     kept = any(before <= k < before + len(program.first.kept) * program.coupling.count for k, _ in local.active)
     n_x = x.size
 
-    def there(y: Vector) -> Local:
+    def there(y: Vector) -> tuple[Local, list[Linearisation]]:
         at = y[:n_x] * program.scale
-        return program.local(at, program.linear(at), float(y[-1]))
+        members = program.linear(at)
+        return program.local(at, members, float(y[-1])), members
 
     tips = [kink for kink in local.kinks if kink.number is not None]
+    margins = [kink for kink in local.kinks if kink.number is None]
 
     def linear(y: Vector) -> tuple[Vector, Vector]:
-        at = there(y)
+        at, members = there(y)
         values, slopes = [at.g[numbers] - wanted], [at.jacobian[numbers]]
+        for kink in margins:
+            branches = members[kink.member].values[kink.objective]
+            own = halves(members[kink.member].slopes[kink.objective])
+            size = float(np.linalg.norm(own, 2))
+            values.append(np.array([(branches[0] - branches[1]) / 2, 0.0]) / size)
+            wide = np.zeros((2, y.size))
+            wide[:, list(program.coupling.places[kink.member])] = own / size
+            slopes.append(wide)
         z = [program.of(y[:n_x] * program.scale, k) for k in range(program.coupling.count)]
         factors = {k: program.problems[k].factors(z[k]) for k in {kink.member for kink in tips}}
         for kink in tips:
@@ -183,7 +206,7 @@ def _rises(
             near = start + sign * step * local.moving * direction
             y, error = shortest_steps(linear, near, local.moving, ON_ROWS, steps=CORRECTIONS)
             if error <= LANDED:
-                landed, at = True, there(y)
+                landed, (at, _) = True, there(y)
                 better = -at.f - local.value - weights[numbers] @ (at.g[numbers] - wanted)
                 if better > max(0.1 * curvature * step**2, NOISE * (abs(at.f) + float(np.abs(weights).sum()))):
                     return True

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import flexopt
-from benchmarks.selection_truth import GAIN, cases, doubled_margins, examined, machines, scanned
+from benchmarks.selection_truth import cases, examined, machines, scanned
 from flexopt.selection import check, optima
 from flexopt.selection.program import single
 from flexopt.selection.seen import better_than, seen_values, settled, value_at
@@ -52,21 +52,6 @@ def test_a_better_point_that_leads_nowhere_is_an_error(machine, monkeypatch):
     monkeypatch.setattr(optima, "better_than", lambda problem, value, values: problem.wrapped(np.zeros(3)))
     with pytest.raises(flexopt.NoSolutionFound, match="of a configuration that was seen"):
         flexopt.solve_selection(problem)
-
-
-@pytest.mark.filterwarnings("ignore:ε_max has a kink")
-def test_a_hill_that_no_point_of_the_scan_shows():
-    """On a surface the best points of a scan are of one wide hill; a higher one is narrow, with the arm folded."""
-    machine, targets = next((machine, targets) for _, machine, targets, _ in machines([33]))
-    folded = np.array([1.22289, 2.73154, 0.16878, -3.07209, -3.08174, -3.02446])
-    (high,) = doubled_margins(machine, "transpose", folded[:, None])
-    options = {"objective": "epsilon_max", "control": "transpose", "gain": GAIN}
-    problem = flexopt.build_selection(machine, targets[0], starts=16, **options)
-    assert problem.scan.epsilon.max() < high - 1e-3
-    best = flexopt.solve_selection(problem, workers=1).best
-    assert best.objective > high
-    # The oracle doubles in plain NumPy.
-    assert abs(doubled_margins(machine, "transpose", best.z[:, None])[0] - best.objective) < 1e-8
 
 
 def test_an_end_that_could_not_be_verified_is_told(machine, monkeypatch):
