@@ -88,7 +88,7 @@ def test_a_ridge_bends_as_v_does_along_it(selection):
 def test_a_saddle_on_a_ridge_is_refused(selection):
     """A cost of travel that is a reward makes V rise to both sides, however steep it falls off the ridge."""
     problem, best = selection.problem, selection.best
-    free, bent = ridge(problem, best.z)
+    _, bent = ridge(problem, best.z)
     largest = float(np.linalg.eigvalsh(bent)[-1])
     for share in (0.8, 1.2):
         reward = replace(problem, travel=TravelCost(now=best.z, cost=share * largest / 2))
