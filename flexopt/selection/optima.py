@@ -25,7 +25,7 @@ from flexopt.selection.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, Program
 from flexopt.selection.result import SAME_VALUE, Attempt, Kept, missed_chance
 from flexopt.selection.rounds import IN_VAIN, LEFT_OPEN, ROUNDS, further_starts
 from flexopt.selection.seen import BETTER, better_than, kept_peaks, seen_values, value_at
-from flexopt.selection.starts import climbs
+from flexopt.selection.starts import climbed_anywhere, climbs
 
 SAME_POINT = 1e-4
 # Violation, as a share of the constraint's scale, up to which the objective of an unfinished solve tells something.
@@ -79,7 +79,8 @@ def first_optima(
         found, attempts, failures = _attempted(problem, [*ends, *starts], workers, progress, _solve_start)
     found, attempts = _not_below_seen(problem, found, attempts, failures)
     found, attempts, more = _in_rounds(problem, found, attempts, workers, progress)
-    return problem, _taken_up(problem, found, attempts, failures + more)
+    found, attempts, others = _higher(problem, found, attempts, climbed_anywhere(problem, workers), workers)
+    return problem, _taken_up(problem, found, attempts, failures + more + others)
 
 
 def _taken_up(
@@ -93,14 +94,22 @@ def _taken_up(
         good = [(value_at(problem, z), z) for z, _ in ends if not infeasible(single(problem), z)]
         return sorted((end for end in good if end[0] > best + least), key=lambda end: -end[0])
 
-    for value, z in ahead(failures)[:TAKEN_UP]:
-        if value <= max(value_at(problem, other) for other, _, _ in found) + least:
-            continue
-        more, others, failed = _attempted(problem, [z], 1, None, partial(_climbed, WITHIN[1]))
-        found = found + [item for item in more if _is_new(problem, item[0], found)]
-        attempts, failures = attempts + [replace(other, value=None) for other in others], failures + failed
-    left = ahead(failures)
+    ends = [z for _, z in ahead(failures)[:TAKEN_UP]]
+    found, attempts, failed = _higher(problem, found, attempts, ends, 1)
+    left = ahead(failures + failed)
     return found, attempts, left[0][0] if left else None
+
+
+def _higher(
+    problem: SelectionProblem, found: list[Found], attempts: list[Attempt], points: list[Vector], workers: int
+) -> tuple[list[Found], list[Attempt], list[tuple[Vector, Proof]]]:
+    """The optima and attempts with those from points that are better than all optima, and what failed of these."""
+    least = max(value_at(problem, z) for z, _, _ in found) + BETTER * problem.objective_scale
+    starts = [z for z in points if value_at(problem, z) > least]
+    more, others, failed = _attempted(problem, starts, workers, None, partial(_climbed, WITHIN[1]))
+    # They are no draws: what is told of the chance that more starts find more leaves them out.
+    others = [replace(other, value=None) for other in others]
+    return [*found, *(item for item in more if _is_new(problem, item[0], found))], attempts + others, failed
 
 
 def _in_rounds(

@@ -45,6 +45,8 @@ INSIDE = 4
 # Points for each start that climb at random; steps, and the first one and the bounds of all, in scaled variables; by
 # how much a step grows after one that helped, and shrinks after others.
 CLIMBING, STEPS, STEP, STEP_LEAST, STEP_MOST, LONGER, SHORTER = 6, 60, 0.3, 1e-4, 0.5, 1.6, 0.8
+# Ends of climbs over a surface that are looked at.
+SUMMITS = 16
 # Points that one process climbs with.
 BLOCK = 32
 # Largest violation, in units of the rows' scales, of a point that counts as feasible.
@@ -159,14 +161,12 @@ def starting_points(problem: SelectionProblem, workers: int = 1) -> list[Vector]
     scan = problem.scan
     z = np.vstack([scan.base, scan.posture])
     if problem.measures.plant.closed_form:
-        count, feasible = problem.starts or STARTS_OF_SCAN, scan.violation <= FEASIBLE
+        feasible = scan.violation <= FEASIBLE
         chosen = peaks(scan, among=feasible)
         points = [z[:, k] for k in chosen]
         if not feasible.all():
             points += _onto_constraints(problem, z, feasible)
-        if problem.redundancy > 1 and feasible.any():
-            points = _alternating(_from_anywhere(problem, z[:, feasible], count, workers), points)
-        return points[:count]
+        return points[: problem.starts or STARTS_OF_SCAN]
     # What breaks a constraint is started from only where nothing else is left.
     count, good = problem.starts or STARTS, scan.violation <= 0
     cost = problem.travel_cost(problem.sought[0], z.T)[0]
@@ -183,13 +183,18 @@ def climbs(problem: SelectionProblem) -> bool:
     return problem.redundancy > 1 and not problem.measures.plant.closed_form and not problem.sought[0].has_kinks
 
 
-def _from_anywhere(problem: SelectionProblem, z: Vector, count: int, workers: int) -> list[Vector]:
-    """Where points (n_z, N), taken evenly, lead that climb at random, apart from each other, the best first.
+def climbed_anywhere(problem: SelectionProblem, workers: int = 1) -> list[Vector]:
+    """Where points of a surface, taken evenly, lead that climb at random, apart from each other, the best first.
 
-    On a surface the best points of a sample are often of one wide hill, and a higher, narrow one shows in none.
+    The best points of a sample are often of one wide hill, and a higher, narrow one shows in none. Curves are seen
+    whole, and without a closed form starts come from such climbs.
     """
-    each = max(1, z.shape[1] // (CLIMBING * count))
-    return apart(problem, climbed([(problem, z[:, ::each])], value_of_all, workers)[0], count)
+    scan, good = problem.scan, problem.scan.violation <= FEASIBLE
+    if problem.redundancy < 2 or not problem.measures.plant.closed_form or not good.any():
+        return []
+    z, count = np.vstack([scan.base, scan.posture])[:, good], CLIMBING * (problem.starts or STARTS_OF_SCAN)
+    each = max(1, z.shape[1] // count)
+    return apart(problem, climbed([(problem, z[:, ::each])], value_of_all, workers)[0], SUMMITS)
 
 
 def value_of_all(problem: SelectionProblem, z: Vector) -> Vector:
@@ -200,18 +205,14 @@ def value_of_all(problem: SelectionProblem, z: Vector) -> Vector:
     return values
 
 
-def _alternating(one: list[Vector], other: list[Vector]) -> list[Vector]:
-    pairs = zip_longest(one, other)
-    return [point for pair in pairs for point in pair if point is not None]
-
-
 def _in_turn(problem: SelectionProblem, z: Vector, count: int, values_at: Values, workers: int) -> list[Vector]:
     """Where the points lead that climb at random, freely and in the planes of symmetry, in turn, the best first."""
     sets = [(problem, z), *((plane, _into(plane, z[:, ::2])) for plane in _planes(problem))]
     first, *others = climbed(sets, values_at, workers)
     free = apart(problem, first, count)
     inside = [point for points in others for point in apart(problem, points, INSIDE)]
-    return [*_alternating(free[: len(inside)], inside), *free[len(inside) :]][:count]
+    pairs = zip_longest(free[: len(inside)], inside)
+    return [*(start for pair in pairs for start in pair if start is not None), *free[len(inside) :]][:count]
 
 
 def _planes(problem: SelectionProblem) -> list[SelectionProblem]:
