@@ -18,7 +18,7 @@ from flexopt.selection.second_order import CURVATURE_TOLERANCE, dimension_of, la
 
 TARGET_TOLERANCE = 1e-8
 BOUND_TOLERANCE = 1e-8
-FIRST_ORDER = "first-order optimality"
+FIRST_ORDER, SECOND_ORDER = "first-order optimality", "second-order optimality"
 STATIONARY_NEARLY = 1e-3
 # V this near to a value that no configuration exceeds, relative to its scale, is a maximum whatever its derivatives,
 # which near a_i = 0 or b_i = 0 change without bound.
@@ -84,7 +84,7 @@ def prove_program(program: Program, x: Vector) -> Proof:
         # Far from stationary points curvatures say nothing.
         near = stationarity <= STATIONARY_NEARLY
         curvature, dimension = largest_curvature(program, x, local, multipliers, kept) if near else (0.0, None)
-        _note(violations, "second-order optimality", curvature, CURVATURE_TOLERANCE)
+        _note(violations, SECOND_ORDER, curvature, CURVATURE_TOLERANCE)
     rows, n_task = program.first.constraints, program.first.target.size
     lengths = np.array([row.scale for row in rows[:n_task]])
     of_targets = local.g[: len(rows) * program.coupling.count].reshape(-1, len(rows))[:, :n_task] * lengths

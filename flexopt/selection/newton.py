@@ -2,7 +2,7 @@
 
 In: a program and a point near an optimum. Out: the optimum, with its proof, or the point as it was.
 
-`polished` is for points where only the first-order condition fails. A solver that works in doubles stops short where
+`polished` is for points where only conditions of optimality fail. A solver that works in doubles stops short where
 multipliers are large: what an earlier objective may give up is little, so its multiplier is large, and the rounding of
 ε_max's gradient times it is more than the condition allows. Here that gradient comes in extended precision.
 
@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.check import FIRST_ORDER, STATIONARY_NEARLY, Proof, infeasible, prove_program
+from flexopt.selection.check import FIRST_ORDER, SECOND_ORDER, STATIONARY_NEARLY, Proof, infeasible, prove_program
 from flexopt.selection.first_order import linearised
 from flexopt.selection.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, multipliers_of
 from flexopt.selection.program import Program
@@ -33,7 +33,10 @@ LAST, ROUNDING = 2, 1e-12
 
 def polished(program: Program, x: Vector, proof: Proof) -> tuple[Vector, Proof]:
     """The point and its proof after Newton's steps, where they lead to an optimum; else as they are."""
-    if list(proof.violations) != [FIRST_ORDER] or not proof.stationarity <= STATIONARY_NEARLY * proof.pull:
+    # Differences of ε_max's slopes are the first that rounding spoils.
+    rounded = any(form.kinks for form in program.first.forms)
+    left = set(proof.violations) - ({FIRST_ORDER, SECOND_ORDER} if rounded else {FIRST_ORDER})
+    if left or proof.holds or not proof.stationarity <= STATIONARY_NEARLY * proof.pull:
         return x, proof
     exact, there = replace(program, exact=True), x
     for _ in range(STEPS):

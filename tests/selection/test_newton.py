@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import flexopt
-from flexopt.selection.check import FIRST_ORDER, prove, prove_program
+from benchmarks.selection_truth import GAIN, machines
+from flexopt.selection.check import FIRST_ORDER, SECOND_ORDER, prove, prove_program
 from flexopt.selection.first_order import linearised
 from flexopt.selection.multipliers import multipliers_of
 from flexopt.selection.newton import polished, settled
 from flexopt.selection.program import Program, single
+from flexopt.selection.seen import settled as on_rows
 from tests.oracles.machines import Structure, arm_at_rest, random_machine, regular_posture
 
 EXCAVATOR = flexopt.load("excavator")
@@ -55,6 +58,28 @@ def test_an_optimum_that_doubles_do_not_tell_is_found() -> None:
     program = single(replace(selection.problem, kept=tuple(kept.at_least for kept in selection.kept)))
     assert _off(program, selection.best.z) <= 1e-6
     assert selection.best.evaluation.epsilon_max >= selection.kept[0].at_least * (1 - 1e-9)
+
+
+def test_an_optimum_whose_curvature_doubles_do_not_tell_is_found() -> None:
+    """ε_max is told to 1e-8 here: its slopes to 1e-6, and differences of these not at all."""
+    machine, targets = next((machine, targets) for _, machine, targets, _ in machines([2]))
+    options: Any = {"objective": "epsilon_max", "control": "inverse", "gain": GAIN}
+    problem = flexopt.build_selection(machine, targets[0], **options)
+    program, rng, doubted = single(problem), np.random.default_rng(0), 0
+    best = np.array([-4.7441573, 3.1131370, 2.8301796, -0.1139785, 0.0861952, -0.1501096])
+    ends: list[np.ndarray] = []
+    for _ in range(6):
+        beside = on_rows(problem, best + 3e-6 * rng.uniform(-1, 1, best.size) * problem.scale)
+        assert beside is not None
+        proof = prove(problem, beside)
+        assert set(proof.violations) <= {FIRST_ORDER, SECOND_ORDER}
+        doubted += SECOND_ORDER in proof.violations
+        end, proof = polished(program, beside, proof)
+        assert proof.holds
+        ends.append(end / problem.scale)
+    assert doubted
+    # By steps of Newton's method in extended precision; a proof that holds from the outset makes none.
+    assert max(float(np.abs(end - best / problem.scale).max()) for end in ends) < 1e-5
 
 
 def test_where_a_solve_stops_near_a_flat_optimum_decides_nothing() -> None:
