@@ -68,6 +68,7 @@ def test_an_end_that_could_not_be_verified_is_told(machine, monkeypatch):
 
     monkeypatch.setattr(optima, "prove_program", doubted)
     monkeypatch.setattr(optima, "prove", lambda problem, z: doubted(single(problem), z))
+    monkeypatch.setattr(optima, "polished", lambda program, x, proof: (x, proof))
     monkeypatch.setattr(optima, "seen_values", lambda problem: np.full(problem.scan.size, -np.inf))
     selection = flexopt.solve_selection(problem, workers=1)
     assert selection.best.objective == pytest.approx(low, abs=1e-9)
