@@ -79,7 +79,8 @@ def first_optima(
         found, attempts, failures = _attempted(problem, [*ends, *starts], workers, progress, _solve_start)
     found, attempts = _not_below_seen(problem, found, attempts, failures)
     found, attempts, more = _in_rounds(problem, found, attempts, workers, progress)
-    found, attempts, others = _higher(problem, found, attempts, climbed_anywhere(problem, workers), workers)
+    summits = [] if any(proof.unsurpassed for _, proof, _ in found) else climbed_anywhere(problem, workers)
+    found, attempts, others = _higher(problem, found, attempts, summits, workers)
     return problem, _taken_up(problem, found, attempts, failures + more + others)
 
 
