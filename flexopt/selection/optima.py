@@ -92,8 +92,9 @@ def _taken_up(
 
     def ahead(ends: list[tuple[Vector, Proof]]) -> list[tuple[float, Vector]]:
         best = max(value_at(problem, z) for z, _, _ in found)
-        good = [(value_at(problem, z), z) for z, _ in ends if not infeasible(single(problem), z)]
-        return sorted((end for end in good if end[0] > best + least), key=lambda end: -end[0])
+        better = [(value, z) for z, _ in ends if (value := value_at(problem, z)) > best + least]
+        good = [end for end in better if not infeasible(single(problem), end[1])]
+        return sorted(good, key=lambda end: -end[0])
 
     ends = [z for _, z in ahead(failures)[:TAKEN_UP]]
     found, attempts, failed = _higher(problem, found, attempts, ends, 1)
@@ -107,6 +108,8 @@ def _higher(
     """The optima and attempts with those from points that are better than all optima, and what failed of these."""
     least = max(value_at(problem, z) for z, _, _ in found) + BETTER * problem.objective_scale
     starts = [z for z in points if value_at(problem, z) > least]
+    if not starts:
+        return found, attempts, []
     more, others, failed = _attempted(problem, starts, workers, None, partial(_climbed, WITHIN[1]))
     # They are no draws: what is told of the chance that more starts find more leaves them out.
     others = [replace(other, value=None) for other in others]
