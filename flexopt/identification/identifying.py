@@ -24,6 +24,7 @@ from flexopt.identification.poles import Poles, find_poles
 from flexopt.identification.result import FittedColumn, Identification
 from flexopt.identification.small_swing import (
     SmallSwing,
+    axis_doubts,
     grown,
     near_starts,
     size_doubts,
@@ -98,9 +99,11 @@ def identify(
         base: placement (n_b,); 0 by default.
         unknown: names of parameters as in `machine.parameters` (`*` for any letters), `"stiffness"` and `"damping"`:
             all springs or dampers of passive coordinates that are not 0.
-        gravity: whether it swings about its static deflection, as in `flexopt.evaluate`.
+        gravity: whether it swings about its static deflection, as in `flexopt.evaluate`; without, the weight's part in
+            the springs is counted to them.
         window: (from, to), s, of the log; by default all that follows the last motion of the measured joints.
-        imu: where the accelerometer sits, m, in the axes of the body that carries the arm; its origin by default.
+        imu: where the accelerometer sits, m, in the axes of the body that carries the arm (in the plane x along it to
+            the arm's first joint, y to its left); its origin by default.
 
     Returns:
         Values, their 95 % intervals, what the log leaves open, modes, residuals and the machine with these numbers.
@@ -146,13 +149,15 @@ def identify(
         shown, spiked = shown.part(slice(None), kept), spiked[:, kept]
         swing = swing_of(shown)
         starts, beginning = near_starts(_small(swing, shown), _poles(shown, swing.m), springs)
+    turned = axis_doubts(swing, shown)
+    doubts += turned
     small, poles = _small(swing, shown), _poles(shown, swing.m)
     doubts += size_doubts(small, poles)
     candidates = grown(small, starts, beginning, springs)
     noise = _first_noise(small, candidates[0][0])
     _check_motion(shown, noise)
     doubts += _decay_doubts(swing, poles, np.where(np.isin(np.arange(len(entries)), springs), starts[0], 0.0))
-    found, others = _fits(swing, shown, candidates, noise)
+    found, others = _fits(swing, shown, candidates, noise, turned)
     _check_motion(shown, found.sigma)
     doubts += swinging_joints(swing, chosen, found)
     weak, unseen = hidden(swing, found, shown.time)
@@ -174,14 +179,17 @@ def identify(
 
 
 def _fits(
-    swing: HeldSwing, log: MeasuredLog, starts: list[tuple[Vector, Vector]], noise: Vector
+    swing: HeldSwing, log: MeasuredLog, starts: list[tuple[Vector, Vector]], noise: Vector, turned: Sequence[str]
 ) -> tuple[Fit, list[Vector]]:
-    """The best fit and θ of others that the log does not tell from it; of these the nearest to the file is the best."""
+    """The best fit and θ of others that the log does not tell from it; of these the nearest to the file is the best.
+
+    `turned`: what is said of the accelerometer's axes, which is why a log may have no fit.
+    """
     longest_step(swing, np.zeros(len(swing.names)), log.time)
     if not all(_is_slow(swing, theta, log.time) for theta, _ in starts):
         raise _refused(
             "shows a motion that this machine does not make with any springs near its file's: are signs and units of "
-            "its columns right, and its first and last samples no spikes?"
+            "its columns right, and its first and last samples no spikes?" + "".join(f" And {each}" for each in turned)
         )
     fits = [fit(swing, log, theta, deviation, noise) for theta, deviation in starts]
     least = min(fits, key=lambda each: each.misfit)

@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Array, Vector
+from flexopt.identification.log import MeasuredLog
 from flexopt.identification.measured import MISTAKEN
 from flexopt.identification.poles import Poles
 from flexopt.identification.swing import Complex, HeldSwing, eigen
@@ -44,6 +46,10 @@ MATCHING, SAME_SIZE, SAME_ANGLE = 30, 0.02, 0.1
 # A base hardly tilts by more either way, rad; by which share of the arm's reach nothing moves.
 TILT, FAR = 0.05, 0.1
 THETA_MAX = 12.0
+# From where on an accelerometer shows its weight, and from where on it shows it in another direction, shares of it.
+SHOWN, TURNED = 0.5, 0.35
+# What a θ raises in which the machine has no small motions: its springs do not hold it, or its modes are out of bounds.
+NO_SWING = (NoSolutionFound, np.linalg.LinAlgError, ArithmeticError, RuntimeError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +75,7 @@ class SmallSwing:
         return SmallSwing(self.swing, self.time[chosen], self.values[chosen], self.sigma)
 
     def basis(self, theta: Vector) -> Array:
-        """C exp(A t), (N, c, 2m); not finite where the springs do not hold the machine."""
+        """C exp(A t), (N, c, 2m); not finite where its modes are out of bounds."""
         a, c, _ = self.swing.linear(theta)
         roots, v = eigen(a)
         t = self.time - self.time[0]
@@ -80,8 +86,14 @@ class SmallSwing:
         """Residuals in multiples of sigma, the deviation x0 from rest, and what it gives in all columns (N, c).
 
         `columns` are those that x0 is found from.
+
+        Raises:
+            NoSolutionFound: the springs do not hold the machine.
+            LinAlgError: it has no small motions in numbers.
         """
         basis = self.basis(theta)
+        if not np.all(np.isfinite(basis)):
+            raise np.linalg.LinAlgError("small motions beyond the range of numbers")
         used = range(self.values.shape[1]) if columns is None else columns
         there = np.isfinite(self.values)
         left, right = list[Array](), list[Vector]()
@@ -103,7 +115,7 @@ class SmallSwing:
         def residuals(at: Vector) -> Vector:
             try:
                 found = np.concatenate([self.fitted(at)[0], at / PRIOR])
-            except (FloatingPointError, np.linalg.LinAlgError, ArithmeticError, RuntimeError):
+            except NO_SWING:
                 return bad
             return found if np.all(np.isfinite(found)) else bad
 
@@ -131,7 +143,10 @@ def matched(swing: HeldSwing, poles: Poles, scale: Vector, theta: Vector) -> Vec
 
     weight = np.minimum(1.0, poles.strength / poles.strength.max() * 3.0)
     for _ in range(ROUNDS):
-        roots, shapes = small_modes(swing, theta)
+        try:
+            roots, shapes = small_modes(swing, theta)
+        except NoSolutionFound:
+            return theta
         if not roots.size:
             return theta
         apart = np.abs(np.log(np.abs(poles.values))[:, None] - np.log(np.abs(roots))[None])
@@ -174,7 +189,7 @@ def near_starts(small: SmallSwing, poles: Poles, springs: Sequence[int]) -> tupl
         theta = matched(swing, poles, small.sigma, start) if poles.values.size else start
         try:
             left = beginning.fitted(theta)[0]
-        except (np.linalg.LinAlgError, RuntimeError):
+        except NO_SWING:
             continue
         if np.all(np.isfinite(left)):
             ranked.append((float(left @ left), k, theta))
@@ -261,7 +276,7 @@ def unit_doubts(beginning: SmallSwing, theta: Vector) -> dict[int, str]:
             continue
         try:
             told = beginning.fitted(theta, others)[2]
-        except (np.linalg.LinAlgError, RuntimeError):
+        except NO_SWING:
             continue
         for k in group:
             there = np.isfinite(beginning.values[:, k])
@@ -277,6 +292,28 @@ def unit_doubts(beginning: SmallSwing, theta: Vector) -> dict[int, str]:
                         f"{channels[k].unit}? It is left out of the fit"
                     )
     return found
+
+
+def axis_doubts(swing: HeldSwing, log: MeasuredLog) -> list[str]:
+    """Whether the accelerometer shows the weight where the machine at rest, with the file's springs, does not."""
+    there, file = log.of("acceleration"), np.zeros(len(swing.names))
+    g = float(swing.parameters(file)[swing.plant.parameter_names.index("gravity")])
+    if not there or not g:
+        return []
+    try:
+        told: Vector = swing.outputs.call([swing.rest(file), file])[0].full().ravel()
+    except NoSolutionFound:
+        return []
+    shown, meant = cast(Vector, np.nanmean(log.values[:, there], axis=0)), told[there]
+    if np.linalg.norm(shown) < SHOWN * g or np.linalg.norm(shown - meant) < TURNED * g:
+        return []
+    names = ", ".join(log.channels[k].name for k in there)
+    now, then = (", ".join(f"{x:.3g}" for x in each.round(2).tolist()) for each in (shown, meant))
+    way = ": x along it to the arm's first joint, y to its left" if len(swing.imu) == 2 else ""
+    return [
+        f"the accelerometer shows {names} of {now} m/s² on the whole, where this machine at rest shows {then} m/s²: "
+        f"are its axes those of the body that carries the arm{way}?"
+    ]
 
 
 def size_doubts(small: SmallSwing, poles: Poles) -> list[str]:

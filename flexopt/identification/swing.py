@@ -102,7 +102,11 @@ class HeldSwing:
         if self.gravity:
             force = self.field.call([state, theta])[0].full() if np.all(np.isfinite(state)) else np.array(np.nan)
             if not np.all(np.abs(force) < 1e-6):
-                raise NoSolutionFound("identify: the springs do not hold the machine", violations={}, iterate={})
+                raise NoSolutionFound(
+                    "identify: the springs do not hold the machine under its weight in this posture",
+                    violations={},
+                    iterate={},
+                )
         return state
 
     @cached_property
@@ -208,9 +212,13 @@ class HeldSwing:
         return a, self.outputs.call([state, theta])[1].full()[:, : 2 * m], state
 
     def roots(self, theta: Vector) -> Complex:
-        """The eigenvalues alone that `modes` gives."""
+        """The eigenvalues alone that `modes` gives; none where the springs do not hold the machine."""
         m = self.m
-        slopes = self.field.call([self.rest(theta), theta])[1].full()[:, : 2 * m]
+        try:
+            rest = self.rest(theta)
+        except NoSolutionFound:
+            return np.zeros(0, dtype=complex)
+        slopes = self.field.call([rest, theta])[1].full()[:, : 2 * m]
         matrix = np.block([[np.zeros((m, m)), np.eye(m)], [slopes]])
         found: Complex = eigen(matrix)[0]
         found = found[found.imag > 0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -14,6 +15,7 @@ from benchmarks.identification import CASES, pushed
 from flexopt.identification.cleaning import spikes
 from flexopt.identification.poles import find_poles
 from flexopt.model.parameter_values import with_parameters
+from flexopt.model.uncertainty import parameters_of
 from tests.identification.swings import Swung, planar, spatial
 from tests.oracles.free_swing import FreeSwing
 
@@ -329,6 +331,48 @@ def test_a_column_with_the_wrong_sign_is_told_as_such() -> None:
     swung = planar()
     log = swung.log(*PLANAR)
     refused(swung.machine, log | {"gyro_z": -log["gyro_z"]}, "are signs and units of its columns right")
+
+
+def test_axes_of_an_accelerometer_that_are_not_those_of_the_body_are_told(capfd: pytest.CaptureFixture[str]) -> None:
+    """Its weight shows where it points: springs of two directions would change places unseen."""
+    swung = planar()
+    log = swung.log("gyro_z", "acc_x", "acc_y")
+    sentence = "are its axes those of the body that carries the arm"
+    right = flexopt.identify(swung.machine, log, posture=swung.posture)
+    assert not any(sentence in doubt for doubt in right.doubts)
+    turned = log | {"acc_x": -log["acc_y"], "acc_y": log["acc_x"]}
+    try:
+        doubts = flexopt.identify(swung.machine, turned, posture=swung.posture).doubts
+    except flexopt.InputError as error:
+        doubts = (str(error),)
+    assert any(sentence in doubt and "acc_x, acc_y" in doubt for doubt in doubts)
+    # Weightless columns, as a high-pass filter leaves them, tell no direction; nor does a solver speak on its own.
+    filtered = turned | {name: turned[name] - turned[name].mean() for name in ("acc_x", "acc_y")}
+    with contextlib.suppress(flexopt.InputError):
+        doubts = flexopt.identify(swung.machine, filtered, posture=swung.posture).doubts
+        assert not any(sentence in doubt for doubt in doubts)
+    assert "DLASCL" not in "".join(capfd.readouterr())
+
+
+@pytest.mark.parametrize(
+    ("name", "posture", "softer", "columns"),
+    [
+        ("excavator", (0.9, -2.6), 0.2, ("gyro_z", "acc_x", "acc_y")),
+        ("mobile-manipulator", (0.3, 0.5, 0.6, 0.1, 0.2, 0.1), 0.7, ("gyro_x", "gyro_y", "acc_z")),
+    ],
+)
+def test_springs_that_fall_over_on_the_way_are_passed_by(
+    name: str, posture: tuple[float, ...], softer: float, columns: tuple[str, ...]
+) -> None:
+    """Under its weight a machine falls over on springs that a search tries: those of the log hold it."""
+    machine = flexopt.load(name)
+    springs = [machine.parameters[i] for i in parameters_of(("stiffness",), machine)]
+    truth = {each.name: softer * each.value for each in springs if each.value}
+    displaced = np.full(len(machine.kinematic_tree.passive), 2e-3)
+    swing = FreeSwing(with_parameters(machine, truth), posture, displaced, 0 * displaced, gravity=True)
+    log = swing.log(columns, np.arange(301) / 100, noise=0.01)
+    found = flexopt.identify(machine, log, posture=posture, gravity=True)
+    assert {spring: found.values[spring] for spring in truth} == pytest.approx(truth, rel=0.01)
 
 
 def test_joints_in_degrees_are_told() -> None:
