@@ -119,14 +119,25 @@ def _torque(at: Context, control: Control) -> Operation:
         f"Task-space controller, Jacobian {method}: torque = {matrix} f with f = Kp (target_point - measured_point) + "
         "Kv (target_rate - measured_rate). Jv at the measured joints, passive coordinates at rest."
     )
+    force, spread = _force_units(at)
     if control == "inverse":
-        text += " f is in N m^2: Jv^+ is in rad/m (Moore-Penrose where the arm is redundant)."
+        text += f" f is in {force}: Jv^+ is in {spread} (Moore-Penrose where the arm is redundant)."
     if damped_freely:
         text += " A damper on the self-motion is added: -nullspace_damping (I - Jv^+ Jv) joint_rates."
         scale += " + nullspace_damping times |joint_rates|"
     if damping is not None:
-        text += f" f is in N m^2, and lambda = {damping:g} in the unit of Jv's entries. No posture is refused."
+        text += f" f is in {force}, and lambda = {damping:g} in the unit of Jv's entries. No posture is refused."
     return at.operation(f"torque_{method}", text, inputs, [(output, torque, size)], guards)
+
+
+def _force_units(at: Context) -> tuple[str, str]:
+    """Units of f under an inverse, and of the inverse: of arms of hinges, of slides, of both."""
+    units = {"rad": ("N m^2", "rad/m"), "m": ("N", "m/m")}
+    there = [units[unit] for unit in units if unit in at.machine.joint_units]
+    if len(there) == 1:
+        return there[0]
+    (force, spread), (of_slides, slides_spread) = there
+    return f"{force} for hinges and {of_slides} for slides", f"{spread} of hinges and {slides_spread} of slides"
 
 
 def position(at: Context, name: str, text: str) -> Field:

@@ -41,6 +41,17 @@ class _Law:
         plant = self.at.plant
         return self.loop.nullspace_damping > 0 and plant.n_actuated > plant.n_task
 
+    @property
+    def drifts(self) -> bool:
+        """Whether the arm has a self-motion that nothing brakes: drives that follow rates hold it."""
+        plant = self.at.plant
+        return plant.n_actuated > plant.n_task and not self.damped and not self.served
+
+    @property
+    def keeps(self) -> bool:
+        """Whether it has states, which go out and come in again."""
+        return self.integral or self.loop.filter_hz is not None
+
     def inputs(self) -> list[tuple[Field, ca.SX]]:
         """Measurements, target, and the states that the last call gave."""
         at, r, field = self.at, self.at.plant.n_task, self.at.sizes.field
@@ -138,11 +149,19 @@ def _about(loop: LoopSettings, law: _Law) -> str:
         text += f"; a damper on the self-motion is added, {loop.nullspace_damping:g}"
     if not law.served and loop.torque_limit is not None:
         text += f"; torques within {_listed(loop.torque_limit)}"
-    return (
-        f"{text}. These numbers are constants of the code. Jv at the measured joints, passive coordinates at rest. Its "
-        f"margins hold for a dead time of {loop.dead_time:g} s from measurement to command. It keeps no state: "
-        "what is called next_ is handed in at the next call."
+    text += (
+        ". These numbers are constants of the code. Jv at the measured joints, passive coordinates at rest. Its "
+        f"margins hold for a dead time of {loop.dead_time:g} s from measurement to command. It keeps no state"
     )
+    text += (
+        ": what is called next_ is handed in at the next call." if law.keeps else ", and needs none of the last call."
+    )
+    if law.drifts:
+        text += (
+            " The arm has more joints than task rows, and nothing here brakes its self-motion, which may drift: "
+            "nullspace_damping of [loop] does."
+        )
+    return text
 
 
 def _listed(values: Any) -> str:

@@ -147,7 +147,7 @@ def _checked(loaded: AnyMachine | Problem | Experiment | Study, sentences: tuple
     found += slow_rate(machine, loop) if loop is not None else ()
     if isinstance(loaded, Problem):
         found += [*_targets(loaded), *distant_ranges(machine, loaded.uncertainty)]
-        sentences += (*_volumes(loaded), *_weights(loaded))
+        sentences += (*_volumes(loaded), *_weights(loaded), *_left(loaded))
     elif isinstance(loaded, Experiment):
         found += _offsets(loaded)
     return Check(loaded.name, kind, machine.name, (), tuple(found), sentences, provenance(machine))
@@ -176,6 +176,18 @@ def _weights(problem: Problem) -> Iterator[str]:
             f"selection.weights: {len(weights)} of them, but {machine.name} has {modes} modes: a selection needs "
             f"{modes}, or {modes + 1} with the last for ε_max"
         )
+
+
+def _left(problem: Problem) -> Iterator[str]:
+    """What travel counts from and the file does not tell, without which a selection refuses it."""
+    travel, machine = problem.constraints and problem.constraints.travel, problem.loaded_machine
+    if travel is None or problem.target.kind != "end_point":
+        return
+    needed = ["base"] * bool(machine.base_coordinates) + ["posture"]
+    open_ = [name for name in needed if getattr(travel, name) is None and getattr(problem.selection, name) is None]
+    if open_:
+        words = " and ".join(open_)
+        yield f"constraints.travel: a selection needs what the machine leaves, {words}: give {words} in [selection]"
 
 
 def _targets(problem: Problem) -> Iterator[ImplausibleNumber]:

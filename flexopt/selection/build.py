@@ -261,7 +261,8 @@ def _present(
         base = np.zeros(0)
     for name, value in (("base", base), ("posture", posture)):
         if value is None and not arguments.faulty(name):
-            arguments.faults.append(Fault(f"{where}{name}", "is required: what the machine leaves"))
+            sentence = f"is required: what the machine leaves, here or as {name} of the call or [selection]"
+            arguments.faults.append(Fault(f"{where}{name}", sentence))
     return None if base is None or posture is None else np.concatenate([base, posture])
 
 

@@ -79,6 +79,39 @@ def test_what_a_bundle_says_of_its_loop(tmp_path: Path) -> None:
     assert again.header(report.bundle_sha256) == (tmp_path / "include" / "excavator_control.h").read_text()
 
 
+@pytest.mark.parametrize("name", list(LOOPS))
+def test_states_are_spoken_of_where_there_are_some(name: str, tmp_path: Path) -> None:
+    shipped, posture, loop = LOOPS[name]
+    flexopt.export_c(flexopt.load(shipped), tmp_path, parts=["loop"], loop=loop, posture=posture)
+    text = (tmp_path / "README.md").read_text()
+    assert ("hand in at the next call" in text.replace("\n", " ")) == (name == "integral and filter")
+    assert ("what is called next_ is handed in" in text) == (name == "integral and filter")
+
+
+def test_a_self_motion_that_nothing_brakes_is_told(tmp_path: Path) -> None:
+    machine, posture = flexopt.load("boom-stick-bucket"), (-1.0, -1.2, -0.6)
+    loop = {"kp": 1e6, "kv": 3e5}
+    served = {"drive": "velocity", "kp": 0.5}
+    for folder, told, options in (
+        ("free", True, loop),
+        ("braked", False, loop | {"nullspace_damping": 2e4}),
+        ("served", False, served),
+    ):
+        flexopt.export_c(machine, tmp_path / folder, parts=["loop"], loop=options, posture=posture)
+        text = (tmp_path / folder / "README.md").read_text()
+        assert ("nothing here brakes its self-motion" in text) == told
+
+
+def test_the_unit_of_the_force_is_that_of_the_joints(tmp_path: Path) -> None:
+    """An arm with a telescope has two: of its hinges and of its slides."""
+    for name, sentence in (
+        ("excavator", "f is in N m^2: Jv^+ is in rad/m ("),
+        ("truck-crane", "f is in N m^2 for hinges and N for slides: Jv^+ is in rad/m of hinges and m/m of slides"),
+    ):
+        report = flexopt.export_c(flexopt.load(name), tmp_path / name, parts=["controller"])
+        assert sentence in (report.folder / "README.md").read_text()
+
+
 def test_what_does_not_go_together(tmp_path: Path) -> None:
     excavator, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
     with pytest.raises(InputError, match="parts = 'loop': it needs a loop") as caught:

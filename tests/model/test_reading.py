@@ -463,3 +463,17 @@ def test_what_a_machine_lacks_for_a_constraint_is_told_before_a_selection(tmp_pa
     assert "[support]" in sentence
     with pytest.raises(InputError, match="tip_over_margin"):
         flexopt.solve_problem(flexopt.load_problem(path))
+
+
+def test_what_travel_counts_from_is_told_before_a_selection(tmp_path: Path) -> None:
+    path = tmp_path / "travel.toml"
+    text = 'name = "t"\nmachine = "excavator"\n[target]\nend_point = [0.0, 1.6]\n[constraints.travel]\ncost = 0.01\n'
+    stands = "[selection]\nbase = 0.0\n"
+    path.write_text(text + stands, encoding="utf-8")
+    (sentence,) = flexopt.check(path).warnings
+    assert "constraints.travel" in sentence
+    assert "give posture in [selection]" in sentence
+    with pytest.raises(InputError, match=r"travel\.posture.*\[selection\]"):
+        flexopt.solve_problem(flexopt.load_problem(path))
+    path.write_text(f"{text}{stands}posture = [0.9929, -2.6302]\n", encoding="utf-8")
+    assert not flexopt.check(path).warnings
