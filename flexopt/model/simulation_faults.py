@@ -11,7 +11,7 @@ from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.coordinates import check_task
 from flexopt.foundation.quantities import milliseconds_hint
-from flexopt.model.loop import DELAY_MAX, Loop, length_faults, loop_faults
+from flexopt.model.loop import DELAY_MAX, LOOP_GAIN, Loop, length_faults, loop_faults
 from flexopt.model.machine import AnyMachine
 from flexopt.model.simulation import (
     PART_OF_SAMPLE,
@@ -68,6 +68,12 @@ def _controller_faults(options: SimulationOptions, machine: AnyMachine) -> list[
     if options.actuator.rate_limit is not None and options.actuator.bandwidth_hz is None:
         sentence = "needs actuator.bandwidth_hz: it limits how fast the servo's torque changes"
         found.append(Fault("actuator.rate_limit", sentence))
+    if options.feedback != "pid":
+        for name, value, unused in (
+            ("ki", list(options.ki), any(options.ki)),
+            ("integral_limit", f"{options.integral_limit:g}", options.integral_limit < LOOP_GAIN.high),
+        ):
+            found += [Fault(name, 'goes with feedback = "pid"', str(value))] * unused
     return found + _lever_faults(options, machine)
 
 

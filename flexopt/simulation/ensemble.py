@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled import Batch, Recurrence
-from flexopt.errors import Fault, FlexoptWarning, InputError
+from flexopt.errors import Fault, FlexoptWarning, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Document, MatrixLike, PostureLike, Progress, Vector
 from flexopt.foundation.boundary import array_of, of_machine, path, public, words
@@ -263,6 +263,8 @@ def simulate_ensemble(
 
     def run(given: dict[str, Any]) -> Ensemble:
         checked = checked_options("simulate_ensemble", machine, given)
+        if checked.feedback != "pid" and np.any(varied.get("ki", 0.0)):
+            raise_if_any(InputError, "simulate_ensemble", [Fault("vary['ki']", 'goes with feedback = "pid"')])
         n = len(next(iter(varied.values())))
         names = [parameter.name for parameter in machine.parameters]
         zeros, motion = motion_constants(machine, {k: v for k, v in varied.items() if k in names}, n)

@@ -110,6 +110,7 @@ BAD = [
     ({"kq": [1.0]}, "is not something that varies"),
     ({"kp": [1.0, math.nan]}, "is not at [1]"),
     ({"kp": [-1.0]}, "must not be negative"),
+    ({"ki": [1.0]}, 'goes with feedback = "pid"'),
     ({"kp": []}, "must have the shape"),
     ({"kp": "many"}, "must be numbers"),
     ({"offset": [[0.1, 0.2, 0.3]]}, "(members, 2)"),

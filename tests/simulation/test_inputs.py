@@ -54,6 +54,8 @@ FAULTS = {
     "kp one of two NaN": ({"kp": [1.0, NAN]}, ["kp", "entry 2", "finite"]),
     "kv true": ({"kv": True}, ["kv = true", "not true/false"]),
     "ki negative": ({"ki": -1}, ["ki = -1", "between 0"]),
+    "ki without pid": ({"ki": 3.0}, ["ki = [3.0]", 'goes with feedback = "pid"']),
+    "integral limit without pid": ({"integral_limit": 3.0}, ["integral_limit = 3", 'goes with feedback = "pid"']),
     "integral limit": ({"integral_limit": 0}, ["integral_limit = 0", "greater than 0", "N"]),
     "gain": ({"gain": 0.0}, ["gain = 0", "greater than 0"]),
     "control": ({"control": "inv"}, ["control = 'inv'", "inverse, transpose or damped:LAMBDA"]),
