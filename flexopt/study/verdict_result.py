@@ -234,7 +234,9 @@ class Verdict(Pictured, Result):
         ]
         taken = place.name == STAY and (many or self.problems[0].present_posture is None)
         reaches = "postures that reach the targets" if many else "a posture that reaches the target"
-        why = f" ({reaches}: how the arm is held was not given)" if taken else ""
+        # Of several targets no one posture is how the arm is held.
+        given = self.problems[0].present_posture is not None
+        why = f" ({reaches}{'' if given else ': how the arm is held was not given'})" if taken else ""
         first, held = stands[0]
         if not many:
             off = elsewhere(self.problems[0], np.concatenate(place.stands[0])) if place.name == STAY else ""
@@ -272,7 +274,8 @@ class Verdict(Pictured, Result):
         elif any(math.isnan(place.settling.greatest) for place in self.places):
             lines.append("  –: on some ground it does not settle in a minute")
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
-        if any(place.runs and place.runs.undecided for place in self.places) and self._drifts:
+        ran = [place.runs for place in self.places if place.runs]
+        if self._drifts and ran and (self.word == "cannot tell" or any(runs.undecided for runs in ran)):
             lines.append("  the arm's self-motion is not damped in these runs; loop.nullspace_damping brakes it")
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
         return "\n".join([*lines, *([self.measure] if self.measure else [])])

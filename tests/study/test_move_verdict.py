@@ -162,6 +162,28 @@ def test_of_several_targets_the_worst_counts() -> None:
     assert sum(line.endswith("(the slowest)") for line in lines) == len(found.places)
 
 
+def test_a_posture_that_was_given_is_not_called_missing() -> None:
+    """Of several targets no one posture is how the arm is held; only where none is known that is said."""
+    machine, words = flexopt.load("excavator"), "how the arm is held was not given"
+    for given, missing in (({"posture": (0.9929, -2.6302)}, False), ({}, True)):
+        stand = flexopt.select_stand(machine, TARGETS, starts=2, base=0.0, workers=1, **given)
+        found = repr(flexopt.verdict(stand, loop=ARTICLE, members=2, runs=0))
+        assert "postures that reach the targets" in found
+        assert (words in found) == missing
+
+
+@pytest.mark.parametrize(("damping", "told"), [(0.0, True), (1e4, False)])
+def test_a_self_motion_that_nothing_brakes_is_told_where_no_word_is_found(damping: float, told: bool) -> None:
+    """All places grow with these gains, and the runs with smaller ones drift: a damper is what is missing."""
+    machine = flexopt.load("boom-stick-bucket")
+    loop = {"kp": 1e9, "kv": 1e7, "dead_time": 0.02, "nullspace_damping": damping}
+    selection = flexopt.select(machine, (7.0, 1.0), base=0.0, posture=(-0.6, -1.2, -0.7), starts=2, workers=1)
+    found = flexopt.verdict(selection, loop=loop, members=2, runs=1, duration=5.0)
+    assert all(place.runs is None or not place.runs.undecided for place in found.places)
+    assert found.word == "cannot tell" or not told
+    assert ("loop.nullspace_damping brakes it" in repr(found)) == told
+
+
 def test_a_target_that_grows_grows() -> None:
     """At the first of these targets the present place grows with these gains, at the second it decays."""
     machine = flexopt.load("excavator")
