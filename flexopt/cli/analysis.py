@@ -131,6 +131,7 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     "How the machine swings: springs and dampers are identified from it first, as `flexopt identify` does, the arm "
     "held as its joints or else --posture say.",
 )
+@value("--imu", "X,Y[,Z]", "With --log: where the accelerometer sits, as of `flexopt identify`.", numbers)
 @of_picture("Draw the choice: .png, .svg or .pdf.")
 @value("--out", "PATH", "Write the JSON document to a file, too.")
 @JSON
@@ -147,11 +148,14 @@ def select_command(
     if log is not None and not log.lower().endswith(".csv"):
         sentence = "must be a .csv file of how the machine swings; --proof writes what a certificate stands on"
         raise InputError(f"select: --log = {log!r}: {sentence}", [Fault("--log", sentence, log)])
+    imu = options.pop("imu")
+    if imu is not None and log is None:
+        raise InputError("select: --imu goes with --log", [Fault("--imu", "goes with --log", str(imu))])
     judged = {name: options.pop(name) for name in ("loop", "ranges")}
     settings, own = _selection_settings(machine, options)
     with option_names(judged):
         _refuse_early(settings, judged, own)
-    identified = None if log is None else _identified(log, settings, as_json)
+    identified = None if log is None else _identified(log, imu, settings, as_json)
     if asks_for_loop(settings.get("objective"), settings.get("constraints")):
         settings["loop"] = real_loop(own["loop"], judged["loop"]) or own["loop"]
         settings["ranges"] = table("--ranges", judged["ranges"]) or settings.get("ranges")
@@ -192,11 +196,12 @@ def select_command(
         sys.exit(FAILED)
 
 
-def _identified(swing: str, settings: dict[str, Any], as_json: bool) -> Identification:
+def _identified(swing: str, imu: Any, settings: dict[str, Any], as_json: bool) -> Identification:
     """The machine's numbers from a log; what is chosen is chosen for the machine that has them."""
     from flexopt.identification import identify  # noqa: PLC0415  (`evaluate` does not need it)
 
     held = {name: settings[name] for name in ("base", "gravity") if settings.get(name) is not None}
+    held |= {} if imu is None else {"imu": imu}
     with option_names({"log": swing, **held}), warnings_to_stderr(as_json):
         try:
             found = identify(settings["machine"], swing, **held)

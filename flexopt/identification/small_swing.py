@@ -46,6 +46,8 @@ MATCHING, SAME_SIZE, SAME_ANGLE = 30, 0.02, 0.1
 # A base hardly tilts by more either way, rad; by which share of the arm's reach nothing moves.
 TILT, FAR = 0.05, 0.1
 THETA_MAX = 12.0
+# An accelerometer that sits so many times farther away than the arm reaches sits on no such machine.
+AWAY = 3.0
 # From where on an accelerometer shows its weight, and from where on it shows it in another direction, shares of it.
 SHOWN, TURNED = 0.5, 0.35
 # What a θ raises in which the machine has no small motions: its springs do not hold it, or its modes are out of bounds.
@@ -318,10 +320,14 @@ def axis_doubts(swing: HeldSwing, log: MeasuredLog) -> list[str]:
 
 def size_doubts(small: SmallSwing, poles: Poles) -> list[str]:
     """Columns in which the base would tilt, or something move, by more than any base lets it."""
-    found = list[str]()
+    found, reach = list[str](), outer_reach(small.swing.plant)[1]
+    far = float(np.linalg.norm(small.swing.imu))
+    if far > AWAY * reach and any(channel.kind == "acceleration" for channel in small.swing.channels):
+        found.append(
+            f"imu is {far:.3g} m from the body's origin, of an arm that reaches {reach:.3g} m: is it in mm, not m?"
+        )
     if not poles.values.size:
         return found
-    reach = outer_reach(small.swing.plant)[1]
     for k, channel in enumerate(small.swing.channels):
         size = np.abs(poles.shapes[k])
         if channel.unit == "m" and (way := float(np.sum(size))) > FAR * reach:

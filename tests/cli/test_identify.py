@@ -40,6 +40,13 @@ def test_a_selection_with_a_log_is_one_of_the_identified_machine(command: Comman
     assert found["posture"] == [0.5, -1.2]
 
 
+def test_a_selection_knows_where_the_accelerometer_of_its_log_sits(command: Command) -> None:
+    write_log(command)
+    words = ("--end-point", "0,1.6", "--base", "0", "--posture", POSTURE, "--starts", "1", "--log", "swing.csv")
+    document = command.json("select", "excavator", *words, "--imu", "0.3,0.1")
+    assert document["identification"]["provenance"]["options"]["imu"] == [0.3, 0.1]
+
+
 def test_the_command_refuses(command: Command) -> None:
     write_log(command)
     for words, sentence in (
@@ -51,6 +58,8 @@ def test_the_command_refuses(command: Command) -> None:
         (("select", "excavator", "--end-point", "0,1.6", "--log", "swing.csv"), "posture: is needed"),
         (("select", "article", "--certify", "--log", "proof.json"), "--proof writes what"),
         (("select", "article", "--proof", "proof.json"), "goes with --certify"),
+        (("select", "article", "--imu", "0.3,0.1"), "--imu goes with --log"),
+        (("select", "article", "--log", "swing.csv", "--posture", POSTURE, "--imu", "0.3"), "--imu = [0.3]"),
     ):
         refused = command(*words)
         assert refused.code == 2

@@ -354,6 +354,15 @@ def test_axes_of_an_accelerometer_that_are_not_those_of_the_body_are_told(capfd:
     assert "DLASCL" not in "".join(capfd.readouterr())
 
 
+def test_an_accelerometer_that_sits_beyond_the_machine_is_told() -> None:
+    """In mm for m it would take turns for accelerations, and the springs with them."""
+    swung, sentence = planar(), "imu is 500 m from the body's origin"
+    log = swung.log("gyro_z", "acc_x", "acc_y")
+    for place, told in (((500.0, 0.0), True), ((0.5, 0.0), False)):
+        found = flexopt.identify(swung.machine, log, posture=swung.posture, imu=place)
+        assert any(doubt.startswith(sentence) and "in mm" in doubt for doubt in found.doubts) == told
+
+
 @pytest.mark.parametrize(
     ("name", "posture", "softer", "columns"),
     [
