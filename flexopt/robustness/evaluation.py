@@ -201,13 +201,16 @@ class Evaluation(Result):
             f"{self.machine}, Jacobian {self.control} control: base {placed}; {angles}; end-point ({point}) m",
             f"  mode   frequency    damping {heading:>13}      w/|a||b|   in phase",
         ]
+        hidden = self.scale <= ROUNDING * self.scale.max()
         for i, w in enumerate(without_rounding(self.w, self.scale)):
+            start = f"  {i + 1:4d} {self.frequencies_hz[i]:8.4f} Hz {self.damping_ratios[i]:10.3e}"
+            if hidden[i]:
+                lines.append(f"{start} {0.0:13.5e} {'–':>13}   –")
+                continue
             phase = "strictly" if self.in_phase_strict[i] else "yes" if self.in_phase[i] else "no"
-            ratio = w / self.scale[i] if self.scale[i] > 0 else 0.0
-            lines.append(
-                f"  {i + 1:4d} {self.frequencies_hz[i]:8.4f} Hz {self.damping_ratios[i]:10.3e} {w:13.5e} {ratio:13.5e}"
-                f"   {phase}"
-            )
+            lines.append(f"{start} {w:13.5e} {w / self.scale[i]:13.5e}   {phase}")
+        if hidden.any():
+            lines.append("    –: the end-point does not move in that mode, or no feedback excites it")
         rigid = f"{self.rigid:.5e} {'mixed units' if unit == MIXED else unit}"
         lines.append(f"  rigid part: λmin(R0 + R0ᵀ) = {rigid}; cond Jv = {self.condition:.4g}")
         if self.rigid < -ROUNDING * np.abs(self.rigid_residue).max():

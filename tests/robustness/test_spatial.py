@@ -411,3 +411,30 @@ def test_what_is_rounding_is_shown_as_zero() -> None:
     rows = [line.split() for line in repr(found).splitlines()[2:5]]
     assert [float(row[4]) for row in rows] == pytest.approx([0.0, *found.w[1:]], rel=1e-5, abs=0)
     assert float(rows[0][5]) == 0
+
+
+SCARA = """<mujoco><compiler angle="radian"/><worldbody><body name="cart" pos="0 0 0.2">
+<inertial pos="0 0 0.1" mass="60" diaginertia="2.5 3 3.5"/><body name="column" pos="0.1 0 0.25">
+<joint name="lift" type="slide" axis="0 0 1" range="0 0.6"/><inertial pos="0 0 0" mass="9" diaginertia=".05 .05 .03"/>
+<body name="upper" pos="0 0 0.1"><joint name="shoulder" axis="0 0 1"/>
+<inertial pos="0.16 0 0" mass="5" diaginertia=".01 .06 .06"/><body name="fore" pos="0.35 0 0">
+<joint name="elbow" axis="0 0 1"/><inertial pos="0.14 0 0" mass="3" diaginertia=".01 .03 .03"/>
+<site name="tool" pos="0.3 0 -0.15"/></body></body></body></body></worldbody></mujoco>"""
+
+
+def test_a_mode_that_no_feedback_excites_has_no_phase(tmp_path):
+    """A heaving base and hinges that stand upright: its quotient of two roundings is no measure."""
+    (tmp_path / "scara.xml").write_text(SCARA, encoding="utf-8")
+    (tmp_path / "scara.toml").write_text(
+        'name = "scara"\nrobot = "scara.xml"\nactuated = ["lift", "shoulder", "elbow"]\n'
+        "[base]\nstiffness = { z = 1.2e5, roll = 2.4e4, pitch = 2.5e4 }\n"
+        "damping = { z = 130.0, roll = 25.0, pitch = 27.0 }\n[end_point]\nsite = 'tool'\n"
+    )
+    found = flexopt.evaluate(flexopt.load(tmp_path / "scara.toml"), [0.3, 0.4, -0.9])
+    hidden = found.scale < 1e-12 * found.scale.max()
+    assert hidden.any()
+    assert not hidden.all()
+    rows = repr(found).splitlines()[2:5]
+    assert [row.endswith("–") for row in rows] == hidden.tolist()
+    assert "the end-point does not move in that mode" in repr(found)
+    assert "does not move in that mode" not in repr(flexopt.evaluate(flexopt.load("excavator"), (0.5, -1.2)))
