@@ -74,6 +74,7 @@ def decide(
     *,
     tried: bool = False,
     refuted: Place | None = None,
+    gains: Mapping[str, Sequence[float]] | None = None,
 ) -> Decision:
     """The word by `RULE`.
 
@@ -84,6 +85,7 @@ def decide(
         unconfirmed: names of places that nonlinear runs do not confirm.
         tried: whether other gains were.
         refuted: the best place with other gains, where runs do not confirm it.
+        gains: these other gains.
     """
     sound = [place for place in others if place.holds and place.name not in unconfirmed]
     best = _best([place for place in sound if stay is None or _pays(place, stay)])
@@ -121,8 +123,14 @@ def decide(
         return Decision("cannot tell", doubted[0], f"nonlinear runs do not confirm {' and '.join(doubted)}")
     with_others = ", nor with others that were tried" if tried else ""
     if refuted is not None and refuted.holds:
-        with_others = f"; with others {refuted.name} is, but nonlinear runs do not confirm that"
+        named = f" ({gains_in_words(gains)})" if gains else ""
+        with_others = f"; with others{named} {refuted.name} is, but nonlinear runs do not confirm that"
     return Decision("cannot tell", "", f"no place found is stable on every ground with these gains{with_others}")
+
+
+def gains_in_words(gains: Mapping[str, Sequence[float]]) -> str:
+    """Of the first task row."""
+    return ", ".join(f"{name} {values[0]:.4g}" for name, values in gains.items())
 
 
 def deciding(decision: Decision, known: Mapping[str, Place], stay: Place | None) -> tuple[str, Vector]:

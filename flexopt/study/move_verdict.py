@@ -168,7 +168,7 @@ def verdict(
         if of_few.confirming < MOST:
             changed, refuted = None, changed[0]
     stages.next()
-    decision = decide(stay, rest, changed and changed[0], unconfirmed, tried=tried, refuted=refuted)
+    decision = decide(stay, rest, changed and changed[0], unconfirmed, tried=tried, refuted=refuted, gains=gains)
     places = tuple(
         _place(name, stands[name], loops[name], decays, slowest[name], drives[name], shown.get(name)) for name in told
     )

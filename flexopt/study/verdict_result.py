@@ -21,7 +21,7 @@ from flexopt.robustness.evaluation import in_words
 from flexopt.selection.problem import elsewhere
 from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
-from flexopt.study.decision import RULE, Word
+from flexopt.study.decision import RULE, Word, gains_in_words
 from flexopt.study.place_loops import Chosen, problems_of
 from flexopt.study.places import STAY, told
 
@@ -154,7 +154,7 @@ class Verdict(Pictured, Result):
     @property
     def sentence(self) -> str:
         """See the class."""
-        gains = ", ".join(f"{name} {values[0]:.4g}" for name, values in self.gains.items())
+        gains = gains_in_words(self.gains)
         where = {"move": f" to {self.place}", "change gains": f" to {gains}, at {self.place}"}.get(self.word, "")
         return f"{self.word}{where}: {self.reason}"
 

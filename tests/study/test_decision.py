@@ -94,6 +94,10 @@ def test_gains_that_runs_do_not_confirm_are_not_said_to_grow() -> None:
     refuted = decide(grows, [], tried=True, refuted=place("stay", GROUNDS))
     assert refuted.reason.endswith("with others stay is, but nonlinear runs do not confirm that")
     assert "nor with others that were tried" in decide(grows, [], tried=True, refuted=grows).reason
+    named = decide(
+        grows, [], tried=True, refuted=place("stay", GROUNDS), gains={"kp": [0.4, 0.4], "kv": [0.015, 0.015]}
+    )
+    assert "; with others (kp 0.4, kv 0.015) stay is, but" in named.reason
 
 
 def test_what_tells_growing_from_stable_grounds_is_to_be_measured() -> None:
