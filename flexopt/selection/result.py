@@ -340,7 +340,7 @@ class Selection(Pictured, Result):
             ended = sum(attempt.value is not None for attempt in self.attempts)
             lines.append(
                 f"  best found in {len(self.attempts)} starts, {ended} of which ended at an optimum: "
-                f"about {100 * self.missed_chance:.0f} % of further ones would end at a value not found yet"
+                f"about {100 * self.missed_chance:.0f} % of further ones drawn alike would end at a value not found yet"
             )
         lines += [
             f"  {sentence}"
