@@ -199,6 +199,7 @@ def test_no_place_gives_nan(d):
     @example([0.0, 1.0, 1.0][:d], [2.0] + [0.0] * (d - 1))  # along an edge of the box
     @example([1.0, 1.0, 1.0][:d], [1.0, -1.0, 0.0][:d])  # through a corner
     @example([0.5, 0.5, 0.5][:d], [0.0, 1e-8, 0.0][:d])  # hardly longer than a point
+    @example([0.75, 0.75, 0.75][:d], [0.0, 1e-8, 0.0][:d])
     def check(middle, along):
         length = float(np.linalg.norm(along))
         if length > 1e-9:
@@ -206,8 +207,10 @@ def test_no_place_gives_nan(d):
             assert all_finite(BOX_DERIVATIVES[d], *arguments)
             gradient = BOX_DERIVATIVES[d](*arguments)[1].full().ravel()[:d]
             assert np.linalg.norm(gradient) <= np.sqrt(d) + 1e-9
-            # The direction of a short axis has the digits that its ends leave.
-            allowed = 1e-12 + 2 * PARALLEL * length + 1e-17 / length
+            # The direction of a short axis has the digits that its ends leave: each is rounded to half a unit in its
+            # last place, and lengths of the size of the box and its place are told along it.
+            size = 1 + float(np.abs(middle).max())
+            allowed = 1e-12 + 2 * PARALLEL * length + np.finfo(float).eps * size**2 / length
             assert abs(float(BOX[d](*arguments)) - oracle_of(arguments)) <= allowed
 
     check()
