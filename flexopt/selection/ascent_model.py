@@ -273,7 +273,10 @@ def halves(epsilon_slopes: Vector) -> Vector:
 
 def turn(slopes: Vector, onto: Vector) -> Vector:
     """The orthogonal (2, 2) that takes slopes C nearest to others, to undo what eigenvectors turn between points."""
-    left, _, right = np.linalg.svd(onto @ slopes.T)
+    product = onto @ slopes.T
+    if not np.isfinite(product).all():
+        return np.eye(2)
+    left, _, right = np.linalg.svd(product)
     return left @ right
 
 

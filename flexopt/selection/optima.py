@@ -241,6 +241,8 @@ def _attempted(
     solved = in_parallel(task, len(starts), workers, done, meanwhile, lost, at_once=at_once)
     for behind in (BEHIND if known == -np.inf else 0, *[0] * (RESUMED - 1)):
         unfinished = _promising(problem, solved, known, behind)
+        if not unfinished:
+            break
         points = [solved[number][0] for number in unfinished]
         task, lost = partial(_resume, problem, points), partial(_lost, points)
         resumed = in_parallel(task, len(points), workers, lost=lost, at_once=at_once)

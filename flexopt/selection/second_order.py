@@ -183,7 +183,7 @@ def _rises(
         for kink in margins:
             branches = members[kink.member].values[kink.objective]
             own = halves(members[kink.member].slopes[kink.objective])
-            size = float(np.linalg.norm(own, 2))
+            size = float(np.linalg.norm(own))
             values.append(np.array([(branches[0] - branches[1]) / 2, 0.0]) / size)
             wide = np.zeros((2, y.size))
             wide[:, list(program.coupling.places[kink.member])] = own / size

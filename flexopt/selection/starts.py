@@ -194,10 +194,10 @@ def climbed_anywhere(problem: SelectionProblem, workers: int = 1) -> list[Vector
         return []
     z, count = np.vstack([scan.base, scan.posture])[:, good], CLIMBING * (problem.starts or STARTS_OF_SCAN)
     each = max(1, z.shape[1] // count)
-    return apart(problem, climbed([(problem, z[:, ::each])], value_of_all, workers)[0], SUMMITS)
+    return apart(problem, climbed([(problem, z[:, ::each])], values_with_margin, workers)[0], SUMMITS)
 
 
-def value_of_all(problem: SelectionProblem, z: Vector) -> Vector:
+def values_with_margin(problem: SelectionProblem, z: Vector) -> Vector:
     """V (N,) of points (n_z, N), ε_max too, the cost of travel taken off."""
     values, n_base = values_of(problem, z), problem.measures.plant.n_base
     if problem.objective.has_kinks:

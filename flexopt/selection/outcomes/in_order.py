@@ -57,10 +57,8 @@ def outcome_selection_in_order(
         best = measure.sign * found.best.objective
         at_least = best - (problem.given_up(best) if measure.of_modes else problem.slack * abs(best))
         ends = (at_least, math.inf) if measure.sign > 0 else (-math.inf, -at_least)
-        bounds, kept = (
-            (*bounds, (measure, at_least)),
-            [*kept, Kept(name, found.best.objective, *ends, found.unverified)],
-        )
+        bounds = (*bounds, (measure, at_least))
+        kept.append(Kept(name, found.best.objective, *ends, found.unverified))
     last = problems[names[-1]]
     seeds += _of_modes(last, workers) if measure_of(names[-1], last).of_modes else []
     return outcome_selection(last, loop, uncertainty, initial, workers, progress, names[-1], least,
