@@ -103,7 +103,7 @@ class Arguments:
         parts = self._parts(field, value)
         if parts is not None and len(parts) != len(names):
             angles = all(unit == "rad" for unit in units)
-            what = "angles in rad" if angles else "numbers"
+            what = ("angle" if angles else "number") + ("s" if len(names) != 1 else "") + (" in rad" if angles else "")
             listed = ", ".join(names if angles else (f"{n} in {u}" for n, u in zip(names, units, strict=True)))
             wanted = f"needs {len(names)} {what}, one for each actuated joint ({listed}), not {len(parts)}"
             self.note(field, wanted, value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 # How alike two words must be for one to be suggested for the other.
-ALIKE = 0.6
+ALIKE = 0.65
 
 
 def nearest(word: str, known: Iterable[str], alike: float = ALIKE) -> str | None:

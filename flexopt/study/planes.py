@@ -199,8 +199,9 @@ def _other_joints(arguments: Arguments, machine: AnyMachine, varies: Pair, postu
     values = [] if given is None else several(given)
     if len(values) != len(others):
         rest = ", ".join(names[k] for k in others)
-        angles = "angles in rad" if set(machine.joint_units) == {"rad"} else "numbers in rad or m"
-        sentence = f"needs {len(others)} {angles}, for the joints that do not vary ({rest or 'none'})"
+        what, units = ("angle", "rad") if set(machine.joint_units) == {"rad"} else ("number", "rad or m")
+        counted = f"{len(others)} {what}" + ("s" if len(others) != 1 else "")
+        sentence = f"needs {counted} in {units}, for the joints that do not vary ({rest or 'none'})"
         _note(arguments, "posture", sentence, posture)
         return np.zeros(len(others))
     # The two that vary stand where no fault is found.

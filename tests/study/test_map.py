@@ -222,7 +222,7 @@ def test_every_fault_is_named(excavator):
     ("options", "field", "words"),
     [
         ({}, "over", "two actuated joints, not 3"),
-        ({"over": "posture"}, "posture", "needs 1 angles in rad"),
+        ({"over": "posture"}, "posture", "needs 1 angle in rad"),
         ({"over": "posture", "posture": [1.0, 2.0]}, "posture", "bucket"),
         ({"over": "posture", "posture": "abc"}, "posture (bucket)", "must be a number"),
         ({"over": "posture", "posture": [99.0]}, "posture (bucket)", "between"),
