@@ -19,9 +19,9 @@ from flexopt.article.gaps import GapSweep
 from flexopt.foundation.palette import colors
 from flexopt.plotting.fields import LOWEST_SHOWN, Values, draw_arm, draw_field, draw_regions, label_plane
 from flexopt.plotting.sheet import sized
-from flexopt.plotting.units import labelled, written
+from flexopt.plotting.units import labelled
 from flexopt.plotting.workspace import dataset_plane
-from flexopt.robustness.residues import residue_unit
+from flexopt.robustness.residues import residue_unit, written_unit
 
 Arms = Mapping[str, Values]
 
@@ -89,7 +89,7 @@ def plot_figure8(transpose: Curve, inverse: Curve, marks: Mapping[str, float]) -
         _along(right, curve, curve.w[0], w_color, "$w_1$", "--")
         right.ticklabel_format(axis="y", style="sci", scilimits=(0, 0))
         left.set_ylabel("$\\epsilon_{max}$, –", color=epsilon_color)
-        right.set_ylabel(f"$w_1$, {written(residue_unit(curve.control, ('rad',)))}", color=w_color)
+        right.set_ylabel(f"$w_1$, {written_unit(residue_unit(curve.control, ('rad',)))}", color=w_color)
         left.set_xlabel(f"x of the end-point, m (workspace frame, y = {curve.y:g} m)")
         left.set_title(title)
         left.axhline(np.sin(np.pi / 8), color=colors().muted, linewidth=0.8, linestyle=":", zorder=0)

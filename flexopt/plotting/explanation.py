@@ -20,8 +20,7 @@ from flexopt.foundation.palette import colors
 from flexopt.plotting.scene import Actor, draw_scene
 from flexopt.plotting.shape import Points, Shape, View, shape_of, views
 from flexopt.plotting.sheet import Sheet, picture
-from flexopt.plotting.units import written
-from flexopt.robustness.residues import residue_unit
+from flexopt.robustness.residues import residue_unit, written_unit
 
 # Length of an arrow, share of the machine's size; a line's letters where there is nothing to move.
 ARROW, LETTERS = 0.2, 38
@@ -136,7 +135,7 @@ def _draw_move(axes: Axes, found: Any, i: int) -> None:
     axes.set_xlabel(
         f"for each {move.unit} of {mathtext(move.variable)}, {' and '.join(sorted(set(found.variable_units)))}"
     )
-    unit = written(residue_unit(found.evaluation.control, found.evaluation.joint_units))
+    unit = written_unit(residue_unit(found.evaluation.control, found.evaluation.joint_units))
     axes.set_title(f"raises $w_{{{i + 1}}}$ by {move.rate:.3g} {unit} per {move.unit}", loc="left")
     axes.grid(axis="x")
     for side in ("top", "right"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from flexopt.foundation.escapes import mathtext
 from flexopt.robustness.evaluation import Evaluation
-from flexopt.robustness.residues import residue_unit
+from flexopt.robustness.residues import residue_unit, written_unit
 from flexopt.selection.objective import Objective
 
 NONE = "–"
@@ -12,12 +12,7 @@ NONE = "–"
 
 def labelled(name: str, unit: str) -> str:
     """The label of an axis; `1` and the empty word are no units."""
-    return f"{name}, {NONE if unit in ('', '1') else written(unit)}"
-
-
-def written(unit: str) -> str:
-    """A unit as it is printed."""
-    return {"mixed": "mixed units"}.get(unit, unit.replace("m2", "m²"))
+    return f"{name}, {NONE if unit in ('', '1') else written_unit(unit)}"
 
 
 def measure_label(evaluation: Evaluation, index: str = "i") -> str:

@@ -25,7 +25,8 @@ from flexopt.plotting.fields import (
     label_plane,
 )
 from flexopt.plotting.sheet import Sheet, picture, themed
-from flexopt.plotting.units import labelled, written
+from flexopt.plotting.units import labelled
+from flexopt.robustness.residues import written_unit
 
 # Up to where ratios of an axis are equal.
 EVEN = 1e-9
@@ -148,7 +149,7 @@ def _panels(dataset: Any) -> list[list[Panel]]:
     whole: list[Panel] = []
     if "w" in dataset:
         frequency, w, in_phase = (_array(dataset, name) for name in ("frequency_hz", "w", "in_phase"))
-        unit = written(dataset["w"].attrs["units"])
+        unit = written_unit(dataset["w"].attrs["units"])
         modes = range(len(w))
         rows.append([("field", f"mode {i + 1}: frequency", "frequency, Hz", frequency[i]) for i in modes])
         rows.append([("clipped", f"mode {i + 1}: $w_{i + 1}$", labelled(f"$w_{i + 1}$", unit), w[i]) for i in modes])

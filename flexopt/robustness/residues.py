@@ -85,3 +85,8 @@ def residue_unit(control: str, joint_units: tuple[str, ...]) -> str:
         # What a force on a slide and a torque on a hinge become is not one unit.
         return "1/kg" if len(set(joint_units)) == 1 else MIXED
     return RESIDUE_UNITS.get(control, RESIDUE_UNITS["inverse"])
+
+
+def written_unit(unit: str) -> str:
+    """A unit as pages and pictures print it."""
+    return "mixed units" if unit == MIXED else unit.replace("m2", "m²").replace("^2", "²").replace("^3", "³")

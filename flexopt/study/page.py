@@ -107,7 +107,7 @@ def number(value: float | None, digits: int = 5) -> str:
     """A number in a page; – where there is none."""
     if value is None or not math.isfinite(value):
         return "–"
-    return f"{value:.{digits}g}".replace("-", "−")
+    return f"{value + 0.0:.{digits}g}".replace("-", "−")  # −0.0 is 0
 
 
 def coordinate(value: float, digits: int = 5) -> str:

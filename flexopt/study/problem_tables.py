@@ -13,7 +13,7 @@ import numpy as np
 
 from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import Evaluation, without_rounding
-from flexopt.robustness.residues import MIXED, residue_unit
+from flexopt.robustness.residues import residue_unit, written_unit
 from flexopt.selection import Selection
 from flexopt.selection.result import ConstraintValue
 from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
@@ -69,7 +69,9 @@ def constraints(report: Report) -> ConstraintTables | None:
     told = f"{len(far)} more of {' and '.join(several)}, farther from their bounds"
 
     left = len(selection.candidates if one else selection.places) - len(shown)
-    others = f"{left} more {'candidates' if one else 'targets'} keep within them, too; their values are in report.json."
+    what = "candidate" if one else "target"
+    more = f"1 more {what} keeps" if left == 1 else f"{left} more {what}s keep"
+    others = f"{more} within them, too; the values are in report.json."
 
     def table(names: list[str]) -> Table:
         rows = list[list[str]]()
@@ -87,7 +89,7 @@ def _room(value: ConstraintValue) -> float:
 
 
 def _allowed(value: ConstraintValue) -> str:
-    low, high, unit = value.lower, value.upper, value.unit
+    low, high, unit = value.lower, value.upper, written_unit(value.unit)
     if math.isfinite(low) and math.isfinite(high):
         return f"{number(low)} to {number(high)} {unit}" if low < high else f"{number(low)} {unit}"
     return f"at least {number(low)} {unit}" if math.isfinite(low) else f"at most {number(high)} {unit}"
@@ -128,8 +130,7 @@ def parameters(report: Report, units: tuple[str, ...], what: str) -> Table:
 
 def written_residue(evaluation: Evaluation) -> str:
     """The unit of w_i, as it is printed."""
-    unit = residue_unit(evaluation.control, evaluation.joint_units)
-    return "mixed units" if unit == MIXED else unit.replace("m2", "m²")
+    return written_unit(residue_unit(evaluation.control, evaluation.joint_units))
 
 
 def modes(report: Report, name: str) -> Table:

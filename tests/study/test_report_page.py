@@ -18,6 +18,7 @@ from playwright.sync_api import Browser
 import flexopt
 from flexopt.foundation import printing
 from flexopt.foundation.rendering import render
+from flexopt.study import page as study_page
 from flexopt.study import problem_page
 from flexopt.study.problem_page import report_html
 from flexopt.study.verdict_result import STAY
@@ -211,9 +212,13 @@ def test_candidates_without_a_column_of_constraints_are_counted(name: str, reque
     report = request.getfixturevalue(name)
     page = Parsed(page_text(report))
     columns = {text for _, text in page.all("th", "thead") if re.fullmatch(r"candidate \d+", text)}
-    told = re.search(r"(\d+) more candidates keep within them", " ".join(text for _, text in page.all("p")))
+    told = re.search(r"(\d+) more candidates? keeps? within them", " ".join(text for _, text in page.all("p")))
     assert (told is None) == (name == "judged")
     assert len(columns) + (int(told[1]) if told else 0) == len(report.selection.candidates)
+
+
+def test_nothing_is_minus_zero() -> None:
+    assert [study_page.number(value) for value in (-0.0, 0.0, -1.5)] == ["0", "0", "−1.5"]
 
 
 @pytest.mark.needs("chromium")
