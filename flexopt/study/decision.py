@@ -90,7 +90,8 @@ def decide(
     sound = [place for place in others if place.holds and place.name not in unconfirmed]
     best = _best([place for place in sound if stay is None or _pays(place, stay)])
     if changed is not None and changed.holds and _spares(changed, stay, best):
-        return Decision("change gains", changed.name, _why_gains(changed, stay, best, sound))
+        doubted = [place for place in others if place.holds and place.name in unconfirmed]
+        return Decision("change gains", changed.name, _why_gains(changed, stay, best, sound, doubted))
     if best is not None:
         reason = "from the present placement the arm does not reach the target within its limits"
         if stay is not None:
@@ -175,12 +176,23 @@ def _spares(changed: Place, stay: Place | None, best: Place | None) -> bool:
     return stay is None or not stay.holds or bool(faster(np.array(changed.slowest), np.array(stay.slowest)))
 
 
-def _why_gains(changed: Place, stay: Place | None, best: Place | None, sound: Sequence[Place]) -> str:
+def _why_gains(
+    changed: Place, stay: Place | None, best: Place | None, sound: Sequence[Place], doubted: Sequence[Place]
+) -> str:
     reason = f"with them the slowest decay at {changed.name} is {changed.slowest:.3g}/s"
     if best is not None:
         return f"{reason}, as much as {best.name} has with these, {best.slowest:.3g}/s"
     if stay is not None and stay.holds:
         return f"{reason}, with these {stay.slowest:.3g}/s"
-    if sound:
-        return f"{reason}; with these {sound[0].name} alone is stable on every ground, and not better on most of them"
+    if sound and stay is not None:
+        rival = max(sound, key=lambda place: place.better_than(stay))
+        share = f"better than the present place on {100 * rival.better_than(stay):.0f} % of them only"
+        return f"{reason}; with these {rival.name} is stable on every ground, too, but {share}"
+    if doubted:
+        names = " and ".join(place.name for place in doubted)
+        one = len(doubted) == 1
+        return (
+            f"{reason}; with these {names} {'is' if one else 'are'} stable on every ground, too, but nonlinear runs do "
+            f"not confirm {'it' if one else 'them'}"
+        )
     return f"{reason}; with these no place found is stable on every ground"

@@ -57,6 +57,27 @@ def test_gains_that_spare_the_drive() -> None:
     assert decide(place("stay", -GROUNDS), [], place("stay", -GROUNDS)).word == "cannot tell"
 
 
+def test_other_gains_are_not_praised_by_what_is_not_so() -> None:
+    """A place that is stable with the present gains is not told to grow: what speaks against it is told."""
+    grows, near, changed = place("stay", -GROUNDS), place("near", 2 * GROUNDS), place("near", 2.5 * GROUNDS)
+    doubted = decide(grows, [near], changed, unconfirmed=["stay", "near"])
+    assert doubted.word == "change gains"
+    assert doubted.reason.endswith(
+        "with these near is stable on every ground, too, but nonlinear runs do not confirm it"
+    )
+    both = decide(grows, [near, place("far", GROUNDS)], changed, unconfirmed=["near", "far"])
+    assert both.reason.endswith("near and far are stable on every ground, too, but nonlinear runs do not confirm them")
+    partly = place("stay", np.where(np.arange(40) < 4, -1.0, 1.0) * GROUNDS)
+    mostly = place("near", np.where(np.arange(40) < 36, 2.0, 1.0) * GROUNDS)
+    told = decide(partly, [place("far", GROUNDS), mostly], place("near", 3 * GROUNDS))
+    assert told.word == "change gains"
+    assert told.reason.endswith(
+        "with these near is stable on every ground, too, but better than the present place on 90 % of them only"
+    )
+    nowhere = decide(grows, [place("near", -GROUNDS)], changed)
+    assert nowhere.reason.endswith("with these no place found is stable on every ground")
+
+
 def test_a_place_that_grows_fast_on_one_ground_goes_before_one_that_grows_slowly_on_most() -> None:
     nearly, mostly = np.array([0.5, 0.5, 0.5, -28.0]), np.array([0.5, -0.1, -0.1, -27.0])
     assert ranked({"mostly": mostly, "nearly": nearly}) == ["nearly", "mostly"]
