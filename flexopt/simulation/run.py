@@ -27,7 +27,7 @@ from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.simulation import SimulationKeywords, SimulationOptions
 from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import Plant, build_plant
-from flexopt.simulation.behaviour import STILL, Behaviour, behaviour
+from flexopt.simulation.behaviour import GROWN, STILL, Behaviour, behaviour
 from flexopt.simulation.real_loop import in_shorter_steps, note_loop, with_loop
 from flexopt.simulation.scenario import SIMULATED, Scenario, build_scenario, checked_options, note_options
 from flexopt.simulation.trajectory import Trajectory
@@ -113,14 +113,20 @@ def simulate_checked(
     records = runner(s.start, empty if folded else constants, steps=s.samples, e=signals)
     x = np.concatenate([s.start[:, None], records.x[:, :, 0].T], axis=1)
     outputs = shown_at(s, shown, x, signals)
+    ended, left = Ended(s.machine, s.options), "left the finite numbers"
+    breaks = unfollowed(loop.structure, records.monitor)
+    if breaks is not None:
+        if moves(s) or not grew(ended, outputs["error"][:, : breaks + 1]):
+            check_residual(loop.structure, records.monitor, None if moves(s) else ended)
+        x[:, breaks + 1 :], left = math.nan, "grew beyond what the implicit integrator follows"
+        outputs = shown_at(s, shown, x, signals)
     end_error = np.sqrt(np.sum(outputs["error"][:, -1:] ** 2, axis=0))
     # As in a watched loop, what is watched at a sample's start stands for the sample.
     watched = outputs["monitor"][:, :-1].T[:, :, None]
     verdict = behaviour(s.times, watched, end_error, s.grounds)
-    check_residual(loop.structure, records.monitor)
-    end = None if signals is None or not moves(s) else signals_at_end(s, signals)[0]
-    ended = Ended(s.machine, s.options, None if end is None else x[:, -1].copy(), end)
-    return _trajectory(s, outputs, verdict, ended, settings, sentences)
+    if signals is not None and moves(s):
+        ended = Ended(s.machine, s.options, x[:, -1].copy(), signals_at_end(s, signals)[0])
+    return _trajectory(s, outputs, verdict, ended, settings, sentences, left)
 
 
 def moves(scenario: Scenario) -> bool:
@@ -183,19 +189,41 @@ def signals_at_end(scenario: Scenario, signals: Vector) -> Vector:
     return last
 
 
-def check_residual(structure: LoopStructure, monitor: Vector) -> None:
-    """Raise where the implicit method's iterations did not converge while the states were finite."""
+def unfollowed(structure: LoopStructure, monitor: Vector) -> int | None:
+    """The first sample at which the implicit method's iterations do not converge while the states are finite."""
     if structure.method != "gauss":
+        return None
+    residual = monitor[:, -1]
+    beyond = ((residual > RESIDUAL_MAX**2) & np.isfinite(residual)).any(axis=-1)
+    return int(np.argmax(beyond)) if beyond.any() else None
+
+
+def grew(ended: Ended, error: Vector) -> bool:
+    """Whether the linear loop grows, and the run's end-point error (rows, K) did: no shorter step would help."""
+    linear = ended.linear()
+    size = np.sqrt(np.sum(error**2, axis=0))
+    return not isinstance(linear, str) and linear.growth_rate > 0 and bool(np.nanmax(size) > GROWN * size[0])
+
+
+def check_residual(structure: LoopStructure, monitor: Vector, ended: Ended | None = None) -> None:
+    """Raise where the implicit method's iterations did not converge while the states were finite.
+
+    `ended`: the loop of a single run about its design, to tell whether it grows.
+    """
+    if unfollowed(structure, monitor) is None:
         return
     residual = monitor[:, -1]
     worst = float(np.sqrt(np.max(residual, initial=0.0, where=np.isfinite(residual))))
-    if worst > RESIDUAL_MAX:
-        raise NoSolutionFound(
-            f"simulate: the implicit integrator's iterations left a relative change of {worst:.2g} (allowed "
-            f"{RESIDUAL_MAX:g}); the loop is faster than its step: give more substeps, or lower gains",
-            violations={"implicit step": worst},
-            iterate={},
-        )
+    linear = "" if ended is None else ended.linear()
+    remedy = "the loop is faster than its step: give more substeps, or lower gains"
+    if not isinstance(linear, str) and linear.growth_rate > 0:
+        remedy += f" (the linear loop grows at {linear.growth_rate:.4g}/s)"
+    raise NoSolutionFound(
+        f"simulate: the implicit integrator's iterations left a relative change of {worst:.2g} (allowed "
+        f"{RESIDUAL_MAX:g}); {remedy}",
+        violations={"implicit step": worst},
+        iterate={},
+    )
 
 
 def _trajectory(
@@ -205,9 +233,11 @@ def _trajectory(
     ended: Ended,
     settings: LoopSettings | None,
     sentences: tuple[str, ...],
+    left: str,
 ) -> Trajectory:
     plant, loop = build_plant(s.machine), s.loop.structure
-    sentences += _warnings(s, plant, outputs, of, "nullspace_damping" if settings is None else "loop.nullspace_damping")
+    brake = "nullspace_damping" if settings is None else "loop.nullspace_damping"
+    sentences += _warnings(s, plant, outputs, of, brake, left)
     for sentence in sentences:
         python_warnings.warn(sentence, FlexoptWarning, stacklevel=4)
     rows = {name: value.T for name, value in outputs.items()}
@@ -268,12 +298,14 @@ def _overshoot(error: Vector) -> float | None:
     return max(0.0, beyond) if math.isfinite(beyond) else None
 
 
-def _warnings(s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behaviour, brake: str) -> tuple[str, ...]:
-    """Sentences on the run; `brake` is the key by which self-motion is damped."""
+def _warnings(
+    s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behaviour, brake: str, left: str
+) -> tuple[str, ...]:
+    """Sentences on the run; `brake` is the key by which self-motion is damped, `left` how it ended early."""
     sentences: list[str] = []
     ended = float(of.finite_until[0])
     if ended < s.times[-1]:
-        sentences.append(f"the run left the finite numbers at {ended:.4g} s; what follows is not a number")
+        sentences.append(f"the run {left} at {ended:.4g} s; what follows is not a number")
     m = plant.n_passive
     # A damped inverse may even start at one.
     if control_damping(s.options.control) is None:

@@ -295,6 +295,19 @@ def test_iterations_that_do_not_converge_are_an_error():
     assert caught.value.violations["implicit step"] > 1e-10
 
 
+def test_a_run_that_grows_is_shown_up_to_where_the_iterations_follow_it():
+    """More substeps would not help: what grows at 5/s soon has no motion left to speak of."""
+    with pytest.warns(FlexoptWarning, match="grew beyond what the implicit integrator follows at"):
+        run = flexopt.simulate(EXCAVATOR, POSTURE_A, integrator="gauss", kp=1e6, kv=2e4, rate=50.0, duration=3.0)
+    assert run.verdict == "grows"
+    assert run.linear_growth_rate > 0
+    alive = np.all(np.isfinite(run.q), axis=1)
+    assert np.flatnonzero(~alive)[0] > 0
+    assert not np.any(np.diff(alive.astype(int)) > 0)
+    assert not any("left the finite numbers" in sentence for sentence in run.warnings)
+    assert ends_as_numbers(run)["verdict"] == "grows"
+
+
 CALLS = [
     (flexopt.simulate, SimulationKeywords),
     (flexopt.simulate_ensemble, SimulationKeywords),
