@@ -33,9 +33,11 @@ TILT = 0.7  # rad, under its weight at full reach
 WEAK = 0.01  # of the torque or force that holds the weight beyond a joint at full reach
 TIP_SPEED_MAX = 100.0  # m/s
 GRAVITY = (0.5, 30.0)  # m/s², where there is any
+LIGHT = 0.01  # mass of the base over that of the arm that it carries
 HEAVY = 10.0  # payload over the machine's own mass
 CONCENTRATED = 0.03  # radius of gyration over a body's size in the plane
 FLAT = 0.1  # height of the first joint over the base's length
+BASE_MASS = ("base.mass", "mass of the base")  # the field's name, of planar machines and in space
 DISTANT = 10.0  # times that a range may lie away from the file's number
 
 
@@ -339,6 +341,14 @@ def _totals(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) -> 
         meant = f"probably in g: {total / 1000:g} kg"
         yield ImplausibleNumber(
             "mass", f"{total:g} kg in all", f"is much for a machine that reaches {reach:.3g} m", meant
+        )
+    base, arm = (sum(part.mass for part in parts if part.link is link) for link in (False, True))
+    if 0 < base < LIGHT * arm and any(part.springs for part in parts if not part.link):
+        yield ImplausibleNumber(
+            BASE_MASS[not isinstance(machine, Machine)],
+            f"{base:g} kg",
+            f"is little for what carries an arm of {arm:.4g} kg",
+            f"probably in tonnes, {1000 * base:g} kg, or an arm's foot without the vehicle under it",
         )
     if payload > HEAVY * total:
         meant = f"probably in g: {payload / 1000:g} kg"

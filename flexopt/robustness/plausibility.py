@@ -18,7 +18,7 @@ from flexopt.foundation.arrays import spread
 from flexopt.foundation.warned import warn_user
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop
-from flexopt.model.plausibility import Array, ImplausibleNumber, distant_ranges, implausible_numbers
+from flexopt.model.plausibility import BASE_MASS, Array, ImplausibleNumber, distant_ranges, implausible_numbers
 from flexopt.plant import Plant, build_plant
 
 FIRST_MODE = (0.1, 100.0)  # Hz
@@ -30,7 +30,8 @@ def implausibilities(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     """Everything about the machine that is allowed but hardly meant."""
     found = implausible_numbers(machine)
     # Where springs, masses or lengths are off by their units, so are the modes, by the same slip.
-    modes = () if any("stiffness" in finding.field for finding in found) else _of_modes(machine)
+    told = any("stiffness" in finding.field or finding.field in BASE_MASS for finding in found)
+    modes = () if told else _of_modes(machine)
     return (*found, *modes, *distant_ranges(machine, machine.uncertainty))
 
 
@@ -81,14 +82,18 @@ def _of_modes(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
             )
         )
     damped = ratios.min(axis=0)
+    held = min(float(modes_at(plant, posture, held=True)[1].max()) for posture in _postures(machine))
     for mode in np.flatnonzero(damped > 1.0).tolist():
         value = float(damped[mode])
+        meant = "dampers are probably too large by their unit (N s/m, N m s/rad), or the stiffness is in kN"
+        if held < 1.0:  # what is too little beside them is the base alone
+            meant = "with the arm held it would: the base is probably too light, as an arm's foot without its vehicle"
         found.append(
             ImplausibleNumber(
                 f"damping of mode {mode + 1}",
                 f"{value:.3g} of critical",
                 f"at {frequencies[0, mode]:.3g} Hz the machine would not swing at all",
-                "dampers are probably too large by their unit (N s/m, N m s/rad), or the stiffness is in kN",
+                meant,
             )
         )
     return tuple(found)

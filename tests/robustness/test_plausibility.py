@@ -508,6 +508,34 @@ def test_a_base_whose_angle_is_from_the_vertical_is_told() -> None:
     assert any("it is from the horizontal: 1.5708 is upright" in sentence for sentence in told(data))
 
 
+def light(mass: float) -> Data:
+    """A demolition robot whose base has dampers for 4.1 t, and this mass, kg."""
+    springs = {"x": 2.86535e6, "y": 2.86535e6, "rotation": 6.32766e6}
+    dampers = {"x": 9772.17, "y": 9772.17, "rotation": 21580.2}
+    base = {"length": 1.35, "com": 0.675, "mass": mass, "inertia": 0.1914 * mass, "rest_angle": math.pi / 2}
+    links = [
+        {"name": f"link{k}", "length": length, "com": length / 2, "mass": own, "inertia": own * length**2 / 12}
+        for k, (length, own) in enumerate(((1.75, 480.0), (1.25, 290.0), (1.05, 410.0)))
+    ]
+    return {"name": "light", "base": base | {"stiffness": springs, "damping": dampers}, "links": links}
+
+
+def test_a_base_too_light_for_its_arm_is_not_taken_for_dampers_too_large() -> None:
+    assert told(light(4100.0)) == []
+    (sentence,) = told(light(4.1))
+    assert sentence.startswith("base.mass = 4.1 kg: is little for what carries an arm of 1180 kg")
+    assert "4100 kg" in sentence
+    foot = told(light(15.0))
+    assert foot
+    assert all("the base is probably too light" in sentence for sentence in foot)
+
+
+def test_dampers_too_large_are_told_as_such() -> None:
+    data = light(4100.0)
+    data["base"]["damping"] = {name: 1000 * value for name, value in data["base"]["damping"].items()}
+    assert all("dampers are probably too large" in sentence for sentence in told(data))
+
+
 def test_the_length_that_is_too_long_is_the_one_named() -> None:
     data = shipped("boom-stick-bucket")
     del data["cylinders"]
