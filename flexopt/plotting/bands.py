@@ -137,12 +137,12 @@ def _draw(axes: Axes, bands: Bands) -> None:
     axes.set_yticks([])
     axes.set_ylim(len(bands.rows) - 0.4, -0.6)
     better, unit = "" if bands.more is None else f" ({'more' if bands.more else 'less'} is better)", bands.unit or "SI"
-    # Two units are long: a power of ten beside the axis makes room, and the rest is a line of its own.
+    # Two units are long: the rest is a line of its own.
     apart = " or " in unit and bool(better)
     label = f"{labelled(bands.label, unit)}\n{better.strip()}" if apart else labelled(f"{bands.label}{better}", unit)
     axes.set_xlabel(label)
-    if apart:
-        axes.xaxis.get_offset_text().set_horizontalalignment("left")
+    # A power of ten stands beside the axis: under its end it met the label of a narrow panel.
+    axes.xaxis.get_offset_text().set_horizontalalignment("left")
     if bands.heading:
         axes.text(
             1.04, -0.75, bands.heading, transform=axes.get_yaxis_transform(), va="bottom", fontsize="x-small",

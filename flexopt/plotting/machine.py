@@ -105,8 +105,11 @@ def draw_ground(axes: Axes, height: float) -> None:
     axes.axhline(height, color=colors().ground_line, linewidth=1.2, zorder=1)
 
 
-def draw_target(axes: Axes, point: Points, name: str = "", *, line: bool = False) -> None:
-    """Where the end-point shall be, one point (2,) or several (2, K), joined where they are a path."""
+def draw_target(axes: Axes, point: Points, name: str = "", *, line: bool = False, left: bool = False) -> None:
+    """Where the end-point shall be, one point (2,) or several (2, K), joined where they are a path.
+
+    `left`: the first one's name stands there, as something else is written on its right.
+    """
     inks, points = colors(), np.reshape(point, (2, -1))
     axes.plot(
         points[0], points[1], "+", color=inks.target, markersize=11, markeredgewidth=1.5, linewidth=0.7,
@@ -114,8 +117,8 @@ def draw_target(axes: Axes, point: Points, name: str = "", *, line: bool = False
     )  # fmt: skip
     if name:
         axes.annotate(
-            name, (float(points[0, 0]), float(points[1, 0])), xytext=(6, 6), textcoords="offset points", zorder=6,
-            fontsize="small",
+            name, (float(points[0, 0]), float(points[1, 0])), xytext=(-6 if left else 6, 6), zorder=6,
+            textcoords="offset points", ha="right" if left else "left", fontsize="small",
             bbox={"boxstyle": "round,pad=0.1", "facecolor": inks.page, "edgecolor": "none", "alpha": 0.7},
         )  # fmt: skip
 

@@ -17,11 +17,13 @@ from matplotlib.axes import Axes
 from flexopt.foundation.palette import colors
 from flexopt.model.constraints import Constraints
 from flexopt.plotting.machine import HEIGHT, SPRING, draw_ground, draw_shape, draw_target
-from flexopt.plotting.scenery import draw_scenery, held, scenery_points
+from flexopt.plotting.scenery import draw_scenery, held, named_points, scenery_points
 from flexopt.plotting.shape import Points, Shape, View
 
 # Room about what is drawn, share of the machine's size.
 ROOM = 0.1
+# Share of the picture within which a name right of the target would be on the target's own.
+NEAR = 0.2
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,10 @@ def draw_scene(
             _draw_anchors(axes, view, actors)
     for actor in actors:
         draw_shape(axes, view, actor.shape, actor.color, ghost=actor.ghost, label=actor.label)
-    draw_target(axes, marks, name, line=line)
+    beside = named_points(view, constraints) - marks[:, :1]
+    across = NEAR * float(np.ptp(extent[0]))
+    left = bool(np.any((beside[0] > 0) & (beside[0] < across) & (np.abs(beside[1]) < across / 2)))
+    draw_target(axes, marks, name, line=line, left=left)
     if name:
         extent = np.hstack([extent, marks + np.array([[0.0], [room]])])
     axes.set_aspect("equal", adjustable=fill)

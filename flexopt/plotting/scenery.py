@@ -21,7 +21,12 @@ from flexopt.foundation.palette import colors
 from flexopt.model.constraints import Area, Box, Constraints, HalfPlane, Obstacle, Sphere
 from flexopt.plotting.shape import Points, Shape, View
 
-WHAT_HOLDS = {"footprint": "the whole footprint", "point": "the anchor point (ring)"}
+# Of the areas where the machine may stand, and of those where it must not.
+MAY = {"footprint": "the whole footprint may stand here", "point": "the anchor point (ring) may stand here"}
+MUST_NOT = {
+    "footprint": "no part of the footprint may stand here",
+    "point": "the anchor point (ring) may not stand here",
+}
 # Below this share a plane's normal is seen end-on: it has no trace in the view.
 TRACE = 0.05
 
@@ -33,13 +38,13 @@ def held(constraints: Constraints, shape: Shape) -> str:
 
 def draw_scenery(axes: Axes, view: View, constraints: Constraints, height: float, holds: str) -> None:
     """Obstacles of the clearance, and the areas of the placement, on the ground at `height`, m, where seen upright."""
-    inks, what = colors(), WHAT_HOLDS[holds]
+    inks = colors()
     clearance = constraints.clearance
     for obstacle in clearance.obstacles if clearance is not None else ():
         _draw_obstacle(axes, view, obstacle)
     for areas, color, label in (
-        (constraints.region, inks.allowed, f"{what} may stand here"),
-        (constraints.keep_out, inks.forbidden, f"{what} must not"),
+        (constraints.region, inks.allowed, MAY[holds]),
+        (constraints.keep_out, inks.forbidden, MUST_NOT[holds]),
     ):
         for k, area in enumerate(areas or ()):
             _draw_area(axes, view, area, color, label if k == 0 else "_", height)
@@ -59,6 +64,14 @@ def scenery_points(view: View, constraints: Constraints) -> Points:
         for area in constraints.region or ():
             found.append(np.array(area, dtype=np.float64).T)
     return np.hstack(found) if found else np.zeros((2, 0))
+
+
+def named_points(view: View, constraints: Constraints | None) -> Points:
+    """Points (2, K) on which names of obstacles are written."""
+    clearance = None if constraints is None else constraints.clearance
+    named = [each for each in (clearance.obstacles if clearance else ()) if each.name]
+    found = [view.of(np.array(each.center)) for each in named if not isinstance(each, HalfPlane)]
+    return np.array(found).reshape(-1, 2).T
 
 
 def _draw_obstacle(axes: Axes, view: View, obstacle: Obstacle) -> None:

@@ -209,7 +209,9 @@ def test_a_plan_is_a_film_strip():
 def test_what_may_stand_where_is_said_and_marked():
     figure = made("problem pipe-laying").plot()  # holds = "point"
     above = figure.axes[1]
-    assert "the anchor point (ring) may stand here" in above.get_legend_handles_labels()[1]
+    said = above.get_legend_handles_labels()[1]
+    assert "the anchor point (ring) may stand here" in said
+    assert "the anchor point (ring) may not stand here" in said
     selection = made("problem pipe-laying")
     rings = [line.get_xydata()[0] for line in above.lines if line.get_markeredgecolor() == LIGHT.allowed]
     for e in (selection.initial, selection.best.evaluation):

@@ -18,12 +18,26 @@ from flexopt.plotting.scenery import draw_scenery
 from flexopt.plotting.shape import capsule_outline, machine_segments, shape_at, shape_of, views
 from flexopt.plotting.trajectory import deflection_panel
 from tests.oracles.spatial import grounded, in_space, pinocchio_tree, random_tree
+from tests.plotting.looking import faults
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
 CAPSULES = [
     {"body": "base.rotation", "start": [-0.2, 0.3, 0.1], "end": [0.4, -0.3, 0.1], "radius": 0.25},
     {"body": "stick", "start": [0.0, 0.0, 0.0], "end": [1.0, 0.0, 0.0], "radius": 0.1},
 ]
+
+
+def test_the_names_of_a_target_and_of_an_obstacle_beside_it_are_apart():
+    """The target is before a wall whose middle is as high as it."""
+    wall = {"name": "wall", "kind": "box", "center": [0.45, 1.7], "size": [0.3, 2.0]}
+    asked = {"clearance": {"distance": 0.05, "obstacles": [wall], "bodies": ["boom"]}}
+    data = flexopt.load("excavator").to_dict()
+    data |= {"capsules": [{"body": "boom", "start": [0.0, 0.0], "end": [1.9, 0.0], "radius": 0.05}]}
+    machine = flexopt.machine_from_dict(data)
+    selection = flexopt.select(machine, (0.0, 1.6), base=0.0, starts=4, constraints=asked)
+    figure = selection.plot()
+    assert {"target", "wall"} <= {text.get_text() for text in figure.axes[0].texts}
+    assert faults(figure) == []
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +185,7 @@ def test_planar_machine_with_volumes_and_obstacles():
     data = flexopt.load("excavator").to_dict()
     data |= {"capsules": [{"body": "boom", "start": [0.0, 0.0], "end": [1.9, 0.0], "radius": 0.2}]}
     data |= {"support": {"span": [-1.0, 1.2]}}
-    asked = {"region": [[-2.0, 3.0]], "clearance": {"distance": 0.1, "obstacles": [
+    asked = {"region": [[-2.0, 3.0]], "keep_out": [[6.0, 9.0]], "clearance": {"distance": 0.1, "obstacles": [
         {"kind": "sphere", "center": [-3.0, 1.0], "radius": 0.4}]}}  # fmt: skip
     selection = flexopt.select(flexopt.machine_from_dict(data), (0.0, 1.6), base=0.0, constraints=asked)
     axes = selection.plot().axes[0]
@@ -183,6 +197,7 @@ def test_planar_machine_with_volumes_and_obstacles():
                if patch.get_path().vertices.shape[0] > len(outline))  # fmt: skip
     drawn = lines(axes)
     np.testing.assert_allclose(drawn["the whole footprint may stand here"][:, 0], [-2.0, 3.0])
+    np.testing.assert_allclose(drawn["no part of the footprint may stand here"][:, 0], [6.0, 9.0])
     stands = [patch.get_path().vertices[:, 0] for patch in axes.patches if isinstance(patch, FancyBboxPatch)]
     assert any(np.allclose([x.min(), x.max()], best.base[0] + np.array([-1.0, 1.2])) for x in stands)
 
