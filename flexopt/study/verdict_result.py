@@ -276,7 +276,8 @@ class Verdict(Pictured, Result):
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
         ran = [place.runs for place in self.places if place.runs]
         if self._drifts and ran and (self.word == "cannot tell" or any(runs.undecided for runs in ran)):
-            lines.append("  the arm's self-motion is not damped in these runs; loop.nullspace_damping brakes it")
+            told = "the arm's self-motion is not damped, neither in these runs nor in the linear loop"
+            lines.append(f"  {told}; loop.nullspace_damping brakes it")
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
         return "\n".join([*lines, *([self.measure] if self.measure else [])])
 

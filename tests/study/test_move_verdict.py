@@ -182,6 +182,7 @@ def test_a_self_motion_that_nothing_brakes_is_told_where_no_word_is_found(dampin
     assert all(place.runs is None or not place.runs.undecided for place in found.places)
     assert found.word == "cannot tell" or not told
     assert ("loop.nullspace_damping brakes it" in repr(found)) == told
+    assert ("nor in the linear loop" in repr(found)) == told
 
 
 def test_a_target_that_grows_grows() -> None:
