@@ -17,6 +17,8 @@ from flexopt.plant.control import task_to_joints
 
 RATE_MAX = 1e4
 GAIN_MAX = 1e12
+# Laws of the end-point's error, in simulated runs too, take the weight for compensated.
+WEIGHT = " The torque does not carry the arm's weight: what does is added to it, or the drives hold it."
 
 
 def damps_self_motion(plant: Plant, control: Control) -> bool:
@@ -119,7 +121,7 @@ def _torque(at: Context, control: Control) -> Operation:
         f"Task-space controller, Jacobian {method}: torque = {matrix} f with f = Kp (target_point - measured_point) + "
         "Kv (target_rate - measured_rate). Jv at the measured joints, passive coordinates at rest."
     )
-    force, spread = _force_units(at)
+    force, spread = force_units(at), _spread_units(at)
     if control == "inverse":
         text += f" f is in {force}: Jv^+ is in {spread} (Moore-Penrose where the arm is redundant)."
     if damped_freely:
@@ -127,17 +129,25 @@ def _torque(at: Context, control: Control) -> Operation:
         scale += " + nullspace_damping times |joint_rates|"
     if damping is not None:
         text += f" f is in {force}, and lambda = {damping:g} in the unit of Jv's entries. No posture is refused."
+    text += WEIGHT
     return at.operation(f"torque_{method}", text, inputs, [(output, torque, size)], guards)
 
 
-def _force_units(at: Context) -> tuple[str, str]:
-    """Units of f under an inverse, and of the inverse: of arms of hinges, of slides, of both."""
-    units = {"rad": ("N m^2", "rad/m"), "m": ("N", "m/m")}
-    there = [units[unit] for unit in units if unit in at.machine.joint_units]
+def force_units(at: Context) -> str:
+    """Unit of f under an inverse: of arms of hinges, of slides, of both."""
+    return _by_joint(at, "N m^2", "N", "for")
+
+
+def _spread_units(at: Context) -> str:
+    """Unit of the inverse."""
+    return _by_joint(at, "rad/m", "m/m", "of")
+
+
+def _by_joint(at: Context, hinges: str, slides: str, word: str) -> str:
+    there = set(at.machine.joint_units)
     if len(there) == 1:
-        return there[0]
-    (force, spread), (of_slides, slides_spread) = there
-    return f"{force} for hinges and {of_slides} for slides", f"{spread} of hinges and {slides_spread} of slides"
+        return hinges if "rad" in there else slides
+    return f"{hinges} {word} hinges and {slides} {word} slides"
 
 
 def position(at: Context, name: str, text: str) -> Field:

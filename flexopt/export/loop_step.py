@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 
 from flexopt.export.context import Context, sine_squared, unit_list
-from flexopt.export.control import GAIN_MAX, RATE_MAX, position, speed, torque_unit
+from flexopt.export.control import GAIN_MAX, RATE_MAX, WEIGHT, force_units, position, speed, torque_unit
 from flexopt.export.operations import Field, Operation
 from flexopt.foundation.control import control_method
 from flexopt.loop.feedback import FeedbackLaw, joint_torque, low_pass, nullspace_torque
@@ -52,6 +52,11 @@ class _Law:
         """Whether it has states, which go out and come in again."""
         return self.integral or self.loop.filter_hz is not None
 
+    @property
+    def force_unit(self) -> str:
+        """Of f: a rate of the end-point where joints are asked for rates."""
+        return "m/s" if self.served else "N" if self.loop.control == "transpose" else force_units(self.at)
+
     def inputs(self) -> list[tuple[Field, ca.SX]]:
         """Measurements, target, and the states that the last call gave."""
         at, r, field = self.at, self.at.plant.n_task, self.at.sizes.field
@@ -66,7 +71,7 @@ class _Law:
                       (speed(at, "filtered_rate", f"its rate, {text}"), ca.SX.sym("kept_rate", r))]  # fmt: skip
         if self.integral:
             size = float(max(self.loop.kp)) or 1.0
-            about = field("integral", "TASK", "as the force f", "of the error, as the last call gave it, at first 0",
+            about = field("integral", "TASK", self.force_unit, "part of f, as the last call gave it, at first 0",
                           low=-GAIN_MAX, high=GAIN_MAX, sample=(-0.1 * size, 0.1 * size))  # fmt: skip
             found.append((about, ca.SX.sym("i", r)))
         if self.damped:
@@ -100,7 +105,7 @@ class _Law:
         largest = {name: float(max(getattr(loop, name))) for name in ("kp", "kv", "ki")}
         size = largest["kp"] * far + largest["kv"] * fast + ca.norm_2(states)
         if self.integral:
-            about = field("next_integral", "TASK", "as the force f", "integral of the next call",
+            about = field("next_integral", "TASK", self.force_unit, "integral of the next call",
                           scale="|integral| + Ki T (|target_point| + |measured_point|)")  # fmt: skip
             found.append((about, law.successor(e, states, ca.SX(period), gains),
                           ca.norm_2(states) + largest["ki"] * period * far))  # fmt: skip
@@ -146,7 +151,7 @@ def _about(loop: LoopSettings, law: _Law) -> str:
     if loop.filter_hz is not None:
         text += f"; measurements run through a low-pass of first order with the corner {loop.filter_hz:g} Hz before"
     if law.damped:
-        text += f"; a damper on the self-motion is added, {loop.nullspace_damping:g}"
+        text += f"; a damper on the self-motion is added, {loop.nullspace_damping:g} {loop.damping_unit}"
     if not law.served and loop.torque_limit is not None:
         text += f"; torques within {_listed(loop.torque_limit)}"
     text += (
@@ -156,6 +161,7 @@ def _about(loop: LoopSettings, law: _Law) -> str:
     text += (
         ": what is called next_ is handed in at the next call." if law.keeps else ", and needs none of the last call."
     )
+    text += "" if law.served else WEIGHT
     if law.drifts:
         text += (
             " The arm has more joints than task rows, and nothing here brakes its self-motion, which may drift: "

@@ -81,7 +81,10 @@ class Field:
     @property
     def range_text(self) -> str:
         """Its range in words, after what it is."""
-        return f"; from {self.low[0]:g} to {self.high[0]:g}" if self.same_range else "; each in its own range"
+        if self.same_range:
+            return f"; from {self.low[0]:g} to {self.high[0]:g}"
+        low, high = (", ".join(f"{x:g}" for x in side) for side in (self.low, self.high))
+        return f"; from [{low}] to [{high}]"
 
     @property
     def turns(self) -> bool:

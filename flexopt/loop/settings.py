@@ -80,6 +80,11 @@ class LoopSettings(Result):
         """See the class."""
         return RATE_GAIN_UNITS if self.drive == "velocity" else self.force_units
 
+    @property
+    def damping_unit(self) -> str:
+        """Of `servo_gain` and `nullspace_damping`: of arms of hinges, of slides, of both."""
+        return " or ".join(dict.fromkeys("N m s/rad" if unit == "rad" else "N s/m" for unit in self.joint_units))
+
     def motions(self, machine: AnyMachine, *, gravity: bool) -> SmallMotions:
         """The Functions of this loop."""
         return small_motions(
@@ -122,11 +127,12 @@ class LoopSettings(Result):
         gains = [f"{name} {_numbers(getattr(self, name.lower()))}{unit and ' ' + unit}"
                  for name, unit in zip(("Kp", "Kv", "Ki"), self.gain_units, strict=True)
                  if name != "Ki" or self.feedback == "pid"]  # fmt: skip
-        unit = " or ".join(dict.fromkeys("N m s/rad" if unit == "rad" else "N s/m" for unit in self.joint_units))
-        served = "" if self.servo_gain is None else f" (servo gain {self.servo_gain:.4g} {unit})"
+        served = "" if self.servo_gain is None else f" (servo gain {self.servo_gain:.4g} {self.damping_unit})"
         parts = [f"{self.drive}-served joints{served}", *gains, f"{self.rate:g} Hz", f"dead time {self.dead_time:g} s"]
         parts += [] if self.filter_hz is None else [f"filter {self.filter_hz:g} Hz"]
         parts += [] if self.bandwidth_hz is None else [f"servo {_numbers(self.bandwidth_hz)} Hz"]
+        if self.nullspace_damping > 0:
+            parts.append(f"damper of the self-motion {self.nullspace_damping:.4g} {self.damping_unit}")
         lines = [f"{self.feedback.upper()}, Jacobian {self.control} control, {', '.join(parts)}"]
         return "\n".join(lines + [f"  {name}: {source}" for name, source in self.sources.items()])
 

@@ -64,13 +64,29 @@ def test_an_option_changes_the_hash(machine: flexopt.Machine, tmp_path: Path) ->
     assert len(hashes) == 4
 
 
+@pytest.mark.needs("gcc", "clang", "make")
+def test_another_compiler_makes_every_object_again(machine: flexopt.Machine, tmp_path: Path) -> None:
+    folder = str(export_c(machine, tmp_path / "bundle", parts=["kinematics"]).folder)
+
+    def compiled(*options: str) -> str:
+        return subprocess.run(
+            ["make", "-C", folder, *options], capture_output=True, text=True, check=True
+        ).stdout  # fmt: skip
+
+    assert "gcc -std=c99" in compiled("CC=gcc")
+    assert "-std=c99" not in compiled("CC=gcc")
+    again = compiled("CC=clang")
+    assert again.count("clang -std=c99") == again.count("-std=c99") == 4
+
+
 def test_a_bundle_is_replaced_with_what_make_left(machine: flexopt.Machine, tmp_path: Path) -> None:
     folder = export_c(machine, tmp_path / "b", parts=SMALL).folder
-    (folder / "selftest").write_text("built")
+    for name in ("selftest", ".compiled"):
+        (folder / name).write_text("built")
     (folder / "src" / "excavator_common.o").write_text("built")
     export_c(machine, folder, parts=["kinematics"])
     assert not (folder / "src" / "excavator_controller.c").exists()
-    assert not (folder / "selftest").exists()
+    assert not any((folder / name).exists() for name in ("selftest", ".compiled"))
     assert list(tmp_path.iterdir()) == [folder]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,46 @@ def test_the_unit_of_the_force_is_that_of_the_joints(tmp_path: Path) -> None:
     ):
         report = flexopt.export_c(flexopt.load(name), tmp_path / name, parts=["controller"])
         assert sentence in (report.folder / "README.md").read_text()
+
+
+def written(report: flexopt.ExportReport, path: str) -> str:
+    """The text of a file of a bundle, comments and lines run on."""
+    return " ".join(re.sub(r"\n *\* ", " ", (report.folder / path).read_text()).split())
+
+
+def test_a_torque_says_that_the_weight_is_not_in_it(tmp_path: Path) -> None:
+    machine, posture = flexopt.load("truck-crane"), (0.46, 0.86, -1.31, 3.0)
+    of_torques = flexopt.export_c(
+        machine, tmp_path / "torque", parts=["controller"], posture=posture, loop={"kp": 2e5, "kv": 1e5}
+    )
+    of_rates = flexopt.export_c(machine, tmp_path / "rate", parts=["loop"], posture=posture, loop={"drive": "velocity"})
+    sentence = "The torque does not carry the arm's weight"
+    for path in ("README.md", "include/truck_crane_control.h"):
+        assert written(of_torques, path).count(sentence) == 3
+        assert sentence not in written(of_rates, path)
+
+
+def test_ranges_and_units_of_every_member_stand_in_the_header(tmp_path: Path) -> None:
+    """Those of joints that differ, of the integral, and of the damper."""
+    loop = {"feedback": "pid", "kp": 2e5, "kv": 1e5, "ki": 2e4, "nullspace_damping": 1e4}
+    report = flexopt.export_c(
+        flexopt.load("truck-crane"), tmp_path, parts=["loop"], posture=(0.46, 0.86, -1.31, 3.0), loop=loop
+    )
+    header = written(report, "include/truck_crane_control.h")
+    assert "from [-3.57727, -0.347266, -2.70727, -0.05] to [3.57727, 1.48727, 0.177266, 3.25]" in header
+    assert "/* N m^2 for hinges and N for slides; part of f, as the last call gave it, at first 0" in header
+    assert "a damper on the self-motion is added, 10000 N m s/rad or N s/m" in header
+    assert "damper of the self-motion 1e+04 N m s/rad or N s/m" in written(report, "README.md")
+
+
+def test_the_gain_that_a_loop_bears_is_told_where_it_is_stable(tmp_path: Path) -> None:
+    excavator, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
+    stable = flexopt.export_c(excavator, tmp_path / "b", parts=["loop"], loop=loop, posture=B)
+    assert "may grow until Kp is 2.911e+04 N m;" in written(stable, "README.md")
+    with pytest.warns(FlexoptWarning, match="the loop grows at"):
+        grows = flexopt.export_c(excavator, tmp_path / "a", parts=["loop"], loop=loop, posture=(0.992, -2.63))
+    assert "may grow until" not in written(grows, "README.md")
+    assert "It is not for this posture: `flexopt evaluate`" in written(grows, "README.md")
 
 
 def test_what_does_not_go_together(tmp_path: Path) -> None:
