@@ -18,7 +18,7 @@ from flexopt.plotting.scene import Actor, draw_scene, legend_above, target_point
 from flexopt.plotting.shape import Points, shape_of, views
 from flexopt.plotting.sheet import Sheet, picture
 from flexopt.plotting.units import labelled, measure_label, objective_label
-from flexopt.robustness.evaluation import Evaluation, without_rounding
+from flexopt.robustness.evaluation import Evaluation, unreached, without_rounding
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.result import Selection
 
@@ -158,9 +158,9 @@ def draw_candidates(panels: Sequence[Axes], selection: Selection) -> None:
 
 
 def _shares(evaluation: Evaluation) -> Points:
-    """The measures w_i / |a_i||b_i|, from −2 to 0; 0 where the mode is not reached at all."""
-    scale = evaluation.scale
-    shares: Points = np.divide(evaluation.w, scale, out=np.zeros_like(scale), where=scale > 0)
+    """The measures w_i / |a_i||b_i|, from −2 to 0; nothing where the mode is not reached, as in the table."""
+    scale, reached = evaluation.scale, ~unreached(evaluation.scale)
+    shares: Points = np.divide(evaluation.w, scale, out=np.full_like(scale, np.nan), where=reached)
     return shares
 
 

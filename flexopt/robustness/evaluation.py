@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.coprime.margin import with_bound
 from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
 
 # Below this share of |a_i||b_i| w_i is 0, and shown as such: its terms cancel.
 ROUNDING = 1e-13
+# Below this share of the largest |a_i||b_i| a mode is not reached: what is left where a_i = 0 was sought is rounding,
+# and its direction chance.
+UNREACHED = 1e-11
 
 
 @dataclass(frozen=True)
@@ -201,7 +205,7 @@ class Evaluation(Result):
             f"{self.machine}, Jacobian {self.control} control: base {placed}; {angles}; end-point ({point}) m",
             f"  mode   frequency    damping {heading:>13}      w/|a||b|   in phase",
         ]
-        hidden = self.scale <= ROUNDING * self.scale.max()
+        hidden = unreached(self.scale)
         for i, w in enumerate(without_rounding(self.w, self.scale)):
             start = f"  {i + 1:4d} {self.frequencies_hz[i]:8.4f} Hz {self.damping_ratios[i]:10.3e}"
             if hidden[i]:
@@ -230,6 +234,14 @@ class Evaluation(Result):
         lines += [f"  {cylinder}" for cylinder in self.cylinders]
         lines += [] if self.outcome is None else repr(self.outcome).splitlines()
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
+
+
+def unreached(scale: Vector) -> NDArray[np.bool_]:
+    """Modes (m,) in which the end-point does not move, or that no feedback excites, of |a_i||b_i| (m,).
+
+    Their w_i/|a_i||b_i| and phase have no meaning, and are not shown.
+    """
+    return np.asarray(scale <= UNREACHED * scale.max())
 
 
 def without_rounding(w: Vector, scale: Vector) -> Vector:

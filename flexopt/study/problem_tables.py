@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from flexopt.plant import build_plant
-from flexopt.robustness.evaluation import Evaluation, without_rounding
+from flexopt.robustness.evaluation import Evaluation, unreached, without_rounding
 from flexopt.robustness.residues import residue_unit, written_unit
 from flexopt.selection import Selection
 from flexopt.selection.result import ConstraintValue
@@ -138,14 +138,17 @@ def modes(report: Report, name: str) -> Table:
     stand = report.stands[name]
     shares, names = report.mode_shares(stand), build_plant(report.machine).coordinates
     rows: list[list[str]] = []
+    hidden = unreached(stand.scale)
     for i, w in enumerate(without_rounding(stand.w, stand.scale)):
         moving = [k for k in np.argsort(-shares[:, i]) if shares[k, i] >= NAMED]
-        share = w / stand.scale[i] if stand.scale[i] > 0 else 0.0
-        phase = "strictly" if stand.in_phase_strict[i] else "yes" if stand.in_phase[i] else "no"
+        none = bool(hidden[i])
+        share = "–" if none else number(w / stand.scale[i], 4)
+        phase = "–" if none else "strictly" if stand.in_phase_strict[i] else "yes" if stand.in_phase[i] else "no"
         rows.append(
             [
-                str(i + 1), number(stand.frequencies_hz[i]), number(stand.damping_ratios[i], 3), number(w),
-                number(share, 4), phase, ", ".join(f"{names[k]} {100 * shares[k, i]:.0f} %" for k in moving),
+                str(i + 1), number(stand.frequencies_hz[i]), number(stand.damping_ratios[i], 3),
+                number(0.0 if none else w), share, phase,
+                ", ".join(f"{names[k]} {100 * shares[k, i]:.0f} %" for k in moving),
             ]
         )  # fmt: skip
     header = [f"mode, {name}", "frequency, Hz", "damping ratio", f"w, {written_residue(stand)}", "w/|a||b|", "in phase"]

@@ -3,11 +3,13 @@
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import flexopt
+from flexopt.plotting.selection import _shares
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +35,15 @@ def test_artists_carry_the_result(selection):
         np.testing.assert_allclose(drawn["elbow up"], np.column_stack([scan.base[0, up], scan.w[mode, up]]))
         low, high = panel.get_ylim()
         assert low < min(best.w[mode], initial.w[mode]) <= high
+
+
+def test_a_mode_that_is_not_reached_has_no_share():
+    """The table tells none; a bar of its rounding would look like a number."""
+    stand = flexopt.evaluate(flexopt.load("mobile-manipulator"), [0.0, -1.0, 1.5, -0.5, -1.57, 0.0])
+    assert np.isfinite(_shares(stand)).all()
+    hidden = replace(stand, scale=stand.scale * [1.0, 1e-13, 1.0], w=stand.w * [1.0, 1e-13, 1.0])
+    assert repr(hidden).count("–   –") == 1
+    assert np.isnan(_shares(hidden)).tolist() == [False, True, False]
 
 
 def test_files(selection, tmp_path):
