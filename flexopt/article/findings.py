@@ -74,9 +74,9 @@ def below_maximum(lines: Sequence[Curve], inverse: WorkspaceMap) -> ArticleFindi
     values = inverse.array("epsilon_max")
     share, elsewhere = inverse.fraction(values > limit), float(np.nanmax(values))
     sentence = (
-        f"Along y = {lines[0].y:g} m of the workspace ε_max is at most: {listed}. With the elbow up, as in Table 2, it "
-        f"stays {'below' if drawn < PRINTED_MAXIMUM else 'not below'} {PRINTED_MAXIMUM} there, and "
-        f"{'above' if drawn > limit else 'below'} sin(π/8) = {limit:.6f}, which is that of a/s². Off that line, in the "
+        f"Along y = {lines[0].y:g} m of the workspace ε_max is at most: {listed}. With the elbow up, as in Table 2, "
+        f"this most is {'below' if drawn < PRINTED_MAXIMUM else 'not below'} {PRINTED_MAXIMUM}, and "
+        f"{'above' if drawn > limit else 'below'} sin(π/8) = {limit:.6f}, the ε_max of a/s². Off that line, in the "
         f"mapped workspace, it reaches {elsewhere:.6f} and exceeds sin(π/8) on {100 * share:.1f} %."
     )
     numbers = {"largest": largest, "sin_pi_8": limit, "largest_in_workspace": elsewhere, "fraction_above": share}

@@ -22,14 +22,16 @@ CAPTIONS = {
     "figure7": "Fig. 7. w_i over the workspace: (a) to (c) transpose, (d) to (f) inverse control.",
     "figure8": "Fig. 8. ε_max and w_1 along y_d, elbow up. Red lines: Table 2's end-points, and where the measures "
     "printed for posture B are found.",
-    "figure9": "Fig. 9. Nonlinear closed loop at postures A and B of Table 2: (a), (b) end-point error, (c) to (e) "
-    "base oscillation. Gains and start are stated, not printed. The optimised posture is an addition.",
+    "figure9": "Fig. 9. Nonlinear closed loop at postures A and B of Table 2: end-point error on the left, the "
+    "article's (a), (b), base oscillation on the right, its (c) to (e). Gains and start are stated, not printed. The "
+    "optimised posture is an addition.",
     "figure10": "Fig. 10. The base's way by nullspace augmentation from posture A, with the article's stop and without "
-    "it: (a) the machine, (b) position and (c) rate of the base, (d) the objective.",
-    "figures11and12": "Figs. 11 and 12. End-point error (a), (b) and base oscillation (c) to (e) with base adjustment "
-    "from A to B along Fig. 10, and without at A. Gains and start are stated, not printed.",
-    "gains": "Not in the article: decay of the sampled linear loop over both gains, RK4 at 200 Hz, black where "
-    "it is 0; marks: nonlinear runs.",
+    "it: the machine on the left, the article's (a); on the right, from above, position and rate of the base and the "
+    "objective, its (b) to (d).",
+    "figures11and12": "Figs. 11 and 12. End-point error on the left, base oscillation on the right, with base "
+    "adjustment from A to B along Fig. 10, and without at A. Gains and start are stated, not printed.",
+    "gains": "Not in the article: decay of the sampled linear loop over both gains, exact between the samples, black "
+    "where it is 0; marks: nonlinear runs by RK4 at 200 Hz, crosses where they show another sign than this decay.",
     "gaps": "Not in the article: ν-gap between kr R0/s² and the full plant, and ε_max, as the damping grows.",
 }
 

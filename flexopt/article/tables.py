@@ -37,7 +37,7 @@ WORKSPACE_B_OF_MEASURES = (1.5575, 1.0870)
 # Where kr is looked for, log10.
 GAIN_DECADES = (4.0, 7.0)
 NOTE = (
-    "Posture A is met to 0.1 % (w3 is printed with one digit); its three inputs differ in the fourth digit. The "
+    "Posture A is met to 0.25 % (w3 is printed with one digit); its three inputs differ in the fourth digit. The "
     "article does not print the servo gain kr of ε_max: it is inferred from posture A, so that posture B is the check. "
     "The measures printed for posture B do not belong to the end-point printed for it (workspace x = 1.32687 m): they "
     "are those of x = 1.5575 m. The article contradicts itself there. Posture B is no local maximum of w1 either; "

@@ -119,7 +119,7 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
 @GRAVITY
 @LOOP
 @RANGES
-@option("--certify", is_flag=True, help="Prove that no configuration is better; where the redundancy is one.")
+@option("--certify", is_flag=True, help="Prove that no configuration is better; of two actuated joints in a plane.")
 @value(
     "--proof",
     "FILE.json",

@@ -43,6 +43,18 @@ def test_margins_of_table_2(result):
     assert abs(inferred.other_epsilon_b - 0.3826) > 1e-3
 
 
+def test_the_map_of_gains_says_whose_decay_it_draws(result):
+    """Colours and crosses are of the loop itself, exact between the samples; the runs are the integrator's."""
+    caption = article_page.CAPTIONS["gains"]
+    assert caption.index("exact between the samples") < caption.index("nonlinear runs by RK4")
+    assert len(result.gains.disagreements) > len(result.gains.own_disagreements)
+
+
+def test_the_largest_margin_is_told_as_the_largest(result):
+    sentence = finding(result.contradictions, "maximum of ε_max").sentence
+    assert "this most is below 0.3827, and above sin(π/8)" in sentence
+
+
 def test_figures_as_files_of_a_slides_size(result, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(

@@ -1,5 +1,7 @@
 """Table 2 of the article: posture A within 0.2 %, posture B in both readings, the contradiction shown."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,13 @@ def test_posture_a(table):
         assert abs(row.deviation[1]) <= 2.5e-3
         assert round(row.evaluation.w[2] * 1e3, 3) == -0.001
     assert min(abs(row.deviation[1]) for row in rows) <= 2e-3
+
+
+def test_the_note_says_how_near_posture_a_is(table):
+    """By w_1 and w_2; w_3 is printed with one digit."""
+    percent = float(re.search(r"Posture A is met to ([\d.]+) %", repr(table)).group(1))
+    largest = 100 * max(np.abs(row.deviation[:2]).max() for row in table.rows if row.posture == "A")
+    assert 0.9 * percent <= largest <= percent
 
 
 def test_posture_b_contradicts_itself(table):

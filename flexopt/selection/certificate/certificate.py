@@ -135,8 +135,8 @@ def not_provable(problem: SelectionProblem) -> str | None:
         return f"has Functions of its own ({', '.join(own)}), of which no bound over whole cells is known"
     if not plant.closed_form or plant.n_actuated != 2 or problem.redundancy > 1:
         return (
-            "has more than the one degree of redundancy that can be covered: two actuated joints in a plane, a target "
-            "and the placement x; elsewhere the best of all starts is the best that was found"
+            "is of a kind that cannot be covered: proofs need two actuated joints in a plane, and a target that leaves "
+            "the placement x alone free; elsewhere the best of all starts is the best that was found"
         )
     if problem.gravity:
         return "asks for the static deflection under gravity, which postures in closed form leave out"
