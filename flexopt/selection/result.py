@@ -331,6 +331,9 @@ class Selection(Pictured, Result):
         if self.initial is not None:
             e = self.initial
             off = elsewhere(problem, np.concatenate([e.base, e.posture]))
+            plant = problem.measures.plant
+            if problem.present_posture is None and plant.n_actuated > plant.n_task:
+                off = "one of the postures that reach the target from there: none was given"
             lines.append(f"   now {in_columns(e)}{_measures(problem, e)}{off and '   ' + off}")
         lines.append(f"  {units_told(best)}")
         lines += [f"  {kept}" for kept in self.kept]

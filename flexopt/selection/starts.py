@@ -174,7 +174,9 @@ def starting_points(problem: SelectionProblem, workers: int = 1) -> list[Vector]
     order = order[good[order]] if good.any() else order
     best = z[:, order[: max(count, round(BEST_SHARE * order.size))]]
     if not good.any() or not climbs(problem):
-        return apart(problem, best, count)
+        found = apart(problem, best, count)
+        # What was moved onto a limit may be one point many times: the best of the sample, all of it.
+        return found if len(found) == count else apart(problem, z[:, order], count)
     return _in_turn(problem, best[:, : CLIMBING * count], count, values_of, workers)
 
 

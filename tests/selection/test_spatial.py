@@ -325,3 +325,19 @@ def test_random_trees_reach_what_pinocchio_says_they_do(seed):
     for k in np.flatnonzero(left <= REACHED):
         again = oracle.task(np.concatenate([rest, found[:, k]]), base)[0]
         np.testing.assert_allclose(again, target, atol=1e-8)
+
+
+def test_a_curve_whose_best_third_is_one_point_is_started_from_all_along() -> None:
+    """A crane that stands still: much of the sample lies on the telescope's limit, and there w_1 is best."""
+    crane, still = flexopt.load("truck-crane"), {"x": [0.0, 0.0], "y": [0.0, 0.0], "yaw": [0.0, 0.0]}
+    found = flexopt.select(crane, (6.0, 3.0, 2.0), base=[0.0, 0.0, 0.0], base_range=still, starts=32, workers=1)
+    assert len(found.attempts) == 32
+    assert found.best.evaluation.w[0] == pytest.approx(-1.7428e-6, rel=1e-4)
+    # The other end of the curve, on the limit of the knuckle.
+    assert found.candidates[1].evaluation.w[0] == pytest.approx(-2.5276e-6, rel=1e-4)
+    assert "none was given" in repr(found)
+    held = list(found.initial.posture) if found.initial is not None else []
+    given = flexopt.select(
+        crane, (6.0, 3.0, 2.0), base=[0.0, 0.0, 0.0], posture=held, base_range=still, starts=1, workers=1
+    )
+    assert "none was given" not in repr(given)
