@@ -50,11 +50,16 @@ def asked_posture(call: str, machine: AnyMachine, options: dict[str, Any]) -> An
     control: Control = arguments.control(options["control"] or "inverse")
     arguments.done()
     postures = inverse_kinematics(machine, point, base=base, gravity=options["gravity"], elbow=elbow)
-    return _best(machine, postures, base, control, options) if len(machine.joints) > len(point) else postures[0]
+    return _best(machine, postures, elbow, base, control, options) if len(machine.joints) > len(point) else postures[0]
 
 
 def _best(
-    machine: AnyMachine, postures: list[Vector], base: Any, control: Control, options: Mapping[str, Any]
+    machine: AnyMachine,
+    postures: list[Vector],
+    elbow: str | None,
+    base: Any,
+    control: Control,
+    options: Mapping[str, Any],
 ) -> Vector:
     """Of a redundant arm's sampled postures the one with the greatest w_1, which is said; the first where none has."""
     from flexopt.robustness.batches import w_of_few  # noqa: PLC0415  (a posture that is given does not need it)
@@ -63,6 +68,7 @@ def _best(
     placement = np.zeros(len(machine.base_coordinates)) if base is None else np.atleast_1d(base)
     first = w_of_few(measures, placement, np.array(postures).T)[0]
     if not VOICE.quiet:
-        told = f"of {len(postures)} postures found that reach it the one with the greatest w1 is taken"
+        of = f"of {len(postures)} postures found that reach it" + (f", the elbow {elbow}," if elbow else "")
+        told = f"{of} the one with the greatest w1 is taken"
         say(f"flexopt: --end-point: {told}; --posture names another, `flexopt select` seeks the best", err=True)
     return postures[int(np.argmax(np.where(np.isnan(first), -np.inf, first)))]

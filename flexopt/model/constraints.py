@@ -204,7 +204,7 @@ def _name_of(entry: Any) -> Any:
 class Clearance(FileModel):
     """Least `distance`, m, of the machine's capsules from the ground (at height `ground`, m) and from `obstacles`.
 
-    `bodies` are those that keep it, all that have capsules by default.
+    Bodies that no actuated joint moves stand on the ground: they keep the distance from obstacles alone.
 
     Attributes:
         distance: least one of the capsules from ground and obstacles.

@@ -107,7 +107,7 @@ class Rocker(FileModel):
 
 
 class Cylinder(FileModel):
-    """A hydraulic cylinder and the actuated joint that it drives. Keys and units are those of the module's docstring.
+    """A hydraulic cylinder and the actuated joint that it drives, in m, m/s and N.
 
     The pins (2,) in the plane are [along, left], from the joint that carries the body; (3,) in space in its frame.
 

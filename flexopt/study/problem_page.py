@@ -32,6 +32,10 @@ MAP_CAPTION = (
     "Frequencies, w_i, in-phase regions (yellow: trace R_i > 0), the robust stability margin and the rigid part. Star "
     "and ring: chosen and present configuration; cross: the end-point."
 )
+FOLLOWED = (
+    " From the chosen configuration on each posture is the one nearest to its neighbour's: where none is drawn another "
+    "posture may still reach."
+)
 
 
 def report_html(report: Report) -> str:
@@ -57,7 +61,7 @@ def report_html(report: Report) -> str:
         constraints=constraints(report),
         panels=_panels(report),
         frame="" if report.map is None else begun(str(report.map.dataset.attrs["frame"])),
-        map_caption=MAP_CAPTION,
+        map_caption=MAP_CAPTION + (FOLLOWED if report.map is not None and "end_point" in report.map.options else ""),
         around="at the worst target" if several else "of the chosen configuration",
         loops=_loops(report),
         loops_note=_loops_note(report),

@@ -217,6 +217,12 @@ def test_candidates_without_a_column_of_constraints_are_counted(name: str, reque
     assert len(columns) + (int(told[1]) if told else 0) == len(report.selection.candidates)
 
 
+@pytest.mark.parametrize(("name", "followed"), [("judged", False), ("crowded", True)])
+def test_a_map_of_followed_postures_says_so(name: str, followed: bool, request: pytest.FixtureRequest) -> None:
+    page = Parsed(page_text(request.getfixturevalue(name)))
+    assert ("another posture may still reach" in " ".join(text for _, text in page.all("p"))) == followed
+
+
 def test_nothing_is_minus_zero() -> None:
     assert [study_page.number(value) for value in (-0.0, 0.0, -1.5)] == ["0", "0", "−1.5"]
 
