@@ -9,8 +9,8 @@
  *   machine  sha256 {{ machine.content_hash }}
  *   bundle   sha256 {{ bundle_hash }}
  *
- * Units are SI, angles in radians, counter-clockwise positive; points in the inertial frame, origin on the ground. All
- * reals are {{ real }}. Two-dimensional arrays are row-major. Every function
+ * Units are SI, angles in radians, positive about the axes of the joints, in a plane counter-clockwise; points in the
+ * inertial frame, origin on the ground. All reals are {{ real }}. Two-dimensional arrays are row-major. Every function
  *   - checks each input, and writes its output where it returns {{ PREFIX }}_OK, or {{ PREFIX }}_BEYOND_LIMIT, a warning; with every
  *     other status the output stays as it was ({{ prefix }}_has_output());
  *   - keeps no state, allocates nothing, does not recurse: it may be interrupted and called again with another workspace;
