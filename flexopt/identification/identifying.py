@@ -27,6 +27,7 @@ from flexopt.identification.small_swing import (
     axis_doubts,
     grown,
     near_starts,
+    place_doubts,
     size_doubts,
     unit_doubts,
 )
@@ -149,15 +150,15 @@ def identify(
         shown, spiked = shown.part(slice(None), kept), spiked[:, kept]
         swing = swing_of(shown)
         starts, beginning = near_starts(_small(swing, shown), _poles(shown, swing.m), springs)
-    turned = axis_doubts(swing, shown)
-    doubts += turned
+    mounted = axis_doubts(swing, shown) + place_doubts(swing)
+    doubts += mounted
     small, poles = _small(swing, shown), _poles(shown, swing.m)
     doubts += size_doubts(small, poles)
     candidates = grown(small, starts, beginning, springs)
     noise = _first_noise(small, candidates[0][0])
     _check_motion(shown, noise)
     doubts += _decay_doubts(swing, poles, np.where(np.isin(np.arange(len(entries)), springs), starts[0], 0.0))
-    found, others = _fits(swing, shown, candidates, noise, turned)
+    found, others = _fits(swing, shown, candidates, noise, mounted)
     _check_motion(shown, found.sigma)
     doubts += swinging_joints(swing, chosen, found)
     weak, unseen = hidden(swing, found, shown.time)
@@ -179,17 +180,17 @@ def identify(
 
 
 def _fits(
-    swing: HeldSwing, log: MeasuredLog, starts: list[tuple[Vector, Vector]], noise: Vector, turned: Sequence[str]
+    swing: HeldSwing, log: MeasuredLog, starts: list[tuple[Vector, Vector]], noise: Vector, mounted: Sequence[str]
 ) -> tuple[Fit, list[Vector]]:
     """The best fit and θ of others that the log does not tell from it; of these the nearest to the file is the best.
 
-    `turned`: what is said of the accelerometer's axes, which is why a log may have no fit.
+    `mounted`: what is said of the accelerometer's axes and place, which is why a log may have no fit.
     """
     longest_step(swing, np.zeros(len(swing.names)), log.time)
     if not all(_is_slow(swing, theta, log.time) for theta, _ in starts):
         raise _refused(
             "shows a motion that this machine does not make with any springs near its file's: are signs and units of "
-            "its columns right, and its first and last samples no spikes?" + "".join(f" And {each}" for each in turned)
+            "its columns right, and its first and last samples no spikes?" + "".join(f" And {each}" for each in mounted)
         )
     fits = [fit(swing, log, theta, deviation, noise) for theta, deviation in starts]
     least = min(fits, key=lambda each: each.misfit)

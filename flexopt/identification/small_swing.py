@@ -318,14 +318,17 @@ def axis_doubts(swing: HeldSwing, log: MeasuredLog) -> list[str]:
     ]
 
 
+def place_doubts(swing: HeldSwing) -> list[str]:
+    """Whether the accelerometer sits beyond the machine."""
+    far, reach = float(np.linalg.norm(swing.imu)), outer_reach(swing.plant)[1]
+    if far <= AWAY * reach or not any(channel.kind == "acceleration" for channel in swing.channels):
+        return []
+    return [f"imu is {far:.3g} m from the body's origin, of an arm that reaches {reach:.3g} m: is it in mm, not m?"]
+
+
 def size_doubts(small: SmallSwing, poles: Poles) -> list[str]:
     """Columns in which the base would tilt, or something move, by more than any base lets it."""
     found, reach = list[str](), outer_reach(small.swing.plant)[1]
-    far = float(np.linalg.norm(small.swing.imu))
-    if far > AWAY * reach and any(channel.kind == "acceleration" for channel in small.swing.channels):
-        found.append(
-            f"imu is {far:.3g} m from the body's origin, of an arm that reaches {reach:.3g} m: is it in mm, not m?"
-        )
     if not poles.values.size:
         return found
     for k, channel in enumerate(small.swing.channels):

@@ -21,8 +21,8 @@ from flexopt.loop.spectrum import balance
 
 # Share of what the end-point shows at all above which it sees what nothing holds.
 SEEN = 1e-6
-# Powers of Φ that have vanished; a loop that decays by 1e-9 in a sample needs 36 doublings until they have.
-VANISHED, DOUBLINGS = 1e-20, 64
+# Powers of Φ that have vanished, and that will not: a loop that decays by 1e-9 in a sample needs 36 doublings.
+VANISHED, GROWN, DOUBLINGS = 1e-20, 1e60, 64
 # Of the noise within a short time: terms of the Taylor series of e^{As}, ‖A s‖ ≤ 1, and nodes of the quadrature over s.
 TERMS, NODES = 20, 12
 # Whether NumPy's long doubles have more digits than doubles; decimals' digits in their place; and the largest
@@ -191,7 +191,7 @@ class Disturbed:
     def _solved(self) -> tuple[Vector, Vector]:
         """Z and F: Z Zᵀ is the covariance of what is left, Fᵀ F the end-point's variance by what comes in there."""
         matrix, come, shown = self._left
-        return _summed(matrix, come), _summed(matrix.T, shown.T).T
+        return summed(matrix, come), summed(matrix.T, shown.T).T
 
     @cached_property
     def _products(self) -> tuple[Vector, Vector]:
@@ -276,14 +276,20 @@ class Disturbed:
         return np.real(expm_frechet(block, by_between, compute_expm=False, check_finite=False)) * self._early
 
 
-def _summed(matrix: Vector, factor: Vector) -> Vector:
-    """Z of Z Zᵀ = Σ Aᵏ G Gᵀ Aᵀᵏ, the solution of X = A X Aᵀ + G Gᵀ, A a matrix whose powers decay: by doubling."""
+def summed(matrix: Vector, factor: Vector) -> Vector:
+    """Z of Z Zᵀ = Σ Aᵏ G Gᵀ Aᵀᵏ, the solution of X = A X Aᵀ + G Gᵀ, by doubling; NaN where A's powers do not decay.
+
+    So they do not at a border of stability, which is on this side of it by rounding alone.
+    """
     found, power = _joined(factor), matrix
     for _ in range(DOUBLINGS):
-        found, power = _joined(found, power @ found), power @ power
-        if not np.abs(power).max(initial=0.0) > VANISHED:
+        size = np.abs(power).max(initial=0.0)
+        if size <= VANISHED:
+            return found
+        if not size < GROWN:
             break
-    return found
+        found, power = _joined(found, power @ found), power @ power
+    return np.full_like(found, math.nan)
 
 
 def summed_to_rounding(matrix: Vector, factor: Vector, found: Vector) -> Vector:

@@ -358,9 +358,13 @@ def test_an_accelerometer_that_sits_beyond_the_machine_is_told() -> None:
     """In mm for m it would take turns for accelerations, and the springs with them."""
     swung, sentence = planar(), "imu is 500 m from the body's origin"
     log = swung.log("gyro_z", "acc_x", "acc_y")
-    for place, told in (((500.0, 0.0), True), ((0.5, 0.0), False)):
-        found = flexopt.identify(swung.machine, log, posture=swung.posture, imu=place)
-        assert any(doubt.startswith(sentence) and "in mm" in doubt for doubt in found.doubts) == told
+    try:
+        doubts = flexopt.identify(swung.machine, log, posture=swung.posture, imu=(500.0, 0.0)).doubts
+    except flexopt.InputError as error:  # whether a fit is tried at all is rounding's choice
+        doubts = (str(error),)
+    assert any(sentence in doubt and "in mm" in doubt for doubt in doubts)
+    right = flexopt.identify(swung.machine, log, posture=swung.posture, imu=(0.5, 0.0))
+    assert not any(sentence in doubt for doubt in right.doubts)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from scipy.linalg import solve_discrete_lyapunov
 import flexopt
 from flexopt.errors import InputError
 from flexopt.loop.assembly import OneSample
-from flexopt.loop.disturbance import left_over, summed_to_rounding
+from flexopt.loop.disturbance import left_over, summed, summed_to_rounding
 from flexopt.loop.functions import BY, outcome_function
 from flexopt.loop.outcome import MEASURES, LoopPoint
 from flexopt.loop.small_motions import small_motions
@@ -82,6 +82,17 @@ def test_what_a_sum_leaves_over_is_the_same_in_long_doubles_and_in_decimals():
     assert np.abs(left).max() > 0
     corrected = summed_to_rounding(matrix, factor, rounded)
     assert np.abs(left_over(matrix, factor, corrected, wide=False)).max() < 1e-15 * np.abs(rounded).max()
+
+
+@pytest.mark.parametrize("largest", [1 - 1e-9, 1.0, 1 + 1e-12, 1 + 1e-3])
+def test_a_motion_at_the_border_of_stability_has_no_variance(largest: float) -> None:
+    """Nor does what overflows on the way there speak on its own."""
+    matrix, factor = np.diag([largest, 0.5]), np.eye(2)
+    found = summed(matrix, factor)
+    if largest < 1:
+        assert np.diag(found @ found.T) == pytest.approx([1 / (1 - largest**2), 4 / 3], rel=1e-6)
+    else:
+        assert np.isnan(found).all()
 
 
 def test_variance_of_a_run_with_noise_on_the_base():
