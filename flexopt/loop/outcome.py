@@ -411,8 +411,9 @@ class LoopPoint:
         """Root of the end-point's variance at the samples under white noise of unit intensity on every base force, m.
 
         E[d(t) d(t′)ᵀ] = I δ(t − t′) of the forces d on the passive coordinates, N or N m: the H2 norm from them to the
-        end-point, m √s per N s and the like. NaN of a loop that grows or whose self-motion does; infinite where
-        a task row has no gain Kp. What nothing holds and the end-point does not see, self-motion, is divided out.
+        end-point, m √s per N s and the like. NaN of a loop that grows, stands at the border of it or whose self-motion
+        grows; infinite where a task row has no gain Kp. What nothing holds and the end-point does not see, self-motion,
+        is divided out.
 
         Source: Chen and Francis, Optimal Sampled-Data Control Systems, 1995, for what comes in within a sample.
         """
