@@ -25,6 +25,7 @@ from flexopt.cli.common import (
 )
 from flexopt.cli.completing import argument
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.plain import counted
 from flexopt.foundation.quantities import ANGLE, INERTIA, LENGTH, LENGTH_OR_ZERO, MASS, Quantity
 from flexopt.foundation.quantities import several as entries_or_one
 from flexopt.foundation.writing import write_file
@@ -309,7 +310,7 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
         actuated = None if options["actuated"] is None else names(options["actuated"])
         chain = read_chain(Path(robot), options["tip"], actuated)
         if chain.hand:
-            behind = f"{len(chain.hand)} joints behind it, as of a hand, stand still"
+            behind = f"{counted(len(chain.hand), 'joint')} behind it, as of a hand, stand still"
             where = f"site {chain.site} on link {chain.end}" if chain.site else f"link {chain.end}"
             end = f"The end-point is {where}: {behind}. --tip names another."
         based = chain.floats or not chain.sprung

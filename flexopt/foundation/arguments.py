@@ -12,7 +12,7 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.coordinates import check_placement, check_task
-from flexopt.foundation.plain import plain, shown
+from flexopt.foundation.plain import counted, plain, shown
 from flexopt.foundation.quantities import Quantity, coordinate_max, several
 
 # Whatever says what its coordinates are, as every machine does: joints, their units and limits, task rows.
@@ -103,9 +103,9 @@ class Arguments:
         parts = self._parts(field, value)
         if parts is not None and len(parts) != len(names):
             angles = all(unit == "rad" for unit in units)
-            what = ("angle" if angles else "number") + ("s" if len(names) != 1 else "") + (" in rad" if angles else "")
+            what = counted(len(names), "angle" if angles else "number") + (" in rad" if angles else "")
             listed = ", ".join(names if angles else (f"{n} in {u}" for n, u in zip(names, units, strict=True)))
-            wanted = f"needs {len(names)} {what}, one for each actuated joint ({listed}), not {len(parts)}"
+            wanted = f"needs {what}, one for each actuated joint ({listed}), not {len(parts)}"
             self.note(field, wanted, value)
             parts = None
         checked = np.zeros(len(names))

@@ -127,6 +127,11 @@ def _tuples(value: Any) -> Any:
     return tuple(map(_tuples, cast(list[Any], value))) if isinstance(value, list) else value
 
 
+def counted(count: int, one: str, many: str = "") -> str:
+    """A number and what it counts: "1 start", "2 starts"; `many` where that is more than an s behind."""
+    return f"{count} {one if count == 1 else many or one + 's'}"
+
+
 def shown(value: Any) -> str:
     """A value as it is quoted in a message; of a long path its end."""
     if isinstance(value, PurePath):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from flexopt.errors import Fault, InputError
 from flexopt.foundation.arrays import Array, Vector
+from flexopt.foundation.plain import counted
 from flexopt.identification.log import MeasuredLog
 
 SAMPLES_MIN, SAMPLES_MAX = 40, 50_000
@@ -90,7 +91,7 @@ def _holes(time: Vector) -> list[str]:
     wide = step > HOLE * usual
     if wide.any():
         holes, missing = int(wide.sum()), int(np.sum(np.round(step[wide] / usual) - 1))
-        gaps = f"{holes} gap{'s' * (holes > 1)}, about {missing} samples missing"
+        gaps = f"{counted(holes, 'gap')}, about {counted(missing, 'sample')} missing"
         return [f"{gaps}; the longest lasts {step.max():.4g} s"]
     even = np.abs(step - usual).max() <= 0.02 * usual
     return [] if even else [f"sampled unevenly, every {step.min():.3g} to {step.max():.3g} s"]
@@ -105,7 +106,7 @@ def without_spikes(log: MeasuredLog) -> tuple[MeasuredLog, Array]:
         count = int(found[:, k].sum())
         if count:
             at = ", ".join(f"{t:.4g}" for t in log.time[found[:, k]][:3]) + (", …" if count > 3 else "")
-            notes.append(f"{channel.name}: {count} spike{'s' * (count > 1)} left out, at t = {at} s")
+            notes.append(f"{channel.name}: {counted(count, 'spike')} left out, at t = {at} s")
     values[found] = np.nan
     return MeasuredLog(log.time, log.channels, values, (*log.notes, *notes)), found
 

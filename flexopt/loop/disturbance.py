@@ -25,6 +25,8 @@ SEEN = 1e-6
 VANISHED, GROWN, DOUBLINGS = 1e-20, 1e60, 64
 # Of the noise within a short time: terms of the Taylor series of e^{As}, ‖A s‖ ≤ 1, and nodes of the quadrature over s.
 TERMS, NODES = 20, 12
+# Rounding of the entries of Φ, relative, and the largest doubt about the norm, relative, with which it is told.
+ROUNDING, DOUBTED = 16 * float(np.finfo(np.float64).eps), 1e-4
 # Whether NumPy's long doubles have more digits than doubles; decimals' digits in their place; and the largest
 # correction, relative, that is one.
 WIDE, CARRIED, CORRECTED = bool(np.finfo(np.longdouble).eps < 1e-18), 34, 1e-3
@@ -213,12 +215,24 @@ class Disturbed:
 
     @cached_property
     def norm(self) -> float:
-        """The root of the variance, m for forces of unit intensity; infinite where nothing holds what it sees."""
+        """The root of the variance, m for forces of unit intensity; infinite where nothing holds what it sees.
+
+        NaN at a border of stability, and so near it that rounding decides the value.
+        """
         shown = self._shown * self.scale
         if np.linalg.norm(shown @ self._neutral) > SEEN * np.linalg.norm(shown):
             return math.inf
         found = float(np.linalg.norm(self._shown @ self._lifts[1] @ self._solved[0]))
-        return found if 0 < found < math.inf else math.nan
+        return found if 0 < found < math.inf and self.doubt < DOUBTED else math.nan
+
+    @cached_property
+    def doubt(self) -> float:
+        """By how much of itself the norm changes, to first order, where all motions decay by rounding less in a sample.
+
+        d‖·‖² = 2 tr(FᵀF dΦ Z Zᵀ Φᵀ) with dΦ = ROUNDING Φ. What is lost beyond that is less, except beside a border.
+        """
+        (matrix, _, shown), (z, f) = self._left, self._solved
+        return ROUNDING * float(np.sum((f @ matrix @ z) ** 2) / np.sum((shown @ z) ** 2))
 
     def slopes(self) -> tuple[Slopes, Vector]:
         """Its derivative by what a sample is made of, and by B_d (n_s, n_p)."""

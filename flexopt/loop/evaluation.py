@@ -39,7 +39,8 @@ class Outcome(Result):
             (JSON: null) where no gain does.
         lag, lag_reserve: (m,), rad; first_order_decay: (m,), 1/s; w_lagged: (m,), as w; see `LaggedModes`.
         frequencies_hz, damping_ratios: of the oscillation that each mode has become in the sampled loop, (m,).
-        decay: of the slowest motion of the sampled loop, 1/s; negative where it grows. frequency_hz: its frequency.
+        decay: of the slowest motion of the sampled loop, 1/s; negative where it grows. decay_rounding: one that is
+            nearer to 0 than this, 1/s, is neither growth nor decay. frequency_hz: of that motion.
         drift: growth rates of a redundant arm's self-motion, which is no part of the decay, 1/s.
         allowed_gain: largest stable Kp along the present ratio of the gains; gain_intervals: all stable intervals of
             it, (k, 2); see `LoopPoint.allowed_gain`. Infinite (JSON: null) where no border was met.
@@ -75,6 +76,7 @@ class Outcome(Result):
     frequencies_hz: Vector
     damping_ratios: Vector
     decay: float
+    decay_rounding: float
     frequency_hz: float
     drift: tuple[float, ...]
     allowed_gain: float
@@ -91,8 +93,8 @@ class Outcome(Result):
 
     DOCUMENT = """
     settings allowance allowance_isotropic lag[rad] lag_reserve[rad] first_order_decay[1/s] w_lagged frequencies_hz[Hz]
-    damping_ratios decay[1/s] frequency_hz[Hz] drift[1/s] allowed_gain gain_intervals delay_margin[s] disk_margin
-    sensitivity_peak complementary_peak h2_norm settling[s] swing swing_unit gradient
+    damping_ratios decay[1/s] decay_rounding[1/s] frequency_hz[Hz] drift[1/s] allowed_gain gain_intervals
+    delay_margin[s] disk_margin sensitivity_peak complementary_peak h2_norm settling[s] swing swing_unit gradient
     """
 
     @property
@@ -105,6 +107,12 @@ class Outcome(Result):
             parts = [*([] if least else [f"from {low:.4g}"]), *([] if most else [f"up to {high:.4g}"])]
             words.append(" ".join(parts) or "without border")
         return words
+
+    @property
+    def _word(self) -> str:
+        if abs(self.decay) <= self.decay_rounding:
+            return f"neither decays nor grows to rounding (decay {self.decay:+.2g}/s)"
+        return f"{'decays' if self.decay > 0 else 'grows'} at {abs(self.decay):.4g}/s"
 
     def __repr__(self) -> str:
         first, *sources = repr(self.settings).splitlines()
@@ -119,8 +127,7 @@ class Outcome(Result):
                 f"{degrees[1, i]:7.1f}° {self.first_order_decay[i]:+7.4g} 1/s {self.frequencies_hz[i]:9.4f} Hz "
                 f"{self.damping_ratios[i]:10.3e}"
             )
-        verb = "decays" if self.decay > 0 else "grows"
-        lines.append(f"  sampled loop: {verb} at {abs(self.decay):.4g}/s, {self.frequency_hz:.4g} Hz")
+        lines.append(f"  sampled loop: {self._word}, {self.frequency_hz:.4g} Hz")
         lines += [f"  the arm's self-motion drifts, decay {-rate:+.3g}/s" for rate in self.drift if rate > 0]
         stable = ", ".join(self._stable) or "nowhere"
         unit = self.settings.gain_units[0] if math.isfinite(self.allowed_gain) else ""
@@ -249,6 +256,7 @@ def outcome_of(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *
         **of_modes,
         frequencies_hz=np.abs(poles) / math.tau,
         damping_ratios=np.array([ratio.value for ratio in ratios]),
+        decay_rounding=outcome.loop.rounding,
         frequency_hz=outcome.loop.frequency_hz,
         drift=outcome.loop.drift,
         swing_unit=swing_unit(outcome),

@@ -407,25 +407,33 @@ class LoopPoint:
 
     # Forces on the base.
 
+    @cached_property
+    def disturbed(self) -> Disturbed | None:
+        """The loop with noise on its base; None of one that grows."""
+        if self._reduced is None:
+            return None
+        balanced, scale = balance(self.smooth.matrix)
+        _, kept = without_neutral(balanced, self._neutral)
+        of = [self.numbers[name] for name in (*CONFIGURATION, "held")]
+        return Disturbed(self.smooth, self.motions.disturbance.call(of)[0].full(), kept, scale)
+
     def h2_norm(self) -> Measured:
         """Root of the end-point's variance at the samples under white noise of unit intensity on every base force, m.
 
         E[d(t) d(t′)ᵀ] = I δ(t − t′) of the forces d on the passive coordinates, N or N m: the H2 norm from them to the
-        end-point, m √s per N s and the like. NaN of a loop that grows, stands at the border of it or whose self-motion
-        grows; infinite where a task row has no gain Kp. What nothing holds and the end-point does not see, self-motion,
-        is divided out.
+        end-point, m √s per N s and the like. NaN of a loop that grows, stands so near the border that rounding decides
+        the norm, or whose self-motion grows; infinite where a task row has no gain Kp. What nothing holds and the
+        end-point does not see, self-motion, is divided out.
 
         Source: Chen and Francis, Optimal Sampled-Data Control Systems, 1995, for what comes in within a sample.
         """
-        if self._reduced is None:
+        found = self.disturbed
+        if found is None:
             return UNDEFINED
-        balanced, scale = balance(self.smooth.matrix)
-        _, kept = without_neutral(balanced, self._neutral)
-        of = [self.numbers[name] for name in (*CONFIGURATION, "held")]
-        found = Disturbed(self.smooth, self.motions.disturbance.call(of)[0].full(), kept, scale)
         if not math.isfinite(found.norm):
             return Measured(found.norm)
         slopes, by_into = found.slopes()
+        of = [self.numbers[name] for name in (*CONFIGURATION, "held")]
         parts = self.motions.disturbance_slopes.call([*of, by_into])
         more = {name: part.full().ravel() for name, part in zip(CONFIGURATION, parts, strict=True)}
         return Measured(found.norm, slopes, more)

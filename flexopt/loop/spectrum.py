@@ -73,7 +73,8 @@ class SampledLoop:
         return bool(np.abs(self.multipliers[0]) < 1.0)
 
     def __repr__(self) -> str:
-        word = "stable" if self.stable else "unstable"
+        known = abs(self.growth_rate) > self.rounding
+        word = ("stable" if self.stable else "unstable") if known else "at the border of stability, to rounding"
         how = "" if self.integrator == EXACT else f" by {self.integrator}"
         return (
             f"SampledLoop({word}{how}: decay {-self.growth_rate:+z.4g}/s at {self.frequency_hz:.4g} Hz, "

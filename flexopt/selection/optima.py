@@ -13,6 +13,7 @@ import numpy as np
 
 from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Progress, Vector
+from flexopt.foundation.plain import counted
 from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
 from flexopt.selection.ascent import CUT_SHORT
@@ -441,7 +442,7 @@ def _no_solution(
 ) -> NoSolutionFound:
     kept = ", ".join(objective.name for objective in problem.objectives[: len(problem.kept)])
     among = f" as an optimum of {problem.objective.name} among those that keep {kept}" if kept else ""
-    heading = f"no configuration passed the checks{among} in {len(attempts)} starts"
+    heading = f"no configuration passed the checks{among} in {counted(len(attempts), 'start')}"
     if not failures:
         outcomes = "; ".join(sorted({attempt.outcome for attempt in attempts}))
         return NoSolutionFound(f"{heading}: {outcomes}{in_the_way(problem.assumed)}", violations={}, iterate={})

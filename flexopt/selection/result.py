@@ -13,6 +13,7 @@ import numpy as np
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
+from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Result, Tabled
 from flexopt.foundation.turns import TURN
 from flexopt.robustness.evaluation import Evaluation, without_rounding
@@ -236,7 +237,8 @@ class Selection(Pictured, Result):
         """A sentence."""
         wide = sum(bool(candidate.continuum) for candidate in self.candidates)
         continua = f" ({wide} of them at several placements alike)" if wide else ""
-        return f"{len(self.candidates)} distinct local optima{continua} verified from {len(self.attempts)} starts"
+        optima = counted(len(self.candidates), "distinct local optimum", "distinct local optima")
+        return f"{optima}{continua} verified from {counted(len(self.attempts), 'start')}"
 
     @property
     def missed_chance(self) -> float | None:
@@ -319,11 +321,7 @@ class Selection(Pictured, Result):
             e = candidate.evaluation
             numbers = in_columns(e)
             active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
-            alike = (
-                f"   and {len(candidate.continuum)} placement{'s' * (len(candidate.continuum) > 1)} alike"
-                if candidate.continuum
-                else ""
-            )
+            alike = f"   and {counted(len(candidate.continuum), 'placement')} alike" if candidate.continuum else ""
             wide = f"   one of a set of dimension {candidate.dimension}" if (candidate.dimension or 0) > 1 else ""
             lines.append(f"  {rank:4d} {numbers}{_measures(problem, e)}{active}{wide}{alike}")
         if len(self.candidates) > SHOWN:
@@ -342,7 +340,7 @@ class Selection(Pictured, Result):
         if self.missed_chance is not None and not self.best.unsurpassed:
             ended = sum(attempt.value is not None for attempt in self.attempts)
             lines.append(
-                f"  best found in {len(self.attempts)} starts, {ended} of which ended at an optimum: "
+                f"  best found in {counted(len(self.attempts), 'start')}, {ended} of which ended at an optimum: "
                 f"about {100 * self.missed_chance:.0f} % of further ones drawn alike would end at a value not found yet"
             )
         lines += [

@@ -18,7 +18,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, PointsLike, PostureLike, RangeLike
 from flexopt.foundation.boundary import anything, by, public
 from flexopt.foundation.control import Control
-from flexopt.foundation.plain import shown
+from flexopt.foundation.plain import counted, shown
 from flexopt.foundation.quantities import entries
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
@@ -47,7 +47,7 @@ def _read(arguments: Arguments, machine: AnyMachine, given: Mapping[str, Any]) -
     """What varies and where, with all faults noted."""
     rows = machine.task_rows
     if len(rows) not in ROWS:
-        has = f"has a task of {len(rows)} row{'s' * (len(rows) > 1)} ({', '.join(rows)})"
+        has = f"has a task of {counted(len(rows), 'row')} ({', '.join(rows)})"
         sentence = f"{has}; over two joints w_i = 0 is curves where it has two, points where it has three"
         arguments.note("machine", sentence, machine.name)
     names = ("joints", "posture", "base", "x_range", "y_range")

@@ -14,7 +14,7 @@ import numpy as np
 from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.plain import shown
+from flexopt.foundation.plain import counted, shown
 from flexopt.foundation.quantities import COORDINATE, Quantity, coordinate_max, pair, several
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
@@ -200,8 +200,7 @@ def _other_joints(arguments: Arguments, machine: AnyMachine, varies: Pair, postu
     if len(values) != len(others):
         rest = ", ".join(names[k] for k in others)
         what, units = ("angle", "rad") if set(machine.joint_units) == {"rad"} else ("number", "rad or m")
-        counted = f"{len(others)} {what}" + ("s" if len(others) != 1 else "")
-        sentence = f"needs {counted} in {units}, for the joints that do not vary ({rest or 'none'})"
+        sentence = f"needs {counted(len(others), what)} in {units}, for the joints that do not vary ({rest or 'none'})"
         _note(arguments, "posture", sentence, posture)
         return np.zeros(len(others))
     # The two that vary stand where no fault is found.

@@ -95,6 +95,36 @@ def test_a_motion_at_the_border_of_stability_has_no_variance(largest: float) -> 
         assert np.isnan(found).all()
 
 
+def test_near_its_border_a_loop_has_no_norm_that_rounding_decides() -> None:
+    """The variance is as one over the decay there: a tenth of the way in dead time, ten times of it, until told no more."""
+    margin = outcome(EXCAVATOR, POSTURE_B).delay_margin().value
+    near = [outcome(EXCAVATOR, POSTURE_B, margin * (1 - off)).h2_norm().value for off in (1e-3, 1e-5, 1e-10, 1e-13)]
+    # To first order in what is left of the margin.
+    assert near[1] / near[0] == pytest.approx(10, rel=1e-2)
+    assert np.isnan(near[2:]).all()
+
+
+def test_a_loop_at_its_border_is_told_to_be_there() -> None:
+    """Not to decay by what rounding makes of nothing, nor to be stable."""
+    loop = {"kp": 1e4, "kv": 1e3}
+    margin = flexopt.outcome(EXCAVATOR, POSTURE_B, loop=loop).delay_margin
+    found = flexopt.outcome(EXCAVATOR, POSTURE_B, loop=loop | {"dead_time": margin})
+    assert abs(found.decay) <= found.decay_rounding < 1e-9
+    assert "neither decays nor grows to rounding" in repr(found)
+    assert "at the border of stability" in repr(outcome(EXCAVATOR, POSTURE_B, margin).loop)
+    assert "H2" not in repr(found)
+
+
+@pytest.mark.parametrize("number", [18, 24])
+def test_the_norm_is_told_with_more_doubt_than_it_is_wrong_by(number: int) -> None:
+    """Beside 420 bits, of loops that hardly decay, or that the end-point hardly sees."""
+    case = draw_case(number)
+    point = case.outcome
+    found = point.disturbed
+    assert found is not None
+    assert abs(found.norm / float(case.oracle.h2_norm()) - 1) < found.doubt < 1e-9
+
+
 def test_variance_of_a_run_with_noise_on_the_base():
     """Samples of a linear loop under random forces, each held over a twentieth of a sample."""
     case, steps, runs = draw_case(7), 20, 200

@@ -14,6 +14,7 @@ from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import path, public
 from flexopt.foundation.documents import write_netcdf
 from flexopt.foundation.pictures import Pictured
+from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Result
 from flexopt.robustness.residues import posture_unit, residue_unit
 
@@ -335,14 +336,14 @@ class Atlas(Pictured, Result):
         own, points = [c for c in self.curves if c.mode == mode], [p for p in self.isolated if p.modes == (mode,)]
         if points and not own:
             listed = ", ".join(_posture(point) for point in points)
-            return f"w{mode} = 0 at {len(points)} posture{'s' * (len(points) > 1)}: {listed}"
+            return f"w{mode} = 0 at {counted(len(points), 'posture')}: {listed}"
         if not own:
             return share if self.robust_share[mode - 1] > 0 else f"w{mode} = 0 nowhere"
         closed = sum(curve.closed for curve in own)
         ends = [end for curve in own for end in curve.ends]
         listed = ", ".join(f"{ends.count(end)} at {_WHERE[end]}" for end in _WHERE if end in ends)
         loops = f", {closed} closed" if closed else ""
-        told = f"{len(own)} curve{'s' * (len(own) > 1)} w{mode} = 0{loops}"
+        told = f"{counted(len(own), 'curve')} w{mode} = 0{loops}"
         told += f"; ends: {listed}" if listed else ""
         return told + (f"; {share}" if self.robust_share[mode - 1] > 0 else "")
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.foundation.plain import counted
 from flexopt.loop.settings import LoopSettings
 from flexopt.model.choices import DECAY
 from flexopt.model.loop import Loop, gain_ranges
@@ -68,7 +69,11 @@ class OutcomeSelection(Selection):
     def status(self) -> str:
         """A sentence."""
         count, ended, looked = len(self.candidates), len(self.attempts), self.criterion.looked
-        return f"{count} distinct local optima verified to first order, the ends of {ended} climbs from {looked} points"
+        optima = counted(count, "distinct local optimum", "distinct local optima")
+        climbs = counted(ended, "climb")
+        return (
+            f"{optima} verified to first order, the {'end' if ended == 1 else 'ends'} of {climbs} from {looked} points"
+        )
 
     @property
     def missed_chance(self) -> None:

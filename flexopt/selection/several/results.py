@@ -12,6 +12,7 @@ from flexopt.coprime.margin import RIGID_MARGIN
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
+from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Tabled
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import Evaluation
@@ -109,7 +110,7 @@ class ConfigurationSet(Tabled):
 
     @property
     def _targets(self) -> str:
-        return f"{len(self.places)} target" + "s" * (len(self.places) > 1)
+        return counted(len(self.places), "target")
 
     @property
     def worst(self) -> int:
@@ -118,7 +119,7 @@ class ConfigurationSet(Tabled):
 
     def _found(self, what: str) -> str:
         tried, done = self.attempts
-        return f"{done} of {tried} starts led to a verified {what} {self._targets}"
+        return f"{done} of {counted(tried, 'start')} led to a verified {what} {self._targets}"
 
     def _document(self, status: str, own: dict[str, Any], targets: str) -> dict[str, Any]:
         """What both kinds say, around their own keys; `targets` is what the problem calls them."""
@@ -311,7 +312,7 @@ class BasePlan(Pictured, ConfigurationSet):
 
     def __repr__(self) -> str:
         lines = [
-            *self._lines(f"a way of the base along {len(self.places)} targets in {self.time[-1]:.4g} s", self.status),
+            *self._lines(f"a way of the base along {self._targets} in {self.time[-1]:.4g} s", self.status),
             f"  {self._ways}",
             f"  the base travels {self.travelled[0]:.4g} m and turns {self.travelled[1]:.4g} rad",
         ]

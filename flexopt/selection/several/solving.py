@@ -13,6 +13,7 @@ import numpy as np
 
 from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Progress, Vector
+from flexopt.foundation.plain import counted
 from flexopt.foundation.processes import in_parallel
 from flexopt.selection.assumed import in_the_way
 from flexopt.selection.check import infeasible, prove_program
@@ -138,7 +139,7 @@ def verified(program: Program, ends: list[End], what: str) -> list[End]:
     }
     outcomes = ", ".join(sorted({end.status for end in ends}))
     raise NoSolutionFound(
-        f"no {what} passed the checks in {len(ends)} starts ({outcomes}); the best iterate violates {sizes}"
+        f"no {what} passed the checks in {counted(len(ends), 'start')} ({outcomes}); the best iterate violates {sizes}"
         f"{in_the_way(program.first.assumed)}",
         violations=nearest.violations,
         iterate=iterate,
