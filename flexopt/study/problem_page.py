@@ -134,7 +134,7 @@ def _listed(report: Report) -> list[_Listed]:
     """The present configuration and the candidates, or the configuration at each target."""
     selection = report.selection
     if not isinstance(selection, Selection):
-        name, unit = ("V", "") if selection.unit is None else (selection.objective, f" {selection.unit}".rstrip())
+        name, unit = selection.column, f" {selection.unit or ''}".rstrip()
         return [
             _Listed(
                 f"target {k + 1}",

@@ -92,6 +92,11 @@ class ConfigurationSet(Tabled):
         return self.problems[0].name
 
     @property
+    def column(self) -> str:
+        """What its numbers stand under: its name, of several in order V."""
+        return "V" if "," in self.objective else self.objective
+
+    @property
     def unit(self) -> str | None:
         """Of it, where it is none of the modes'."""
         return None
@@ -138,7 +143,7 @@ class ConfigurationSet(Tabled):
         named = [f"  {assumption}" for assumption in first.assumed]
         return [
             f"{first.machine.name}: {what}, {how}",
-            *_table(self.places, self.shown_objective, self.worst, "V" if self.unit is None else self.objective),
+            *_table(self.places, self.shown_objective, self.worst, self.column),
             *(
                 f"  {sentence}"
                 for sentence in (unverified_told(self.objective, self.unverified), self.left_out)
