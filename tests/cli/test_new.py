@@ -219,7 +219,7 @@ def test_a_hand_is_no_part_of_the_arm(command: Command, joints: str, behind: lis
     left_out = text.partition("its joints are left out: ")[2].partition(")")[0]
     assert set(left_out.split(", ")) == set(behind)
     told = command("new", "other.toml", "--from", "carrier.urdf", "--yes").stdout
-    assert f"link palm: {len(behind)} joints behind it" in told
+    assert f"link palm: {len(behind)} joint{'s' * (len(behind) > 1)} behind it" in told
     # Who names a link gets it.
     followed(command, "tip.toml", "--from", "carrier.urdf", "--tip", "one")
     asked = tomllib.loads(Path("tip.toml").read_text(encoding="utf-8"))
