@@ -2,7 +2,8 @@
 
 In: a problem. Out: starts z. Where postures have a closed form they are the peaks of the scan. Everywhere else, and
 where other constraints leave little of the scan, points of a low-discrepancy sample are moved onto the target and into
-the constraints by damped Newton steps, the best of them climb at random, and those that then stand apart are taken.
+the constraints by damped Newton steps. With one degree of redundancy the peaks along the curve that the sample lies on
+come first; with more the best points climb at random, and those that then stand apart are taken.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from itertools import zip_longest
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +44,9 @@ SYMMETRIC, ASIDE, EVEN = 8, 0.3, 1e-9
 # Turns of a joint by which it is told whether anything depends on it, rad.
 TURNS = np.array([0.0, 0.4, -1.1, 2.0])
 INSIDE = 4
+# Along a curve: of how many of a point's nearest the neighbour on its other side is one, and how far the curve may bend
+# there (cosine).
+NEAREST, BEND = 16, -0.5
 # Points for each start that climb at random; steps, and the first one and the bounds of all, in scaled variables; by
 # how much a step grows after one that helped, and shrinks after others.
 CLIMBING, STEPS, STEP, STEP_LEAST, STEP_MOST, LONGER, SHORTER = 6, 60, 0.3, 1e-4, 0.5, 1.6, 0.8
@@ -172,12 +177,62 @@ def starting_points(problem: SelectionProblem, workers: int = 1) -> list[Vector]
     cost = problem.travel_cost(problem.sought[0], z.T)[0]
     order = np.lexsort([cost - scan.objective, scan.violation])
     order = order[good[order]] if good.any() else order
+    if good.any() and problem.redundancy == 1:
+        return _along_curve(problem, z[:, order], (scan.objective - cost)[order], count)
     best = z[:, order[: max(count, round(BEST_SHARE * order.size))]]
     if not good.any() or not climbs(problem):
         found = apart(problem, best, count)
         # What was moved onto a limit may be one point many times: the best of the sample, all of it.
         return found if len(found) == count else apart(problem, z[:, order], count)
     return _in_turn(problem, best[:, : CLIMBING * count], count, values_of, workers)
+
+
+def _along_curve(problem: SelectionProblem, z: Vector, values: Vector, count: int) -> list[Vector]:
+    """Starts from points (n_z, N) of curves, which come best first: their peaks, and others far from these."""
+    first = curve_peaks(problem, z, values)[:count]
+    found = list[Vector]()
+    # What was moved onto a limit may be one point many times: then of the whole sample.
+    for among in (max(count, round(BEST_SHARE * values.size)), values.size):
+        others = np.setdiff1d(np.arange(min(among, values.size)), first)
+        found = apart(problem, z[:, [*first, *others]], count, first.size)
+        if len(found) == count:
+            break
+    return found
+
+
+def curve_peaks(problem: SelectionProblem, z: Vector, values: Vector) -> NDArray[np.int64]:
+    """Which points (n_z, N) of curves have a smaller V than none of their neighbours, in the order they come in.
+
+    A point's neighbours are the nearest one, and the nearest of those that lie on the other side of it; at the end of a
+    curve there is none such. Where V is the same all along there is no peak.
+    """
+    from scipy.spatial import KDTree  # noqa: PLC0415  (slow to import, needed for curves in space only)
+
+    seen, turn = _telling(problem, z[:, 0]), _turns(problem)
+    if not seen:
+        return np.zeros(0, dtype=np.int64)
+    x, around = (z / problem.scale[:, None])[seen].T, turn[seen]
+    x = np.where(around > 0, np.mod(x, np.where(around > 0, around, 1.0)), x)
+    one = np.sort(np.unique(np.round(x / SAME_START), axis=0, return_index=True)[1])
+    x, z, values = x[one], z[:, one], values[one]
+    if one.size < 2:
+        return one
+    tree = cast(Any, KDTree(x, boxsize=around))
+    near: NDArray[np.int64] = tree.query(x, k=min(1 + NEAREST, one.size))[1][:, 1:]
+    away = _back(x[near] - x[:, None], around)
+    away /= np.linalg.norm(away, axis=2, keepdims=True)
+    opposite = np.einsum("nki,ni->nk", away, away[:, 0]) < BEND
+    beside = np.stack([near[:, 0], near[np.arange(one.size), opposite.argmax(axis=1)]])
+    higher = values[beside] > values - EVEN * problem.objective_scale
+    higher[1] &= opposite.any(axis=1)
+    # What is higher beyond a gap, where the curve breaks a constraint, is no neighbour.
+    asked = np.flatnonzero(higher.sum(axis=0) == 1)
+    other = beside[np.argmax(higher[:, asked], axis=0), asked]
+    way = _back(((z[:, other] - z[:, asked]) / problem.scale[:, None]).T, turn).T * problem.scale[:, None]
+    middle, off = onto_target(problem, z[:, asked] + way / 2)
+    higher[:, asked[(off <= FEASIBLE) & (violated(problem, middle) > FEASIBLE)]] = False
+    peak: NDArray[np.int64] = one[~higher.any(axis=0)]
+    return peak
 
 
 def climbs(problem: SelectionProblem) -> bool:
@@ -353,29 +408,56 @@ def idle_joints(problem: SelectionProblem, z: Vector) -> list[int]:
     return found
 
 
-def apart(problem: SelectionProblem, z: Vector, count: int) -> list[Vector]:
+def apart(problem: SelectionProblem, z: Vector, count: int, before: int = 0) -> list[Vector]:
     """Up to `count` of the columns, which come in order of preference, as far apart as that many can be found.
 
-    What counts is the posture: to turn or shift machine and target together changes no measure, nor do whole turns of
-    joints that may make them, nor joints on which nothing depends; own Functions may depend on all of it.
+    The first `before` are among them wherever they are.
     """
     if not z.size:
         return []
-    idle, n_base = idle_joints(problem, z[:, 0]), problem.measures.plant.n_base
-    own = any(objective.own is not None for objective in problem.objectives)
-    seen = [k for k in range(z.shape[0]) if own or (k >= n_base and k not in idle)]
-    x, turn = (z / problem.scale[:, None])[seen].T, math.tau / problem.scale[seen]
-    spans = zip(problem.variables, problem.upper - problem.lower, strict=True)
-    whole = np.array([variable.unit == "rad" and span > math.tau and not own for variable, span in spans])[seen]
-    distance = np.full(x.shape[0], np.inf)
-    taken: list[int] = []
+    seen = _telling(problem, z[:, 0])
+    x, turn = (z / problem.scale[:, None])[seen].T, _turns(problem)[seen]
+    distance, taken = np.full(x.shape[0], np.inf), list[int]()
+
+    def take(k: int) -> None:
+        nonlocal distance
+        taken.append(k)
+        distance = np.minimum(distance, np.abs(_back(x - x[k], turn)).max(axis=1))
+
+    for k in range(before if seen else 0):
+        take(k)
     radius = float(np.median(np.abs(x - np.median(x, axis=0)).max(axis=1))) if seen else 0.0
     while len(taken) < count and radius > SAME_START:
         for k in range(x.shape[0]):
             if distance[k] >= radius and len(taken) < count:
-                taken.append(k)
-                away: Vector = x - x[k]
-                away = away - whole * turn * np.round(away / turn)
-                distance = np.minimum(distance, np.abs(away).max(axis=1))
+                take(k)
         radius /= 2
     return [z[:, k] for k in sorted(taken or [0])]
+
+
+def _telling(problem: SelectionProblem, z: Vector) -> list[int]:
+    """The variables that tell points apart.
+
+    What counts is the posture: to turn or shift machine and target together changes no measure, nor do whole turns of
+    joints that may make them, nor joints on which nothing depends; own Functions may depend on all of it.
+    """
+    idle, n_base = idle_joints(problem, z), problem.measures.plant.n_base
+    return [k for k in range(z.size) if _own(problem) or (k >= n_base and k not in idle)]
+
+
+def _turns(problem: SelectionProblem) -> Vector:
+    """A whole turn of each scaled variable that may make one, else 0."""
+    spans = zip(problem.variables, problem.upper - problem.lower, strict=True)
+    whole = np.array([variable.unit == "rad" and span > math.tau and not _own(problem) for variable, span in spans])
+    turns: Vector = whole * math.tau / problem.scale
+    return turns
+
+
+def _own(problem: SelectionProblem) -> bool:
+    return any(objective.own is not None for objective in problem.objectives)
+
+
+def _back(away: Vector, turn: Vector) -> Vector:
+    """Differences (…, k), whole turns taken off."""
+    back: Vector = away - turn * np.round(away / np.where(turn > 0, turn, 1.0))
+    return back

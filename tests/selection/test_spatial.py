@@ -341,3 +341,31 @@ def test_a_curve_whose_best_third_is_one_point_is_started_from_all_along() -> No
         crane, (6.0, 3.0, 2.0), base=[0.0, 0.0, 0.0], posture=held, base_range=still, starts=1, workers=1
     )
     assert "none was given" not in repr(given)
+
+
+def test_both_sides_of_a_straight_arm_are_started_from_first() -> None:
+    """A crane's knuckle bends up or down, and never quite straightens: each side has a best posture of its own."""
+    crane, still = flexopt.load("truck-crane"), {"x": [0.0, 0.0], "y": [0.0, 0.0], "yaw": [0.0, 0.0]}
+    asked = {"base": [0.0, 0.0, 0.0], "base_range": still}
+    found = flexopt.select(crane, (5.0, 2.0, 2.5), starts=4, workers=1, **asked)
+    scan = flexopt.build_selection(crane, (5.0, 2.0, 2.5), starts=64, **asked).scan
+    sides = [float(scan.objective[side].max()) for side in (scan.posture[2] < 0, scan.posture[2] > 0)]
+    for candidate, seen in zip(found.candidates, sides, strict=True):
+        assert candidate.objective >= seen
+        assert candidate.objective == pytest.approx(seen, rel=1e-3)
+
+
+def test_every_hill_of_curves_in_space_is_started_from_first() -> None:
+    """Eleven hills, some of which end where the arm would come too near to a singular posture."""
+    tree = tree_from_dict(random_tree(10, counts=(2, 4)))
+    plant, posture = build_plant(tree), np.random.default_rng(10).uniform(-0.8, 0.8, 4)
+    rest = [body.joint.rest for body in tree.passive_bodies]
+    target = plant.end_point([*rest, *posture], [0.0, 0.0, 0.0], plant.parameter_values).full().ravel()
+    still = {"x": [0.0, 0.0], "y": [0.0, 0.0], "yaw": [0.0, 0.0]}
+    few, many = (
+        flexopt.select(tree, target, base=[0.0, 0.0, 0.0], base_range=still, starts=count, workers=1)
+        for count in (8, 32)
+    )
+    assert len(many.candidates) == 11
+    values = [candidate.objective for candidate in many.candidates]
+    assert [candidate.objective for candidate in few.candidates] == pytest.approx(values[:8], rel=1e-6)
