@@ -11,7 +11,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, Unpack, cast
 
@@ -39,7 +39,7 @@ from flexopt.simulation.behaviour import Behaviour, behaviour
 from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.members import Keep, Plan, member_loops, motion_constants
 from flexopt.simulation.real_loop import in_shorter_steps, with_loop
-from flexopt.simulation.run import check_residual, moves, note_run, runners
+from flexopt.simulation.run import OUTGREW, check_residual, grew, moves, note_run, runners, unfollowed
 from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options
 from flexopt.simulation.verdict import LoopVerdict, judge
 
@@ -63,7 +63,8 @@ class Ensemble(Pictured, Tabled):
     Attributes:
         dataset: xarray.Dataset over `member`: `grows`, `growth_rate`, `growth_rate_error`, `settling_time`,
             `peak_error`, `end_error`, `peak_base_rotation`, `residual_oscillation`, `finite_until` (see
-            `simulation.behaviour.Behaviour`), what was varied, and with `keep="trajectories"` also `q`, `v`,
+            `simulation.behaviour.Behaviour`; a member that grows may outrun the implicit integrator there, which a
+            warning tells), what was varied, and with `keep="trajectories"` also `q`, `v`,
             `end_point`, `error`, `torque`, `energy` over `time`. `grows` is what the runs alone show.
         linear_growth_rate: (N,) of the linear loop of each member, exact between the samples, 1/s; NaN where it rests
             nowhere. Computed when asked for, some 0.5 ms for each different loop.
@@ -272,6 +273,7 @@ def simulate_ensemble(
         plan = Plan(s, zeros, varied, motion, n, keep)
         _check_room(plan)
         shares = _run(plan, threads or available_cores(), progress)
+        _warn_of_outgrown(shares)
         shapes = {name: list(np.shape(value)) for name, value in asked.items()}
         return Ensemble(
             _dataset(plan, asked, shares),
@@ -299,11 +301,24 @@ def _check_room(plan: Plan) -> None:
 
 @dataclass(frozen=True)
 class _Share:
-    """One group's results."""
+    """One group's results; `outgrown`: whether a member outgrew what the implicit integrator follows."""
 
     measures: Behaviour
     samples: dict[str, Vector]
     last: Vector
+    outgrown: NDArray[np.bool_]
+
+
+def _warn_of_outgrown(shares: list[_Share]) -> None:
+    """Tell how many members outgrew the integrator, and the first of them to do so."""
+    outgrown = np.flatnonzero(np.concatenate([share.outgrown for share in shares]))
+    if not outgrown.size:
+        return
+    until = np.concatenate([share.measures.finite_until for share in shares])
+    first = int(outgrown[np.argmin(until[outgrown])])
+    who = f"member {first}" if outgrown.size == 1 else f"{outgrown.size} members"
+    at = f"at {until[first]:.4g} s" + ("" if outgrown.size == 1 else f" and later, member {first} first")
+    warn_user(f"{who} {OUTGREW} {at}; what follows is not a number", FlexoptWarning)
 
 
 def _run(plan: Plan, threads: int, progress: Progress | None) -> list[_Share]:
@@ -325,7 +340,7 @@ def _group(plan: Plan, rows: slice, runner: Recurrence, shown: Batch, threads: i
     keep: Literal["records", "monitors"] = "records" if plan.keep == "trajectories" else "monitors"
     records = runner(start, c, steps=s.samples, e=e, stride=stride, threads=threads, keep=keep)
     structure = s.loop.structure
-    check_residual(structure, records.monitor)
+    until = _followed(plan, rows, runner, records.monitor)
     end = np.zeros((s.loop.signals.total, 1))
     if e is not None:
         end = (e[-1] if e.ndim == 3 else e[-1][:, None]).copy()
@@ -336,12 +351,47 @@ def _group(plan: Plan, rows: slice, runner: Recurrence, shown: Batch, threads: i
     error = shown(records.last, end, c, threads=threads)[names.index("error")]
     edges = np.concatenate([[0.0], records.k * s.period])
     watched = records.monitor[:, :-1] if structure.method == "gauss" else records.monitor
+    outgrown, last = until <= s.samples, records.last
+    if outgrown.any():
+        unknown = outgrown & (np.arange(len(watched))[:, None] >= until // stride)
+        watched = np.where(unknown[:, None], np.nan, watched)
+        error, last = np.where(outgrown, np.nan, error), np.where(outgrown, np.nan, last)
     end_error = np.sqrt(np.sum(error**2, axis=0))
     measures = behaviour(edges, watched, end_error, s.grounds)
+    measures = replace(measures, finite_until=np.where(outgrown, until * s.period, measures.finite_until))
     samples: dict[str, Vector] = {}
     if plan.keep == "trajectories":
-        samples = _samples(shown, np.concatenate([start[None], records.x]), e, end, c, threads)
-    return _Share(measures, samples, records.last)
+        x = np.concatenate([start[None], records.x])
+        unknown = np.arange(len(x))[:, None] >= until
+        samples = _samples(shown, np.where(unknown[:, None], np.nan, x), e, end, c, threads)
+    return _Share(measures, samples, last, outgrown)
+
+
+def _followed(plan: Plan, rows: slice, runner: Recurrence, monitor: Vector) -> NDArray[np.intp]:
+    """The first sample (members,) to which the implicit integrator does not follow a member; beyond the end for others.
+
+    Members that outgrow it run once more, every sample watched: whether and where, as in a run of its own.
+
+    Raises:
+        NoSolutionFound: some member that it does not follow does not grow, or base or target move.
+    """
+    s, structure = plan.scenario, plan.scenario.loop.structure
+    until = np.full(monitor.shape[2], s.samples + 1)
+    beyond = np.flatnonzero(unfollowed(structure, monitor) < len(monitor))
+    if moves(s) and beyond.size:
+        check_residual(structure, monitor)
+    linear = member_loops(plan, None, [rows.start + int(k) for k in beyond]) if beyond.size else []
+    for k, loop in zip(beyond.tolist(), linear, strict=True):
+        one = slice(rows.start + k, rows.start + k + 1)
+        run = runner(
+            plan.start(one), s.loop.constants.packed(plan.parts(one)), steps=s.samples, e=plan.signals(one), stride=1,
+            keep="monitors",
+        )  # fmt: skip
+        at = int(unfollowed(structure, run.monitor)[0])
+        if not grew(loop, run.monitor[: at + 1, 0, 0]):
+            check_residual(structure, run.monitor)
+        until[k] = at + 1
+    return until
 
 
 def _samples(shown: Batch, x: Vector, e: Vector | None, end: Vector, c: Vector, threads: int) -> dict[str, Vector]:

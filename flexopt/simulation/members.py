@@ -6,7 +6,7 @@ members, and their `SampledLoop`s.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, cast
 
@@ -76,20 +76,21 @@ def count(rows: slice) -> int:
     return rows.stop - rows.start
 
 
-def member_loops(plan: Plan, ends: Vector | None) -> list[SampledLoop | str]:
-    """The linear loop of every member; members that differ in their start alone share one."""
+def member_loops(plan: Plan, ends: Vector | None, among: Sequence[int] | None = None) -> list[SampledLoop | str]:
+    """The linear loop of every member, or of those `among` them; members that differ in their start alone share one."""
+    asked = range(plan.n) if among is None else among
     s, loops = plan.scenario, dict[bytes, SampledLoop | str]()
     try:
         bare = bare_scenario(s.machine, s.options, plan.zeros, paths=ends is not None)
     except FlexoptError as error:
-        return [str(error)] * plan.n
+        return [str(error)] * len(asked)
     e, x = np.zeros(bare.loop.signals.total), bare.resting
     if ends is not None:
         signals = s.signals()
         assert signals is not None
         e = signals_at_end(s, signals)[0, : len(e)]
     varying, found = plan.varying(slice(0, plan.n)), list[SampledLoop | str]()
-    for k in range(plan.n):
+    for k in asked:
         own = {name: np.ascontiguousarray(values[:, k]) for name, values in varying.items()}
         x = x if ends is None else ends[:, k]
         key = b"".join([*(value.tobytes() for value in own.values()), b"" if ends is None else x.tobytes()])

@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import Any, Unpack, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.compiled import Batch, Recurrence, batch, is_brief, recurrence
 from flexopt.compiled.threaded import Interpreter
@@ -28,6 +29,7 @@ from flexopt.model.simulation import SimulationKeywords, SimulationOptions
 from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import GROWN, STILL, Behaviour, behaviour
+from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.real_loop import in_shorter_steps, note_loop, with_loop
 from flexopt.simulation.scenario import SIMULATED, Scenario, build_scenario, checked_options, note_options
 from flexopt.simulation.trajectory import Trajectory
@@ -35,6 +37,7 @@ from flexopt.simulation.verdict import Ended
 
 # Largest relative change left by the implicit method's iterations.
 RESIDUAL_MAX = 1e-10
+OUTGREW = "grew beyond what the implicit integrator follows"
 # Below this share of its sine squared at the start, the arm was close to singular on its way.
 NEAR_SINGULAR = 1e-3
 
@@ -114,11 +117,11 @@ def simulate_checked(
     x = np.concatenate([s.start[:, None], records.x[:, :, 0].T], axis=1)
     outputs = shown_at(s, shown, x, signals)
     ended, left = Ended(s.machine, s.options), "left the finite numbers"
-    breaks = unfollowed(loop.structure, records.monitor)
-    if breaks is not None:
-        if moves(s) or not grew(ended, outputs["error"][:, : breaks + 1]):
+    breaks = int(unfollowed(loop.structure, records.monitor)[0])
+    if breaks < s.samples:
+        if moves(s) or not grew(ended.linear(), np.sum(outputs["error"][:, : breaks + 1] ** 2, axis=0)):
             check_residual(loop.structure, records.monitor, None if moves(s) else ended)
-        x[:, breaks + 1 :], left = math.nan, "grew beyond what the implicit integrator follows"
+        x[:, breaks + 1 :], left = math.nan, OUTGREW
         outputs = shown_at(s, shown, x, signals)
     end_error = np.sqrt(np.sum(outputs["error"][:, -1:] ** 2, axis=0))
     # As in a watched loop, what is watched at a sample's start stands for the sample.
@@ -189,20 +192,24 @@ def signals_at_end(scenario: Scenario, signals: Vector) -> Vector:
     return last
 
 
-def unfollowed(structure: LoopStructure, monitor: Vector) -> int | None:
-    """The first sample at which the implicit method's iterations do not converge while the states are finite."""
+def unfollowed(structure: LoopStructure, monitor: Vector) -> NDArray[np.intp]:
+    """The first window (N,) in which the implicit method's iterations do not converge while the states are finite.
+
+    `monitor`: maxima (windows, rows, N); where all converge the number of windows.
+    """
     if structure.method != "gauss":
-        return None
+        return np.full(monitor.shape[2], len(monitor))
     residual = monitor[:, -1]
-    beyond = ((residual > RESIDUAL_MAX**2) & np.isfinite(residual)).any(axis=-1)
-    return int(np.argmax(beyond)) if beyond.any() else None
+    beyond = (residual > RESIDUAL_MAX**2) & np.isfinite(residual)
+    first: NDArray[np.intp] = np.where(beyond.any(axis=0), beyond.argmax(axis=0), len(monitor))
+    return first
 
 
-def grew(ended: Ended, error: Vector) -> bool:
-    """Whether the linear loop grows, and the run's end-point error (rows, K) did: no shorter step would help."""
-    linear = ended.linear()
-    size = np.sqrt(np.sum(error**2, axis=0))
-    return not isinstance(linear, str) and linear.growth_rate > 0 and bool(np.nanmax(size) > GROWN * size[0])
+def grew(linear: SampledLoop | str, squared_error: Vector) -> bool:
+    """Whether the linear loop grows, and the run's end-point error did, squares (K,): no shorter step would help."""
+    if isinstance(linear, str) or linear.growth_rate <= 0:
+        return False
+    return bool(np.nanmax(squared_error) > GROWN**2 * squared_error[0])
 
 
 def check_residual(structure: LoopStructure, monitor: Vector, ended: Ended | None = None) -> None:
@@ -210,7 +217,7 @@ def check_residual(structure: LoopStructure, monitor: Vector, ended: Ended | Non
 
     `ended`: the loop of a single run about its design, to tell whether it grows.
     """
-    if unfollowed(structure, monitor) is None:
+    if np.all(unfollowed(structure, monitor) == len(monitor)):
         return
     residual = monitor[:, -1]
     worst = float(np.sqrt(np.max(residual, initial=0.0, where=np.isfinite(residual))))

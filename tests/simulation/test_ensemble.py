@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 
 import numpy as np
 import pytest
 import xarray as xr
 
 import flexopt
-from flexopt.errors import FlexoptError, InputError
+from flexopt.errors import FlexoptError, FlexoptWarning, InputError, NoSolutionFound
 from flexopt.model import machine_from_dict
 from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
 
@@ -90,6 +91,33 @@ def test_divergence_of_one_member_leaves_the_others_alone():
     assert many["finite_until"].to_numpy()[1] < 10.0
     assert float(many["end_error"][0]) == float(many["end_error"][2])
     assert math.isinf(float(many["end_error"][1]))
+
+
+def test_a_member_that_outgrows_the_implicit_integrator_is_told_and_the_others_kept():
+    """The machine of `simulate`'s own test, beside a member that settles: each is the run that it would be alone."""
+    how = {"integrator": "gauss", "kv": 2e4, "rate": 50.0, "duration": 3.0}
+    vary = {"kp": np.array([1e4, 1e6, 2e6])}
+    told = r"2 members grew beyond what the implicit integrator follows at .* member 2 first; what follows"
+    for keep in ("measures", "trajectories"):
+        with pytest.warns(FlexoptWarning, match=told):
+            many = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_A, vary=vary, keep=keep, **how)
+        for k, kp in enumerate(vary["kp"]):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", FlexoptWarning)
+                one = flexopt.simulate(EXCAVATOR, POSTURE_A, kp=kp, **how)
+            assert many.verdict[k] == one.verdict
+            assert many.dataset["finite_until"][k] == one.run.ended
+            assert many.dataset["end_error"][k] == pytest.approx(math.inf if one.end_error is None else one.end_error)
+            if keep == "trajectories":
+                np.testing.assert_allclose(many.dataset["q"][k], one.q, rtol=1e-6, atol=1e-9)
+    assert many.verdict.tolist()[1:] == ["grows", "grows"]
+
+
+def test_a_member_that_the_iterations_do_not_follow_and_that_does_not_grow_is_an_error():
+    with pytest.raises(NoSolutionFound, match="more substeps"):
+        flexopt.simulate_ensemble(
+            EXCAVATOR, POSTURE_B, vary={"kp": [1e5, 1e7]}, hold=False, integrator="gauss", kv=2e5, duration=0.5
+        )
 
 
 def test_summary_and_file(tmp_path):
