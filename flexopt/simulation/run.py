@@ -198,7 +198,7 @@ def unfollowed(structure: LoopStructure, monitor: Vector) -> NDArray[np.intp]:
     `monitor`: maxima (windows, rows, N); where all converge the number of windows.
     """
     if structure.method != "gauss":
-        return np.full(monitor.shape[2], len(monitor))
+        return np.repeat(len(monitor), monitor.shape[2])
     residual = monitor[:, -1]
     beyond = (residual > RESIDUAL_MAX**2) & np.isfinite(residual)
     first: NDArray[np.intp] = np.where(beyond.any(axis=0), beyond.argmax(axis=0), len(monitor))
