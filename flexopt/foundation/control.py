@@ -58,3 +58,8 @@ def gain_units(control: Control, joint_units: Sequence[str]) -> tuple[str, str, 
         return hinges
     kp, kv, ki = (f"{of_hinges} or {of_slides}" for of_hinges, of_slides in zip(hinges, slides, strict=True))
     return kp, kv, ki
+
+
+def damping_unit(joint_units: Sequence[str]) -> str:
+    """Unit of a damping constant that all joints share: of arms of hinges, of slides, of both."""
+    return " or ".join(dict.fromkeys("N m s/rad" if unit == "rad" else "N s/m" for unit in joint_units))

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.control import RATE_GAIN_UNITS, Control, gain_units
+from flexopt.foundation.control import RATE_GAIN_UNITS, Control, damping_unit, gain_units
 from flexopt.foundation.results import Result
 from flexopt.loop.gains import DAMPING_RATIO, SHARE, rigid_gains
 from flexopt.loop.levers import servo_gain_of_efforts
@@ -83,7 +83,7 @@ class LoopSettings(Result):
     @property
     def damping_unit(self) -> str:
         """Of `servo_gain` and `nullspace_damping`: of arms of hinges, of slides, of both."""
-        return " or ".join(dict.fromkeys("N m s/rad" if unit == "rad" else "N s/m" for unit in self.joint_units))
+        return damping_unit(self.joint_units)
 
     def motions(self, machine: AnyMachine, *, gravity: bool) -> SmallMotions:
         """The Functions of this loop."""

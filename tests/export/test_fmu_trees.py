@@ -27,8 +27,10 @@ from flexopt.cli.bundles import export_command
 from flexopt.compiled import compilers
 from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound, SingularPosture
 from flexopt.export.fmu import FmuReport, package
+from flexopt.export.fmu import settings as settable
 from flexopt.export.fmu.model import FmuModel
-from flexopt.export.fmu.variable import force_unit, gain_unit, words
+from flexopt.export.fmu.variable import force_unit, words
+from flexopt.foundation.control import gain_units
 from flexopt.model import Tree, tree_from_dict
 from flexopt.simulation import run as simulation
 from flexopt.simulation.scenario import build_scenario, checked_options
@@ -322,13 +324,28 @@ def test_noise_is_an_input(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("control", "joints", "force", "gain"),
-    [("inverse", ["rad", "rad"], "N m²", "N m"), ("damped:0.1", ["m", "m"], "N", "N/m"), ("inverse", ["rad", "m"], "", ""),
-     ("transpose", ["rad", "m"], "N", "N/m")],
+    ("control", "joints", "force"),
+    [("inverse", ["rad", "rad"], "N m²"), ("damped:0.1", ["m", "m"], "N"), ("inverse", ["m", "rad"], "N m² or N"),
+     ("transpose", ["rad", "m"], "N")],
 )  # fmt: skip
-def test_units_of_gains(control: str, joints: list[str], force: str, gain: str) -> None:
+def test_units_of_forces(control: str, joints: list[str], force: str) -> None:
     assert force_unit(control, joints) == force
-    assert gain_unit(force, "m") == gain
+
+
+@pytest.mark.parametrize(
+    ("control", "kp", "unit", "more"),
+    [("inverse", "N m or N/m", None, ", in N m or N/m"), ("transpose", "N/m", "N/m", "")],
+)
+def test_gains_of_a_crane_are_told_with_their_units(control: str, kp: str, unit: str | None, more: str) -> None:
+    """Of hinges and a telescope: as the loop's own text tells them; FMI knows no unit that is two."""
+    asked = {"posture": REACH["truck-crane"], "control": control, "feedback": "pid", "nullspace_damping": 1e3}
+    scenario = build_scenario(CRANE, checked_options("test", CRANE, asked))
+    found = {v.name: v for group in settable.settings(scenario, scenario.loop.structure).values() for v in group}
+    assert gain_units(control, CRANE.joint_units)[0] == kp
+    assert found["controller.kp.x"].unit == (unit or "")
+    assert found["controller.kp.x"].text == f"proportional gain, axis x{more}"
+    for v in found.values():
+        assert v.unit or ", in N" in v.text, v
 
 
 def test_unknowns_depend_on_what_the_description_says_and_on_nothing_else(tmp_path: Path) -> None:

@@ -148,7 +148,8 @@ def export_fmu(
     actuators have; inputs are the target and, as far as the base gives in them, x and y of the placement, with their
     rates (and the measurement's errors, where the sensor has noise). Other placement coordinates are parameters. Levers
     and the controller that attains ε_max (`feedback="robust"`) stay those of this machine and posture. Gains of an arm
-    of hinges and slides have no unit where its Jacobian's inverse is used: the same f becomes torques and forces.
+    of hinges and slides have two units where its Jacobian's inverse is used, as the same f becomes torques and forces;
+    FMI cannot tell two, their descriptions do.
 
     Co-simulation takes whole samples: a communication step shows the last sample that ends within it, and inputs move
     on at their rates through a step. Model exchange gives the derivatives of the continuous loop (`hold=False`).

@@ -7,9 +7,10 @@ become such.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
-from flexopt.export.fmu.variable import EFFORT, Variable, damper_unit, force_unit, gain_unit
+from flexopt.export.fmu.variable import EFFORT, Variable, force_unit, one_unit
+from flexopt.foundation.control import damping_unit, gain_units
 from flexopt.foundation.quantities import JOINT_DAMPING, coordinate_max
 from flexopt.loop.structure import LoopStructure
 from flexopt.model.loop import BANDWIDTH, LOOP_GAIN, SERVO_GAIN, TORQUE
@@ -47,28 +48,22 @@ def _start(scenario: Scenario) -> Groups:
 
 def _controller(scenario: Scenario, structure: LoopStructure) -> Groups:
     options, machine, found = scenario.options, scenario.machine, Groups()
-    rows, force = machine.task_rows, force_unit(options.control, machine.joint_units)
-    gains: list[tuple[str, str, Literal["m", "v", "i"]]] = [
-        ("kp", "proportional gain", "m"),
-        ("kv", "derivative gain", "v"),
-        ("ki", "integral gain", "i"),
-    ]
-    for name, text, of in gains[: {"pd": 2, "pid": 3}.get(structure.law, 0)]:
+    rows, joints = machine.task_rows, machine.joint_units
+    names = (("kp", "proportional"), ("kv", "derivative"), ("ki", "integral"))
+    told = zip(names, gain_units(options.control, joints), strict=True)
+    for (name, text), units in list(told)[: {"pd": 2, "pid": 3}.get(structure.law, 0)]:
+        unit, more = one_unit(units)
         found[name] = [
-            Variable(
-                f"controller.{name}.{row}", gain_unit(force, of), f"{text}, axis {row}", value, *LOOP_GAIN.range, True
-            )
+            Variable(f"controller.{name}.{row}", unit, f"{text} gain, axis {row}{more}", value, *LOOP_GAIN.range, True)
             for row, value in zip(rows, spread(getattr(options, name), len(rows)), strict=True)
         ]
     if structure.law == "pid":
-        text, limit = "largest integral part of the force, each axis", options.integral_limit
-        found["integral_limit"] = [Variable("controller.integral_limit", force, text, limit, *LOOP_GAIN.range, True)]
+        unit, more = one_unit(force_unit(options.control, joints))
+        text, limit = f"largest integral part of the force, each axis{more}", options.integral_limit
+        found["integral_limit"] = [Variable("controller.integral_limit", unit, text, limit, *LOOP_GAIN.range, True)]
     if structure.nullspace_damped:
-        text, unit, value = (
-            "damping of the arm's self-motion",
-            damper_unit(machine.joint_units),
-            options.nullspace_damping,
-        )
+        unit, more = one_unit(damping_unit(joints))
+        text, value = f"damping of the arm's self-motion{more}", options.nullspace_damping
         found["nullspace_damping"] = [
             Variable("controller.nullspace_damping", unit, text, value, *JOINT_DAMPING.range, True)
         ]
@@ -104,7 +99,8 @@ def _actuator(scenario: Scenario, structure: LoopStructure) -> Groups:
                 for joint, unit, value in _of_joints(machine.joints, machine.joint_units, values)
             ]  # fmt: skip
     if structure.hydraulic is not None:
-        text, unit = "torque or force of a joint rate behind the levers", damper_unit(machine.joint_units)
+        unit, more = one_unit(damping_unit(machine.joint_units))
+        text = f"torque or force of a joint rate behind the levers{more}"
         found["servo_gain"] = [
             Variable("actuator.servo_gain", unit, text, actuator.servo_gain, 1e-9, SERVO_GAIN.high, True)
         ]

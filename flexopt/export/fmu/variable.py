@@ -6,9 +6,8 @@ In: names and units of a machine. Out: `Variable`, units, words.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 from flexopt.foundation.control import Control
 from flexopt.foundation.escapes import one_line
@@ -18,7 +17,6 @@ from flexopt.model.kinematic_tree import ORIENTATION_ROWS
 EFFORT = {"rad": ("torque", "N m"), "m": ("force", "N")}
 # Parameters that are vectors or tensors of a body, and matrices over joints.
 _VECTORS, _COUPLED = ("position", "com", "inertia"), ("stiffness", "damping")
-_DAMPER = {"rad": "N m s/rad", "m": "N s/m"}
 
 
 @dataclass(frozen=True)
@@ -69,29 +67,12 @@ def row_text(row: str) -> str:
     return f"{row}, inertial frame"
 
 
-def common(units: Iterable[str]) -> str:
-    """The unit that all have; none where they differ."""
-    found = set(units)
-    return found.pop() if len(found) == 1 else ""
-
-
 def force_unit(control: Control, joints: Sequence[str]) -> str:
-    """Unit of the controller's f: N, or what Jacobian inverses make of it, N m² for hinges and N for slides.
-
-    An arm of both has none: τ = Jv⁺ f takes the same f for N m² and for N.
-    """
-    return "N" if control == "transpose" else common({"rad": "N m²", "m": "N"}[unit] for unit in joints)
+    """Unit of the controller's f: N, or what Jacobian inverses make of it, N m² for hinges and N for slides."""
+    found = {"m"} if control == "transpose" else set(joints)
+    return " or ".join({"rad": "N m²", "m": "N"}[unit] for unit in ("rad", "m") if unit in found)
 
 
-def gain_unit(force: str, of: Literal["m", "v", "i"]) -> str:
-    """Unit of a gain from error (m), its rate (v) or its integral (i) to f."""
-    units = {
-        "N": {"m": "N/m", "v": "N s/m", "i": "N/(m s)"},
-        "N m²": {"m": "N m", "v": "N m s", "i": "N m/s"},
-    }
-    return units[force][of] if force in units else ""
-
-
-def damper_unit(joints: Sequence[str]) -> str:
-    """Unit of a damping constant that all joints share."""
-    return common(_DAMPER[unit] for unit in joints)
+def one_unit(text: str) -> tuple[str, str]:
+    """A unit as a variable has it, and what its description adds: FMI cannot tell two, of hinges and of slides."""
+    return ("", f", in {text}") if " or " in text else (text, "")
