@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from flexopt.foundation.palette import Theme, colors
 from flexopt.foundation.pictures import Size
-from flexopt.plotting.fields import signed_colors
+from flexopt.plotting.fields import cell_edges, draw_border, signed_colors
 from flexopt.plotting.panels import Panel, draw_panel
 from flexopt.plotting.scene import Actor, draw_scene, legend_above
 from flexopt.plotting.shape import chain, views
@@ -98,11 +98,9 @@ def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: floa
     for k, name in enumerate(gains.names):
         axes = figure.add_subplot(1, len(gains.names), k + 1)
         decay, grows = -gains.growth_rate[k], np.asarray(gains.grows[k], dtype=bool)
-        image = axes.pcolormesh(
-            gains.kp, gains.kv, decay, norm=norm, cmap=signed_colors(), shading="nearest", rasterized=True
-        )
-        if decay.min() < 0 < decay.max():
-            axes.contour(gains.kp, gains.kv, decay, levels=[0.0], colors=inks.text, linewidths=1.3)
+        kp, kv_edges = (10 ** cell_edges(np.log10(values)) for values in (gains.kp, gains.kv))
+        image = axes.pcolormesh(kp, kv_edges, decay, norm=norm, cmap=signed_colors(), rasterized=True)
+        draw_border(axes, kp, kv_edges, decay, width=1.3)
         for mask, mark, color, label in (
             (grows, "^", inks.text, "run grows"),
             (~grows, "o", inks.page, "run converges"),

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, TwoSlopeNorm, to_rgb
 from matplotlib.image import AxesImage
@@ -43,11 +44,16 @@ class FieldPlane:
         return x, y
 
     @property
+    def edges(self) -> tuple[Values, Values]:
+        """Edges of the points' cells on the scaled axes, (n_x + 1,), (n_y + 1,)."""
+        x, y = map(cell_edges, self.scaled)
+        return x, y
+
+    @property
     def extent(self) -> tuple[float, float, float, float]:
         """Edges of the outermost points' cells."""
-        spans = [(float(v[0]), float(v[-1]), float(v[-1] - v[0]) / (v.size - 1) / 2) for v in self.scaled]
-        (left, right, half_x), (low, high, half_y) = spans
-        return left - half_x, right + half_x, low - half_y, high + half_y
+        (left, *_, right), (low, *_, high) = (edges.tolist() for edges in self.edges)
+        return left, right, low, high
 
     @property
     def aspect(self) -> Literal["equal", "auto"]:
@@ -55,6 +61,12 @@ class FieldPlane:
         if any(self.logarithmic):
             return "auto"
         return "equal" if 0.25 <= float(np.ptp(self.y) / np.ptp(self.x)) <= 4.0 else "auto"
+
+
+def cell_edges(values: Values) -> Values:
+    """Edges (n + 1,) of the cells of evenly spaced values (n,)."""
+    half = float(values[-1] - values[0]) / (values.size - 1) / 2
+    return np.linspace(float(values[0]) - half, float(values[-1]) + half, values.size + 1, dtype=np.float64)
 
 
 def signed_colors() -> LinearSegmentedColormap:
@@ -119,11 +131,24 @@ def draw_signed(axes: Axes, plane: FieldPlane, values: Values, *, label: str) ->
         values, extent=plane.extent, origin="lower", interpolation="nearest", aspect=plane.aspect, cmap=signed_colors(),
         norm=TwoSlopeNorm(0.0, -low, high),
     )  # fmt: skip
-    if above.size and below.size:
-        axes.contour(*plane.scaled, values, levels=[0.0], colors=colors().text, linewidths=0.8)
+    draw_border(axes, *plane.edges, values, width=0.8)
     bar = _bar(axes, image, label, extend="both")
     bar.set_ticks([-low, -low / 2, 0.0, high / 2, high])
     bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.2g}")
+
+
+def draw_border(axes: Axes, x: Values, y: Values, values: Values, *, width: float) -> None:
+    """A line along the edges x (n_x + 1,), y (n_y + 1,) between cells that settle, values (n_y, n_x) above 0, and grow.
+
+    A contour would be off by half a cell: decay bends where another motion becomes the slowest, often at the border.
+    """
+    known, settles = np.isfinite(values), values > 0
+    beside = known[:, 1:] & known[:, :-1] & (settles[:, 1:] != settles[:, :-1])
+    upon = known[1:] & known[:-1] & (settles[1:] != settles[:-1])
+    upright = [[(x[j + 1], y[i]), (x[j + 1], y[i + 1])] for i, j in np.argwhere(beside)]
+    flat = [[(x[j], y[i + 1]), (x[j + 1], y[i + 1])] for i, j in np.argwhere(upon)]
+    lines = LineCollection(upright + flat, colors=colors().text, linewidths=width, capstyle="projecting")
+    axes.add_collection(lines, autolim=False)
 
 
 def draw_regions(axes: Axes, plane: FieldPlane, values: Values) -> None:

@@ -11,7 +11,7 @@ import flexopt
 from flexopt.article import curve, sweep_gaps
 from flexopt.article import pictures as article
 from flexopt.foundation.palette import LIGHT
-from flexopt.plotting.fields import FieldPlane, draw_field
+from flexopt.plotting.fields import FieldPlane, draw_field, draw_signed
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
 
@@ -155,3 +155,22 @@ def test_rounding_is_drawn_in_one_colour():
             image = axes.images[0]
             spread = np.ptp(image.norm(image.get_array()))
             assert spread == pytest.approx(1.0, abs=0.2) if name == "field" else spread < 1e-12
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_border_of_stability_runs_between_the_cells_that_it_separates(turned):
+    """Slow where it settles, quick to grow beyond 4.9, as where another motion becomes the slowest; a cell is unknown."""
+    x, y = np.geomspace(1.0, 1e3, 10), np.arange(5.0)
+    decay = np.tile(np.minimum(0.1, 30.0 * (np.log10(47.0) - np.log10(x))), (5, 1))
+    decay[2, 5] = np.nan
+    settles = [float(np.log10(x[x < 47.0].max())), float(np.log10(x[x > 47.0].min()))]
+    plane = FieldPlane(x, y, "", "", (True, False))
+    if turned:
+        plane, decay = FieldPlane(y, x, "", "", (False, True)), decay.T
+    axes = Figure().add_subplot()
+    draw_signed(axes, plane, decay, label="")
+    (lines,) = axes.collections
+    drawn = np.array(lines.get_segments())
+    across, along = (drawn[..., 1], drawn[..., 0]) if turned else (drawn[..., 0], drawn[..., 1])
+    np.testing.assert_allclose(across, np.mean(settles), atol=1e-12)
+    np.testing.assert_allclose(along, [[-0.5, 0.5], [0.5, 1.5], [2.5, 3.5], [3.5, 4.5]], atol=1e-12)
