@@ -98,6 +98,13 @@ class Outcome(Result):
     """
 
     @property
+    def despite_reserve(self) -> str:
+        """Why a mode without a reserve of lag may decay to first order."""
+        if self.settings.even:
+            return "the feedback takes away less damping than the mode has of its own"
+        return "equal gains would take damping away; its own, or that rows or servos differ, lets the mode decay"
+
+    @property
     def _stable(self) -> list[str]:
         """The intervals of Kp in words; an end of the search is no border."""
         kp = next((x for x in self.settings.kp.tolist() if x > 0), 1.0)
@@ -127,6 +134,9 @@ class Outcome(Result):
                 f"{degrees[1, i]:7.1f}° {self.first_order_decay[i]:+7.4g} 1/s {self.frequencies_hz[i]:9.4f} Hz "
                 f"{self.damping_ratios[i]:10.3e}"
             )
+        if fed := [str(i + 1) for i in np.flatnonzero((self.lag_reserve < 0) & (self.first_order_decay > 0)).tolist()]:
+            modes = f"mode {fed[0]}" if len(fed) == 1 else f"modes {', '.join(fed[:-1])} and {fed[-1]}"
+            lines.append(f"  {modes}, reserve below 0: {self.despite_reserve}")
         lines.append(f"  sampled loop: {self._word}, {self.frequency_hz:.4g} Hz")
         lines += [f"  the arm's self-motion drifts, decay {-rate:+.3g}/s" for rate in self.drift if rate > 0]
         stable = ", ".join(self._stable) or "nowhere"

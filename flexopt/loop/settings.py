@@ -81,6 +81,12 @@ class LoopSettings(Result):
         return RATE_GAIN_UNITS if self.drive == "velocity" else self.force_units
 
     @property
+    def even(self) -> bool:
+        """Whether all task rows have the same gains, and all joints the same servo."""
+        each = (self.kp, self.kv, self.ki, () if self.bandwidth_hz is None else self.bandwidth_hz)
+        return all(len(set(values)) <= 1 for values in each)
+
+    @property
     def damping_unit(self) -> str:
         """Of `servo_gain` and `nullspace_damping`: of arms of hinges, of slides, of both."""
         return damping_unit(self.joint_units)

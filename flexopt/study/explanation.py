@@ -200,9 +200,10 @@ class Explanation(Pictured, Result):
         effect = "equal gains damp it" if reserve > 0 else "equal gains feed it"
         decay = of.first_order_decay[i]
         told = f"{'decays' if decay > 0 else 'grows'} at {abs(decay):.4g}/s"
+        despite = f": {of.despite_reserve}" if reserve < 0 < decay else ""
         return (
             f"With this loop: {against}; the feedback lags by {lag:.4g}°, a reserve of {reserve:.4g}°, so that "
-            f"{effect}; to first order it {told}."
+            f"{effect}; to first order it {told}{despite}."
         )
 
     def _move(self, i: int, move: ModeMove) -> str:

@@ -112,6 +112,27 @@ def test_lag_and_reserve():
         np.testing.assert_array_less(-1e-15, added * np.sign(found.lag_reserve))
 
 
+@pytest.mark.parametrize(
+    ("gains", "told"),
+    [({"kp": 1e2, "kv": 10.0}, "mode 1, reserve below 0: the feedback takes away less damping than the mode has of its own"),
+     ({"kp": [1e2, 1e3], "kv": [10.0, 20.0]}, "mode 1, reserve below 0: equal gains would take damping away; its own, "),
+     ({"kp": 1e4, "kv": 1e3}, None)],
+)  # fmt: skip
+def test_a_mode_that_decays_without_a_reserve_is_explained(gains, told):
+    """The mode's own damping is that of the machine without feedback."""
+    found = flexopt.evaluate(EXCAVATOR, POSTURE_A, loop=gains)
+    own = 2 * math.pi * found.frequencies_hz * found.damping_ratios
+    fed = found.outcome.first_order_decay - own
+    assert found.outcome.lag_reserve[0] < 0
+    assert fed[0] < 0
+    assert (found.outcome.first_order_decay[0] > 0) == bool(told)
+    assert np.all((fed > 0)[1:] == (found.outcome.lag_reserve > 0)[1:])
+    assert ("reserve below 0" in repr(found)) == bool(told)
+    assert (told or "") in repr(found)
+    why = flexopt.explain(EXCAVATOR, POSTURE_A, loop=gains)
+    assert (found.outcome.despite_reserve in repr(why)) == bool(told)
+
+
 def test_the_generalised_measure_is_an_eigenvalue():
     """Λmin of the Hermitian part of 2 e^{jψ} R; without lag w."""
     for name, (posture, loop) in STANDS.items():
