@@ -194,6 +194,7 @@ class Selection(Pictured, Result):
         problem: what was solved.
         unverified: the best V of a climb that broke no constraint but could not be verified where it ended, where that
             is better than the best candidate's; else None. Of several objectives in order that of the last.
+        climbed: points besides the starts from which surfaces V = 0 were climbed along, that bring optima of their own.
 
     Example:
         >>> selection = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), base=0.0, starts=8)
@@ -216,6 +217,7 @@ class Selection(Pictured, Result):
     problem: SelectionProblem
     provenance: Document = field(repr=False)
     unverified: float | None = None
+    climbed: int = field(default=0, repr=False)
 
     @property
     def converged(self) -> bool:
@@ -238,7 +240,8 @@ class Selection(Pictured, Result):
         wide = sum(bool(candidate.continuum) for candidate in self.candidates)
         continua = f" ({wide} of them at several placements alike)" if wide else ""
         optima = counted(len(self.candidates), "distinct local optimum", "distinct local optima")
-        return f"{optima}{continua} verified from {counted(len(self.attempts), 'start')}"
+        more = f" and from {self.climbed} more points along surfaces {self.objective} = 0" if self.climbed else ""
+        return f"{optima}{continua} verified from {counted(len(self.attempts), 'start')}{more}"
 
     @property
     def missed_chance(self) -> float | None:

@@ -182,7 +182,7 @@ def solved(
     if progress is not None and len(attempts) > len(starts):
         # Later objectives, and points that were seen to be better, bring starts of their own.
         progress(len(attempts), len(attempts))
-    bests = along_surfaces(problem, found, count) if climbs else [Best(item) for item in found]
+    bests, climbed = along_surfaces(problem, found, count) if climbs else ([Best(item) for item in found], 0)
     groups = grouped(problem, [best.found[0] for best in bests])
     candidates = _ranked(
         problem, _merged(problem, [_candidate(problem, [bests[k] for k in group]) for group in groups])
@@ -202,6 +202,7 @@ def solved(
         problem=problem,
         provenance=provenance(problem.machine, **options),
         unverified=unverified,
+        climbed=climbed,
     )
 
 

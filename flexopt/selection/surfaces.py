@@ -45,19 +45,23 @@ class Best:
     others: tuple[Vector, ...] = ()
 
 
-def along_surfaces(problem: SelectionProblem, found: list[Found], workers: int) -> list[Best]:
+def along_surfaces(problem: SelectionProblem, found: list[Found], workers: int) -> tuple[list[Best], int]:
     """The optima; of each connected surface V = 0 that was found its best, after all that are no surface.
 
     Where objectives are kept in order, or travel costs, the next objective or the cost says what is best.
+
+    Returns:
+        The optima, and from how many points besides them surfaces were climbed along.
     """
     wide = [item for item in found if item[1].unsurpassed and _may_be_wide(problem, item)]
     if not wide or len(problem.sought) > 1 or problem.travel is not None:
-        return [Best(item) for item in found]
+        return [Best(item) for item in found], 0
     rest = [Best(item) for item in found if not any(item is other for other in wide)]
     stage, sought = _next(problem)
     wide = sorted(wide, key=lambda item: -_value(stage, sought, item[0]))[:OPTIMA]
     beyond = max(item[1].dimension or 0 for item in wide) - int(turns(problem))
-    starts = [z for z, _, _ in wide] + worst_starts(problem, STARTS * min(max(beyond, 1), MOST), workers)
+    more = worst_starts(problem, STARTS * min(max(beyond, 1), MOST), workers)
+    starts = [z for z, _, _ in wide] + more
     climb = partial(_climbed, problem, stage, sought, starts)
     ends = in_parallel(climb, len(starts), workers, lost=lambda number, _: (starts[number], 0))
     proved = [(z, prove(problem, z), steps) for z, steps in ends]
@@ -80,7 +84,8 @@ def along_surfaces(problem: SelectionProblem, found: list[Found], workers: int) 
             home.append(item[0])
         if number < len(wide):
             home.append(wide[number][0])
-    return [*rest, *(Best(item, tuple(_distinct(problem, item[0], others))) for item, others in sets)]
+    bests = [Best(item, tuple(_distinct(problem, item[0], others))) for item, others in sets]
+    return [*rest, *bests], len(more)
 
 
 def _may_be_wide(problem: SelectionProblem, item: Found) -> bool:

@@ -15,6 +15,7 @@ from benchmarks.dimensions import cases, examined
 from flexopt.selection.cones import Parallel, split_factors
 from flexopt.selection.continua import nearest, travel
 from flexopt.selection.starts import apart, idle_joints
+from flexopt.selection.surfaces import STARTS
 from tests.oracles.machines import random_machine
 
 
@@ -225,3 +226,11 @@ def test_a_present_configuration_that_is_better_is_told() -> None:
     more = selection.best.objective - last.objective
     assert more > 1e-3 * selection.problem.objective_scale
     assert f"the present configuration has {more:.3g} more w1 than what is chosen" in repr(poorer)
+
+
+def test_the_points_that_bring_more_optima_than_starts_are_told() -> None:
+    selection = flexopt.select(flexopt.load("boom-stick-bucket"), (3.0, 0.5), starts=1, workers=1)
+    assert selection.climbed == STARTS
+    assert selection.status.endswith(f"verified from 1 start and from {STARTS} more points along surfaces w1 = 0")
+    point = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), starts=1, workers=1)
+    assert point.status.endswith("verified from 1 start")
