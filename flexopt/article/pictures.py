@@ -99,8 +99,9 @@ def plot_figure8(transpose: Curve, inverse: Curve, marks: Mapping[str, float]) -
                 name, (x, 0.02), xycoords=("data", "axes fraction"), xytext=(3, 0), textcoords="offset points",
                 color=inks.mark, rotation=90, va="bottom",
             )  # fmt: skip
-        lines = [*left.lines[:1], *right.lines[:1]]
-        left.legend(lines, [str(line.get_label()) for line in lines], loc="lower left", framealpha=0.95)
+    # Below both panels: in them curves and marks are everywhere.
+    lines = [axes.lines[0] for axes in figure.axes[:2]]
+    figure.legend(lines, [str(line.get_label()) for line in lines], loc="outside lower center", ncols=2)
     figure.suptitle("Fig. 8: measures along $y_d$, elbow up (dotted: sin π/8)")
     return figure
 

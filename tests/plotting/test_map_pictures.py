@@ -124,6 +124,13 @@ def test_figure_8(excavator):
         low, high = epsilon_axes.get_ylim()
         assert low < expected.epsilon_max[expected.regular].min() + 0.02
         assert high > 0.3827
+    # The legend lay upon w_1 at -2.8 m.
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["$\\epsilon_{max}$", "$w_1$"]
+    assert not any(
+        axes.get_legend() or axes.get_tightbbox().overlaps(legend.get_window_extent()) for axes in figure.axes
+    )
 
 
 def test_curves_are_broken_where_the_arm_does_not_reach(excavator):
