@@ -201,7 +201,7 @@ def _along_curve(problem: SelectionProblem, z: Vector, values: Vector, count: in
 
 
 def curve_peaks(problem: SelectionProblem, z: Vector, values: Vector) -> NDArray[np.int64]:
-    """Which points (n_z, N) of curves have a smaller V than none of their neighbours, in the order they come in.
+    """Which points (n_z, N) of curves are peaks, as no neighbour has a larger V, in the order they come in.
 
     A point's neighbours are the nearest one, and the nearest of those that lie on the other side of it; at the end of a
     curve there is none such. Where V is the same all along there is no peak.
