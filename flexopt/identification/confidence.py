@@ -78,11 +78,12 @@ def hidden(swing: HeldSwing, found: Fit, time: Vector) -> tuple[Vector, Array]:
     parts = 2 * (oscillations(roots, time)[:, None, :] * (swing.linear(theta)[1] @ shapes)).real
     taken = np.sum((parts / found.sigma[:, None])[found.used] ** 2, axis=0)
     weak = taken < 2 * math.log(max(2, int(found.used.sum()))) + SEEN
-    ways = MOVED * np.eye(theta.size) if weak.any() else ()
-    pairs = [(swing.roots(theta + way), swing.roots(theta - way)) for way in ways]
-    if not pairs or any(root.shape != roots.shape for pair in pairs for root in pair):
+    ways = MOVED * np.eye(theta.size)
+    moved = swing.roots_of(np.vstack([theta + ways, theta - ways])) if weak.any() else []
+    if not moved or any(each.shape != roots.shape for each in moved):
         return np.zeros(0), np.zeros((theta.size, 0))
-    slopes = np.array([(more - less) / (2 * MOVED) for more, less in pairs]).T / np.abs(roots)[:, None]
+    more, less = np.split(np.array(moved), 2)
+    slopes = (more - less).T / (2 * MOVED) / np.abs(roots)[:, None]
     seen, unseen = (np.vstack([part.real, part.imag]) for part in (slopes[~weak], slopes[weak]))
     sizes, rows = np.linalg.svd(np.vstack([seen, np.zeros((1, theta.size))]))[1:]
     rank = int(np.count_nonzero(sizes > MOVED * sizes[0])) if sizes[0] > 0 else 0

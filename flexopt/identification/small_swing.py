@@ -8,7 +8,7 @@ x0 and the offsets, which are eliminated (variable projection; Golub and Pereyra
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -50,6 +50,8 @@ THETA_MAX = 12.0
 AWAY = 3.0
 # From where on an accelerometer shows its weight, and from where on it shows it in another direction, shares of it.
 SHOWN, TURNED = 0.5, 0.35
+# By which θ moves for slopes by differences: half of the digits are left.
+STEP = math.sqrt(np.finfo(float).eps)
 # What a θ raises in which the machine has no small motions: its springs do not hold it, or its modes are out of bounds.
 NO_SWING = (NoSolutionFound, np.linalg.LinAlgError, ArithmeticError, RuntimeError)
 
@@ -139,6 +141,25 @@ def _alike(a: Complex, b: Complex) -> Array:
     return inner / np.maximum(np.outer((np.abs(a) ** 2).sum(0), (np.abs(b) ** 2).sum(0)), 1e-300)
 
 
+def of_roots(
+    swing: HeldSwing, residuals: Callable[[Complex, Vector], Vector]
+) -> tuple[Callable[[Vector], Vector], Callable[[Vector], Array]]:
+    """Residuals of the eigenvalues with θ and of θ, as functions of θ: their value, and their slopes by differences.
+
+    All steps are one call: called one by one, Python would take most of the time.
+    """
+
+    def values(thetas: Array) -> Array:
+        return np.array([residuals(*each) for each in zip(swing.roots_of(thetas), thetas, strict=True)])
+
+    def slopes(at: Vector) -> Array:
+        moved = at + np.diag(STEP * np.maximum(1.0, np.abs(at)))
+        here, *there = values(np.vstack([at, moved]))
+        return (np.array(there) - here).T / (np.diag(moved) - at)
+
+    return lambda at: values(at[None])[0], slopes
+
+
 def matched(swing: HeldSwing, poles: Poles, scale: Vector, theta: Vector) -> Vector:
     """θ by which modes come near to the poles, each to one."""
     from scipy.optimize import least_squares, linear_sum_assignment  # noqa: PLC0415  (loads slowly)
@@ -155,8 +176,7 @@ def matched(swing: HeldSwing, poles: Poles, scale: Vector, theta: Vector) -> Vec
         cost = weight[:, None] * (3.0 * apart + 1.0 - _alike(poles.shapes / scale[:, None], shapes / scale[:, None]))
         data, model = linear_sum_assignment(cost)
 
-        def residuals(at: Vector, data: NDArray[Any] = data, model: NDArray[Any] = model) -> Vector:
-            modes = swing.roots(at)
+        def residuals(modes: Complex, at: Vector, data: NDArray[Any] = data, model: NDArray[Any] = model) -> Vector:
             if modes.size <= model.max():
                 return np.full(2 * data.size + at.size, 10.0)
             wanted, now = poles.values[data], modes[model]
@@ -164,7 +184,8 @@ def matched(swing: HeldSwing, poles: Poles, scale: Vector, theta: Vector) -> Vec
             pulls = [np.log(np.abs(now) / np.abs(wanted)), 0.1 * np.clip(decay, -5.0, 5.0)]
             return np.concatenate([*(weight[data] * pull for pull in pulls), 0.02 / PRIOR * at])
 
-        found: Any = least_squares(residuals, theta, max_nfev=4)
+        value, slopes = of_roots(swing, residuals)
+        found: Any = least_squares(value, theta, slopes, max_nfev=4)
         moved, theta = float(np.abs(found.x - theta).max()), np.clip(found.x, -THETA_MAX, THETA_MAX)
         if moved < 1e-3:
             break
@@ -248,18 +269,19 @@ def same_poles(swing: HeldSwing, theta: Vector, springs: Sequence[int]) -> list[
     wanted, rng = swing.roots(theta), np.random.default_rng(SEED)
     seen = list(springs) or list(range(theta.size))
 
-    def residuals(at: Vector, start: Vector) -> Vector:
-        roots = swing.roots(at)
-        if roots.size != wanted.size:
-            return np.full(2 * wanted.size + at.size, 10.0)
-        apart: Complex = np.log(roots / wanted)
-        return np.concatenate([apart.real, apart.imag, 1e-4 * (at - start)])
-
     found = list[Vector]()
     for _ in range(SEARCHES if wanted.size > 1 else 0):
         start = theta.copy()
         start[seen] += rng.normal(0.0, APART, len(seen))
-        solved: Any = least_squares(residuals, start, args=(start,), max_nfev=MATCHING)
+
+        def residuals(roots: Complex, at: Vector, start: Vector = start) -> Vector:
+            if roots.size != wanted.size:
+                return np.full(2 * wanted.size + at.size, 10.0)
+            apart: Complex = np.log(roots / wanted)
+            return np.concatenate([apart.real, apart.imag, 1e-4 * (at - start)])
+
+        value, slopes = of_roots(swing, residuals)
+        solved: Any = least_squares(value, start, slopes, max_nfev=MATCHING)
         size, angle = np.abs(solved.fun[: 2 * wanted.size]).reshape(2, -1).max(axis=1)
         if size < SAME_SIZE and angle < SAME_ANGLE:
             found.append(solved.x)

@@ -84,10 +84,10 @@ class HeldSwing:
         """Of the unknown parameters."""
         return tuple(self.machine.parameters[i].name for i in self.unknown)
 
-    def parameters(self, theta: Vector) -> Vector:
-        """All parameters p (n_par,)."""
-        p = self._given[0].copy()
-        p[list(self.unknown)] = self.reference * np.exp(theta)
+    def parameters(self, theta: Array) -> Array:
+        """All parameters p (n_par,), or of each of θ (N, n_θ)."""
+        p = np.broadcast_to(self._given[0], (*theta.shape[:-1], self._given[0].size)).copy()
+        p[..., list(self.unknown)] = self.reference * np.exp(theta)
         return p
 
     def rest(self, theta: Vector) -> Vector:
@@ -96,18 +96,23 @@ class HeldSwing:
         Raises:
             NoSolutionFound: the springs do not hold the machine under gravity.
         """
-        find = self.plant.deflected if self.gravity else self.plant.rest
-        q = find.call([*self._given[1:], ca.DM(self.parameters(theta))])[0].full().ravel()
-        state = np.concatenate([q[: self.m], np.zeros(self.m)])
-        if self.gravity:
-            force = self.field.call([state, theta])[0].full() if np.all(np.isfinite(state)) else np.array(np.nan)
-            if not np.all(np.abs(force) < 1e-6):
-                raise NoSolutionFound(
-                    "identify: the springs do not hold the machine under its weight in this posture",
-                    violations={},
-                    iterate={},
-                )
+        state: Vector = self._rests(theta[None])[0]
+        if self.gravity and not np.all(np.isfinite(state)):
+            raise NoSolutionFound(
+                "identify: the springs do not hold the machine under its weight in this posture",
+                violations={},
+                iterate={},
+            )
         return state
+
+    def _rests(self, thetas: Array) -> Array:
+        """The states (N, 2m) in which the machine stands still with each θ; NaN where its springs do not hold it."""
+        find, states = self.plant.deflected if self.gravity else self.plant.rest, np.zeros((len(thetas), 2 * self.m))
+        states[:, : self.m] = find.call([*self._given[1:], self.parameters(thetas).T])[0].full()[: self.m].T
+        if self.gravity:
+            force = self.field.call([states.T, thetas.T])[0].full().T
+            states[~np.all(np.abs(force) < 1e-6, axis=1)] = np.nan
+        return states
 
     @cached_property
     def _symbols(self) -> dict[str, ca.SX]:
@@ -142,6 +147,14 @@ class HeldSwing:
     def field(self) -> ca.Function:
         """v̇_p (m,) and its derivative by [x, θ], (m, 2m + n_θ). Inputs x, theta."""
         return self._with_slopes("field", self._acceleration)
+
+    @cached_property
+    def _at_rest(self) -> ca.Function:
+        """∂v̇_p/∂x (m, 2m) where the machine stands still. Inputs x, theta, as of `field`, of which it is a fraction."""
+        x, theta, m = self._symbols["x"], self._symbols["theta"], self.m
+        still = ca.vertcat(x[:m], ca.SX.zeros(m))
+        slopes = ca.substitute(ca.jacobian(self._acceleration, x), x, still)
+        return ca.Function("at_rest", [x, theta], [ca.densify(slopes)], ["x", "theta"], ["slopes"], {"cse": True})
 
     @cached_property
     def outputs(self) -> ca.Function:
@@ -207,22 +220,24 @@ class HeldSwing:
 
     def _linear(self, theta: Vector) -> tuple[Array, Array, Vector]:
         m, state = self.m, self.rest(theta)
-        slopes = self.field.call([state, theta])[1].full()[:, : 2 * m]
-        a = np.block([[np.zeros((m, m)), np.eye(m)], [slopes]])
+        a = np.block([[np.zeros((m, m)), np.eye(m)], [self._at_rest.call([state, theta])[0].full()]])
         return a, self.outputs.call([state, theta])[1].full()[:, : 2 * m], state
 
     def roots(self, theta: Vector) -> Complex:
         """The eigenvalues alone that `modes` gives; none where the springs do not hold the machine."""
-        m = self.m
-        try:
-            rest = self.rest(theta)
-        except NoSolutionFound:
-            return np.zeros(0, dtype=complex)
-        slopes = self.field.call([rest, theta])[1].full()[:, : 2 * m]
-        matrix = np.block([[np.zeros((m, m)), np.eye(m)], [slopes]])
-        found: Complex = eigen(matrix)[0]
-        found = found[found.imag > 0]
-        return found[np.argsort(np.abs(found), kind="stable")]
+        return self.roots_of(theta[None])[0]
+
+    def roots_of(self, thetas: Array) -> list[Complex]:
+        """The `roots` of each θ (N, n_θ), in one call."""
+        m, count, rests = self.m, len(thetas), self._rests(thetas)
+        slopes = self._at_rest.call([rests.T, thetas.T])[0].full().reshape(m, count, 2 * m)
+        matrices = np.zeros((count, 2 * m, 2 * m))
+        matrices[:, :m, m:], matrices[:, m:] = np.eye(m), slopes.transpose(1, 0, 2)
+        held, found = np.all(np.isfinite(matrices), axis=(1, 2)), [np.zeros(0, dtype=complex)] * count
+        for k, values in zip(np.flatnonzero(held).tolist(), np.linalg.eigvals(matrices[held]), strict=True):
+            turning: Complex = values[values.imag > 0].astype(complex)
+            found[k] = turning[np.argsort(np.abs(turning), kind="stable")]
+        return found
 
     def modes(self, theta: Vector) -> tuple[Complex, Complex, Complex]:
         """Oscillations about rest, slowest first: eigenvalues (k,), imaginary parts positive, vectors (2m, k), (k, 2m).

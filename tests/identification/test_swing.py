@@ -9,6 +9,7 @@ import flexopt
 from flexopt.identification.fitting import SwingProblem, longest_step
 from flexopt.identification.log import MeasuredLog
 from flexopt.identification.measured import quantities
+from flexopt.identification.small_swing import of_roots
 from flexopt.identification.swing import HeldSwing
 from flexopt.identification.unknown import references
 from flexopt.model.parameter_values import with_parameters
@@ -97,3 +98,36 @@ def test_parameters_put_back_into_a_machine() -> None:
         assert {key: found[key] for key in values} == values
     with pytest.raises(flexopt.InputError, match=r"did you mean 'boom\.length'"):
         with_parameters(flexopt.load("excavator"), {"boom.lenght": 1.0})
+
+
+@pytest.mark.parametrize(("swung", "gravity"), [(planar(), False), (planar(), True), (spatial(), False)])
+def test_eigenvalues_of_many_at_once_are_those_of_the_swing_s_own_slopes(swung: Swung, gravity: bool) -> None:
+    """About rest the whole field's slopes are those of the small motions; one θ whose springs hold nothing has none."""
+    swing = held(
+        swung, ["base.y" if "base.y" in swung.machine.coordinates else swung.machine.coordinates[0]], gravity=gravity
+    )
+    m, thetas = swing.m, np.random.default_rng(1).normal(0.0, 0.3, (4, len(swung.truth)))
+    if gravity:
+        thetas[2] = np.nan  # as where the search for a deflection fails
+    many = swing.roots_of(thetas)
+    for theta, roots in zip(thetas, many, strict=True):
+        if np.isnan(theta[0]):
+            assert roots.size == 0
+            with pytest.raises(flexopt.NoSolutionFound):
+                swing.rest(theta)
+            continue
+        slopes = swing.field.call([swing.rest(theta), theta])[1].full()[:, : 2 * m]
+        a = np.block([[np.zeros((m, m)), np.eye(m)], [slopes]])
+        np.testing.assert_allclose(swing.linear(theta)[0], a, rtol=1e-12, atol=1e-12 * np.abs(a).max())
+        expected = np.linalg.eigvals(a)
+        expected = expected[expected.imag > 0]
+        np.testing.assert_allclose(roots, expected[np.argsort(np.abs(expected))], rtol=1e-9)
+
+
+def test_slopes_that_a_search_of_poles_is_given() -> None:
+    """Beside central differences, at a θ that is no optimum: one-sided ones keep half of the digits."""
+    swing, theta = held(planar(), ["base.y"]), np.array([0.3, -0.2, 0.5, 1.4, -0.7, 0.1])
+    value, slopes = of_roots(swing, lambda roots, at: np.concatenate([np.log(roots).real, np.log(roots).imag, at**2]))
+    h = 1e-5
+    central = np.array([(value(theta + step) - value(theta - step)) / (2 * h) for step in h * np.eye(theta.size)]).T
+    np.testing.assert_allclose(slopes(theta), central, atol=1e-6)
