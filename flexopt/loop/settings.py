@@ -85,6 +85,16 @@ class LoopSettings(Result):
         """Of `servo_gain` and `nullspace_damping`: of arms of hinges, of slides, of both."""
         return " or ".join(dict.fromkeys("N m s/rad" if unit == "rad" else "N s/m" for unit in self.joint_units))
 
+    @property
+    def fixed(self) -> Loop:
+        """The `Loop` of these numbers: with nothing left out it is the same in every posture."""
+        each = {name: getattr(self, name) for name in ("kp", "kv", "ki", *OF_DRIVES)}
+        return Loop(
+            control=self.control, feedback=self.feedback, drive=self.drive, rate=self.rate, dead_time=self.dead_time,
+            filter_hz=self.filter_hz, servo_gain=self.servo_gain, nullspace_damping=self.nullspace_damping,
+            **{name: value.tolist() for name, value in each.items() if value is not None},
+        )  # fmt: skip
+
     def motions(self, machine: AnyMachine, *, gravity: bool) -> SmallMotions:
         """The Functions of this loop."""
         return small_motions(

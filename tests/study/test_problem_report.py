@@ -231,11 +231,20 @@ def test_a_run_too_short_for_its_verdict_is_noted():
 
 
 @pytest.mark.usefixtures("words_alone")
-def test_the_verdict_takes_as_many_members_as_asked_for(capsys, tmp_path, monkeypatch):
+def test_the_verdict_is_that_of_the_call_and_its_loop_that_of_the_runs(capsys, tmp_path, monkeypatch):
+    """With as many members as asked for; what `default` leaves out follows from the present place once, for all."""
     monkeypatch.chdir(tmp_path)
-    asked = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--members", "5", "--runs", "1")
+    asked = ("--loop", "default", "--members", "5", "--runs", "1")
     command = Command(capsys, tmp_path)
-    found = command.json("report", "article", *asked, "--points", "3", "--out", "r")["verdict"]
+    document = command.json("report", "article", *asked, "--points", "3", "--out", "r")
+    found = document["verdict"]
     alone = command.json("verdict", "article", *asked)
+    present = flexopt.outcome(flexopt.load("excavator"), document["selection"]["initial"]["posture"], loop="default")
+    assert found["settings"]["kp"] == present.settings.kp.tolist()
+    numbers = {name: x for name, x in alone["settings"].items() if name != "sources"}
+    assert list(document["loops"]) == ["present", "chosen"]
+    for loop in document["loops"].values():
+        assert {name: x for name, x in loop["run"]["loop"].items() if name != "sources"} == numbers
+        assert loop["run"]["provenance"]["options"]["kp"] == numbers["kp"]
     assert found["provenance"]["options"]["members"] == 5
     assert [place["decay"] for place in found["places"]] == [place["decay"] for place in alone["places"]]
