@@ -29,6 +29,8 @@ from flexopt.robustness import Evaluation
 VELOCITY_KP = 1.0
 HALVINGS = 6
 USUAL = "usual of velocity-served joints"
+# How the sources of numbers begin that follow from a posture.
+SUITING, SERVING = "suits the arm's masses", "the largest at which no full lever asks a joint here"
 # What a loop may say of each joint's drive.
 OF_DRIVES = ("bandwidth_hz", "torque_limit", "rate_limit")
 
@@ -133,6 +135,23 @@ class LoopSettings(Result):
         names = ", ".join(self.sources)
         return [f"  not given of the loop, so proposed from the machine: {names}"] if names else []
 
+    def handed_on(self, where: str) -> str:
+        """Which numbers follow from the posture of a place, and how other calls are given them; empty without any."""
+        found = {
+            name: f"{float(np.max(getattr(self, name))):.6g}"
+            for name, source in self.sources.items()
+            if source.startswith((SUITING, SERVING))
+        }
+        if not found:
+            return ""
+        names = f"the gains {' and '.join(found)} follow" if len(found) > 1 else f"the gain {next(iter(found))} follows"
+        table = ", ".join(f'"{name}": {number}' for name, number in found.items())
+        options = " ".join(f"--loop {name}={number}" for name, number in found.items())
+        return (
+            f"{names} from the posture of {where} and would be other{'s' * (len(found) > 1)} in another posture; "
+            f"to keep {'these' if len(found) > 1 else 'it'}: loop={{{table}}}, in the shell {options}"
+        )
+
     def __repr__(self) -> str:
         gains = [f"{name} {_numbers(getattr(self, name.lower()))}{unit and ' ' + unit}"
                  for name, unit in zip(("Kp", "Kv", "Ki"), self.gain_units, strict=True)
@@ -175,7 +194,7 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
     gain = loop.servo_gain
     if drive == "velocity" and gain is None:
         gain = servo_gain_of_efforts(machine, stand.posture)
-        sources["servo_gain"] = "the largest at which no full lever asks a joint here for more than its effort"
+        sources["servo_gain"] = f"{SERVING} for more than its effort"
     gains: dict[str, float] = {}
     for name in ("kp", "kv"):
         given, allowed = getattr(loop, name), getattr(loop, f"{name}_range")
@@ -187,7 +206,7 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
     gains |= {name: usual[name] for name in chosen}
     why = USUAL
     if drive == "torque":
-        why = f"suits the arm's masses: corner at {SHARE:g} of the lowest mode, damping ratio {DAMPING_RATIO:g} on a "
+        why = f"{SUITING}: corner at {SHARE:g} of the lowest mode, damping ratio {DAMPING_RATIO:g} on a "
         why += "rigid base"
     sources |= dict.fromkeys(sorted(chosen), why)
     if "dead_time" not in loop.model_fields_set:

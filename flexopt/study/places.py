@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-STAY = "stay"
+# Where the machine stands now, and the best of the selection.
+STAY, FIRST = "stay", "candidate 1"
 # Length of the standard move, m.
 MOVE = 0.1
 

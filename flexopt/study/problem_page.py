@@ -16,7 +16,7 @@ from flexopt.selection import Selection
 from flexopt.selection.result import shown_measures
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.page import Picture, Table, begun, coordinate, number, picture, pictures, run_figures
-from flexopt.study.places import STAY
+from flexopt.study.places import FIRST, STAY
 from flexopt.study.problem_tables import SHOWN, constraints, coordinates, modes, parameters, some, written_residue
 from flexopt.study.verdict_page import judged, target_of
 
@@ -206,7 +206,7 @@ def _loops_note(report: Report) -> str:
     if not isinstance(report.selection, Selection):
         return "At the target with the smallest V, the base standing where it is chosen to stand there."
     best = f"Chosen: candidate 1, which has the best {report.selection.objective}"
-    if report.verdict is not None and report.verdict.place not in ("", STAY, "candidate 1"):
+    if report.verdict is not None and report.verdict.place not in ("", STAY, FIRST):
         best += f"; the verdict looks at what the controller makes of each, and is about {report.verdict.place}"
     return f"{best}."
 

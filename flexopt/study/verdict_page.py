@@ -88,7 +88,8 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "bands": _pictures(verdict),
         "places": _places(verdict),
         "where": _where(verdict),
-        "loop": repr(verdict.settings).splitlines()[0],
+        "loop": verdict.controller,
+        "handed_on": verdict.handed_on and f"{begun(verdict.handed_on)}.",
         "sources": (("number", "where it is from"), list(verdict.settings.sources.items())),
         "over": f"{begun(verdict.over)}.",
     }

@@ -23,7 +23,7 @@ from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import RULE, Word, gains_in_words
 from flexopt.study.place_loops import Chosen, problems_of
-from flexopt.study.places import STAY, told
+from flexopt.study.places import FIRST, STAY, told
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
@@ -189,6 +189,17 @@ class Verdict(Pictured, Result):
         return f"uncertain: {known}; {self.members} members and a search, not a proof{several}{runs}"
 
     @property
+    def controller(self) -> str:
+        """The loop in words, with its gains."""
+        return repr(self.settings).splitlines()[0]
+
+    @property
+    def handed_on(self) -> str:
+        """Which gains follow from the posture, and how other calls are given them; empty where all were given."""
+        stays = any(place.name == STAY for place in self.places)
+        return self.settings.handed_on("the present place" if stays else FIRST)
+
+    @property
     def proven(self) -> bool:
         """See the class."""
         return False
@@ -261,8 +272,9 @@ class Verdict(Pictured, Result):
         unit = self.settings.gain_units[0]
         wide = max(15, len(unit) + 11)
         lines = [
-            f"{self.problems[0].machine.name}: {repr(self.settings).splitlines()[0]}",
+            f"{self.problems[0].machine.name}: {self.controller}",
             *self.settings.proposed,
+            *([f"  {self.handed_on}"] if self.handed_on else []),
             f"  {self.over}",
             "  decay with the file's numbers, then the worst of everything:",
             f"  {'place':12} {'drive':>8} {'decay, slowest':>20} {'allowed Kp':>{wide}} {'delay margin':>13} "
