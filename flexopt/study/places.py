@@ -6,6 +6,8 @@ import math
 
 # Where the machine stands now, and the best of the selection.
 STAY, FIRST = "stay", "candidate 1"
+# How many of the places judged are told of, besides these two.
+TOLD = 3
 # Length of the standard move, m.
 MOVE = 0.1
 

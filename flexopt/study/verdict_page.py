@@ -87,6 +87,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "numbers": _numbers(verdict),
         "bands": _pictures(verdict),
         "places": _places(verdict),
+        "left_out": verdict.left_out and f"{begun(verdict.left_out)}.",
         "where": _where(verdict),
         "loop": verdict.controller,
         "handed_on": verdict.handed_on and f"{begun(verdict.handed_on)}.",

@@ -22,8 +22,8 @@ from flexopt.selection.problem import elsewhere
 from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import RULE, Word, gains_in_words
-from flexopt.study.place_loops import Chosen, problems_of
-from flexopt.study.places import FIRST, STAY, told
+from flexopt.study.place_loops import Chosen, found_in, problems_of
+from flexopt.study.places import FIRST, STAY, TOLD, told
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
@@ -108,7 +108,8 @@ class Verdict(Pictured, Result):
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
         gains: those to change to.
         rule: by which the word was found.
-        places: the present one first, then the best others;  table: a row of numbers for each.
+        places: the present one first, then the best of the candidates, and candidate 1 where it is none of these;
+            table: a row of numbers for each;  judged: how many candidates were looked at.
         settings: of the loop, the same in every place.
         uncertainty: intervals by name;  members: how many points of them were looked at;  proven: False: bands are what
             was found among these points, and by a search from the slowest ones.
@@ -128,11 +129,12 @@ class Verdict(Pictured, Result):
     settings: LoopSettings
     uncertainty: tuple[Uncertainty, ...]
     members: int
+    judged: int
     selection: Chosen = field(repr=False)
     provenance: Document = field(repr=False)
 
     DOCUMENT = """
-    word sentence place reason measure gains rule targets[m] places settings uncertainty=_uncertainty members proven
+    word sentence place reason measure gains rule targets[m] places settings uncertainty=_uncertainty members judged proven
     provenance
     """
 
@@ -187,6 +189,20 @@ class Verdict(Pictured, Result):
             late = "runs wait whole samples: every dead time is taken as the next longer one of these"
         runs = f"; nonlinear {late}" if late and any(place.runs for place in self.places) else ""
         return f"uncertain: {known}; {self.members} members and a search, not a proof{several}{runs}"
+
+    @property
+    def left_out(self) -> str:
+        """How many candidates were looked at, and which of them are told of, a sentence; empty where all are."""
+        names = [place.name for place in self.places if place.name != STAY]
+        if len(names) == self.judged:
+            return ""
+        first = f", and {FIRST}, which comes first by {self.selection.objective}" if len(names) > TOLD else ""
+        found = found_in(self.selection)
+        of_all = f" of {found}" if found > self.judged else ""
+        return (
+            f"{self.judged}{of_all} candidates were judged; shown are the {TOLD} that are stable on the most grounds and, of "
+            f"these, decay fastest in the worst case{first}"
+        )
 
     @property
     def controller(self) -> str:
@@ -281,6 +297,7 @@ class Verdict(Pictured, Result):
             f"{'settling':>10} {'turn':>11}   nonlinear runs",
         ]
         lines += [_row(place, f" {unit}", wide) for place in self.places]
+        lines += [f"  {self.left_out}"] * bool(self.left_out)
         if any(place.decay.least <= 0 for place in self.places):
             lines.append("  –: there is none, for on some ground it grows")
         elif any(math.isnan(place.settling.greatest) for place in self.places):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,19 @@ def test_the_decision_is_the_same_for_the_selection_and_its_problem() -> None:
     other = judged("article", loop=ARTICLE, runs=0)
     assert told == [(k, 4) for k in (1, 2, 3, 4)]
     assert (one.word, one.place, one.reason) == (other.word, other.place, other.reason)
+    # What the selection recommends is told of though three others decay faster, and how many more there are.
+    assert len(one.places) == 4
+    assert "8 candidates were judged; shown are the 3 that are stable on the most grounds" in repr(one)
+    last = selection.candidates[-1]
+    turned = replace(selection, best=last, candidates=tuple(reversed(selection.candidates)))
+    worse = flexopt.verdict(turned, loop=ARTICLE, members=2, runs=0)
+    names = [place.name for place in worse.places]
+    assert (names[0], names[-1], len(names), worse.judged) == ("stay", "candidate 1", 5, 8)
+    assert "and candidate 1, which comes first by w1" in repr(worse)
+    recommended = worse.places[-1]
+    assert max(place.decay.nominal for place in worse.places[1:-1]) > recommended.decay.nominal
+    alone = flexopt.outcome(flexopt.load("excavator"), last.evaluation.posture, base=recommended.base, loop=ARTICLE)
+    assert recommended.decay.nominal == pytest.approx(alone.decay)
 
 
 def test_a_present_place_that_no_integrator_follows_grows() -> None:
