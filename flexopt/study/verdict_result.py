@@ -276,9 +276,18 @@ class Verdict(Pictured, Result):
         return "\n".join(lines)
 
     @property
-    def _drifts(self) -> bool:
-        machine = self.problems[0].machine
-        return len(machine.joints) > len(machine.task_rows) and not self.settings.nullspace_damping
+    def drifts(self) -> str:
+        """That the controller does not brake the arm's self-motion, a sentence; empty where it does, or there is none.
+
+        Drives that follow rates hold it.
+        """
+        machine, loop = self.problems[0].machine, self.settings
+        if len(machine.joints) <= len(machine.task_rows) or loop.nullspace_damping or loop.drive == "velocity":
+            return ""
+        where = "in the linear loop"
+        if any(place.runs for place in self.places):
+            where = "neither in these runs nor in the linear loop"
+        return f"the arm's self-motion is not damped, {where}; loop.nullspace_damping brakes it"
 
     @property
     def _uncertainty(self) -> list[dict[str, Any]]:
@@ -303,10 +312,7 @@ class Verdict(Pictured, Result):
         elif any(math.isnan(place.settling.greatest) for place in self.places):
             lines.append("  –: on some ground it does not settle in a minute")
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
-        ran = [place.runs for place in self.places if place.runs]
-        if self._drifts and ran and (self.word == "cannot tell" or any(runs.undecided for runs in ran)):
-            told = "the arm's self-motion is not damped, neither in these runs nor in the linear loop"
-            lines.append(f"  {told}; loop.nullspace_damping brakes it")
+        lines += [f"  {self.drifts}"] * bool(self.drifts)
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
         return "\n".join([*lines, *([self.measure] if self.measure else [])])
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import flexopt
+from flexopt.study import page
 
 ARTICLE = {"kp": 1e4, "kv": 1e3}
 
@@ -187,7 +188,9 @@ def test_a_posture_that_was_given_is_not_called_missing() -> None:
 
 
 @pytest.mark.parametrize(("damping", "told"), [(0.0, True), (1e4, False)])
-def test_a_self_motion_that_nothing_brakes_is_told_where_no_word_is_found(damping: float, told: bool) -> None:
+def test_a_self_motion_that_nothing_brakes_is_told(
+    damping: float, told: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """All places grow with these gains, and the runs with smaller ones drift: a damper is what is missing."""
     machine = flexopt.load("boom-stick-bucket")
     loop = {"kp": 1e9, "kv": 1e7, "dead_time": 0.02, "nullspace_damping": damping}
@@ -195,8 +198,17 @@ def test_a_self_motion_that_nothing_brakes_is_told_where_no_word_is_found(dampin
     found = flexopt.verdict(selection, loop=loop, members=2, runs=1, duration=5.0)
     assert all(place.runs is None or not place.runs.undecided for place in found.places)
     assert found.word == "cannot tell" or not told
-    assert ("loop.nullspace_damping brakes it" in repr(found)) == told
-    assert ("nor in the linear loop" in repr(found)) == told
+    # With any other word, too, and on the page.
+    for each in (found, replace(found, word="move", place="candidate 1")):
+        assert ("loop.nullspace_damping brakes it" in repr(each)) == told
+        assert ("nor in the linear loop" in repr(each)) == told
+    monkeypatch.setattr(page, "_png", lambda figure: "")
+    found.to_html(tmp_path / "verdict.html")
+    shown = (tmp_path / "verdict.html").read_text(encoding="utf-8")
+    assert ("nor in the linear loop; loop.nullspace_damping brakes it" in shown) == told
+    # Drives that follow rates hold it.
+    served = replace(found, settings=replace(found.settings, drive="velocity", servo_gain=1e5))
+    assert "nullspace_damping brakes it" not in repr(served)
 
 
 def test_a_target_that_grows_grows() -> None:
