@@ -87,7 +87,8 @@ class SelectionOptions(BuiltByCall):
         gravity: measures and end-point under static deflection.
         gain: of a single target: servo gain kr of ε_max.
         base: present placement (n_b,), m or rad: breaks ties and gives the initial posture.
-        posture: present posture (n,), rad or m: with `base` the initial configuration.
+        posture: present posture (n,), rad or m: with `base` the initial configuration. Of several targets, which have a
+            posture each, no more than what a cost of travel counts from.
         base_range: where the base may stand: (lower, upper) of x, or a table such as {"x": (lower, upper), "yaw": …}
             with the placement coordinates that are bounded. By default all placements from which the arm reaches, and
             see `assume`; where the task does not say where that is, within the arm's reach of the present placement.

@@ -141,6 +141,7 @@ class ConfigurationSet(Tabled):
         first = self.problems[0]
         how = f"Jacobian {first.control} control, objective {self.objective}: {status}"
         named = [f"  {assumption}" for assumption in first.assumed]
+        named += [f"  {self.unused_posture}"] * bool(self.unused_posture)
         return [
             f"{first.machine.name}: {what}, {how}",
             *_table(self.places, self.shown_objective, self.worst, self.column),
@@ -151,6 +152,14 @@ class ConfigurationSet(Tabled):
             ),
             *named,
         ]
+
+    @property
+    def unused_posture(self) -> str:
+        """A sentence where a present posture was given that decides nothing; else empty."""
+        first = self.problems[0]
+        if first.present_posture is None or first.travel is not None:
+            return ""
+        return "posture: decides nothing, as each target has its own; a cost of travel alone counts from it"
 
     @property
     def left_out(self) -> str:
