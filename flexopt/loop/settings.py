@@ -148,7 +148,7 @@ class LoopSettings(Result):
         table = ", ".join(f'"{name}": {number}' for name, number in found.items())
         options = " ".join(f"--loop {name}={number}" for name, number in found.items())
         return (
-            f"{names} from the posture of {where} and would be other{'s' * (len(found) > 1)} in another posture; "
+            f"{names} from the posture of {where} and would be {'others' if len(found) > 1 else 'another'} elsewhere; "
             f"to keep {'these' if len(found) > 1 else 'it'}: loop={{{table}}}, in the shell {options}"
         )
 

@@ -296,6 +296,16 @@ class Selection(Pictured, Result):
         return f"nothing to gain: the present configuration has as much {problem.name}, to {NOTHING:g} of |a||b|"
 
     @property
+    def present_told(self) -> str:
+        """What is to be known of the present configuration: that no posture was given, or where it is; else empty."""
+        e, plant = self.initial, self.problem.measures.plant
+        if e is None:
+            return ""
+        if self.problem.present_posture is None and plant.n_actuated > plant.n_task:
+            return "one of the postures that reach the target from there: none was given"
+        return elsewhere(self.problem, np.concatenate([e.base, e.posture]))
+
+    @property
     def left_out(self) -> str:
         """A sentence where ε_max was not sought and another candidate has more than twice as much; else empty."""
         margins = [candidate.evaluation.epsilon_max or 0.0 for candidate in self.candidates[:SHOWN]]
@@ -328,10 +338,7 @@ class Selection(Pictured, Result):
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")
         if self.initial is not None:
             e = self.initial
-            off = elsewhere(problem, np.concatenate([e.base, e.posture]))
-            plant = problem.measures.plant
-            if problem.present_posture is None and plant.n_actuated > plant.n_task:
-                off = "one of the postures that reach the target from there: none was given"
+            off = self.present_told
             lines.append(f"   now {in_columns(e)}{_measures(problem, e)}{off and '   ' + off}")
         lines.append(f"  {units_told(best)}")
         lines += [f"  {kept}" for kept in self.kept]

@@ -167,6 +167,11 @@ def _placed(report: Report) -> tuple[Table, str]:
         more = len(selection.candidates) - SHOWN
         wide = [f"{k} ({len(c.continuum)} more)" for k, c in enumerate(selection.candidates[:SHOWN], 1) if c.continuum]
     notes = [f"And {more} more."] * (more > 0)
+    if not isinstance(selection, Selection):
+        told = begun(selection.unused_posture)
+    else:
+        told = selection.present_told and f"Present: {selection.present_told}"
+    notes += [f"{told}."] * bool(told)
     if wide:
         notes.append(
             f"Placements that change nothing else, as when the machine turns about the target: {', '.join(wide)}."

@@ -89,6 +89,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "places": _places(verdict),
         "left_out": verdict.left_out and f"{begun(verdict.left_out)}.",
         "drifts": verdict.drifts and f"{begun(verdict.drifts)}.",
+        "taken": verdict.taken and f"Staying is judged in {verdict.taken}.",
         "where": _where(verdict),
         "loop": verdict.controller,
         "handed_on": verdict.handed_on and f"{begun(verdict.handed_on)}.",

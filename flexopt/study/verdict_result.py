@@ -134,8 +134,8 @@ class Verdict(Pictured, Result):
     provenance: Document = field(repr=False)
 
     DOCUMENT = """
-    word sentence place reason measure gains rule targets[m] places settings uncertainty=_uncertainty members judged proven
-    provenance
+    word sentence place reason measure gains rule targets[m] places settings uncertainty=_uncertainty members judged
+    proven provenance
     """
 
     @property
@@ -200,8 +200,8 @@ class Verdict(Pictured, Result):
         found = found_in(self.selection)
         of_all = f" of {found}" if found > self.judged else ""
         return (
-            f"{self.judged}{of_all} candidates were judged; shown are the {TOLD} that are stable on the most grounds and, of "
-            f"these, decay fastest in the worst case{first}"
+            f"{self.judged}{of_all} candidates were judged; shown are the {TOLD} that are stable on the most grounds "
+            f"and, of these, decay fastest in the worst case{first}"
         )
 
     @property
@@ -212,8 +212,8 @@ class Verdict(Pictured, Result):
     @property
     def handed_on(self) -> str:
         """Which gains follow from the posture, and how other calls are given them; empty where all were given."""
-        stays = any(place.name == STAY for place in self.places)
-        return self.settings.handed_on("the present place" if stays else FIRST)
+        where = "the present place" if self._stays else FIRST
+        return self.settings.handed_on(f"{where} at target 1" if len(self.problems) > 1 else where)
 
     @property
     def proven(self) -> bool:
@@ -250,6 +250,22 @@ class Verdict(Pictured, Result):
 
         write_file(path, verdict_html(self))
 
+    @property
+    def taken(self) -> str:
+        """In which posture staying is judged, where the problem does not say; empty where it does."""
+        many, given = len(self.problems) > 1, self.problems[0].present_posture is not None
+        if not self._stays:
+            return ""
+        if many:
+            # No one posture is how the arm is held.
+            why = "the one that was given is not used" if given else "how the arm is held was not given"
+            return f"postures that reach the targets: {why}"
+        return "" if given else "a posture that reaches the target: how the arm is held was not given"
+
+    @property
+    def _stays(self) -> bool:
+        return any(place.name == STAY for place in self.places)
+
     def _where(self, place: PlaceVerdict) -> str:
         machine, many = self.problems[0].machine, len(self.problems) > 1
         stands = [
@@ -259,11 +275,7 @@ class Verdict(Pictured, Result):
             )
             for base, posture in place.stands
         ]
-        taken = place.name == STAY and (many or self.problems[0].present_posture is None)
-        reaches = "postures that reach the targets" if many else "a posture that reaches the target"
-        # Of several targets no one posture is how the arm is held.
-        given = self.problems[0].present_posture is not None
-        why = f" ({reaches}{'' if given else ': how the arm is held was not given'})" if taken else ""
+        why = f" ({self.taken})" if place.name == STAY and self.taken else ""
         first, held = stands[0]
         if not many:
             off = elsewhere(self.problems[0], np.concatenate(place.stands[0])) if place.name == STAY else ""

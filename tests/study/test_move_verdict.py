@@ -92,7 +92,12 @@ def test_what_grows_is_not_said_to_settle_late(tmp_path: Path) -> None:
     found = judged("article", loop=ARTICLE, members=2, runs=0)
     assert found.places[0].decay.least < 0
     found.to_html(tmp_path / "verdict.html")
-    assert "over 60 s" not in (tmp_path / "verdict.html").read_text(encoding="utf-8")
+    words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
+    assert "over 60 s" not in words
+    # As the text does, the page says that nobody gave the present posture, and that the gains are given.
+    assert "Staying is judged in a posture that reaches the target: how the arm is held was not given." in words
+    assert "Kp 1e+04 N m, Kv 1000 N m s" in words
+    assert found.handed_on == ""
 
 
 def test_runs_that_wait_longer_than_the_loop_say_so() -> None:
@@ -185,6 +190,8 @@ def test_a_posture_that_was_given_is_not_called_missing() -> None:
         found = repr(flexopt.verdict(stand, loop=ARTICLE, members=2, runs=0))
         assert "postures that reach the targets" in found
         assert (words in found) == missing
+        assert ("the one that was given is not used" in found) != missing
+        assert ("posture: decides nothing" in repr(stand)) != missing
 
 
 @pytest.mark.parametrize(("damping", "told"), [(0.0, True), (1e4, False)])

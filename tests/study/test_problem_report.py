@@ -5,6 +5,7 @@ import html
 import io
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import flexopt
 from flexopt.model.tree import tree_from_dict
 from flexopt.plotting.workspace import plot_quantities
 from flexopt.study import page
+from flexopt.study.problem_page import _placed as placed
 from flexopt.study.problem_page import report_html
 from tests.cli.command import Command
 from tests.oracles.spatial import in_space
@@ -95,6 +97,14 @@ def test_document(article):
     )
     energy = np.array([4e7, 4e7, 1.112e6]) * v["modes"].full()[:3, 0] ** 2
     np.testing.assert_allclose(shares[:, 0], energy / energy.sum())
+
+
+def test_a_present_posture_beside_the_target_is_told(article):
+    held = flexopt.evaluate(flexopt.load("excavator"), (0.5, -1.5))
+    elsewhere = replace(article, selection=replace(article.selection, initial=held))
+    x, y = held.end_point
+    assert f"Present: holds the end-point at ({x:.4g}, {y:.4g}) m, not at the target." in placed(elsewhere)[1]
+    assert "Present" not in placed(article)[1]
 
 
 def test_marks_are_where_the_machine_is(article):
