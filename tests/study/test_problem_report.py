@@ -87,7 +87,7 @@ def test_document(article):
     assert document["loops"]["present"]["run"]["verdict"] == "grows"
     assert document["simulation"]["kp"] == [1e5]
     assert len(document["gains"]) == 4
-    assert [each["name"] for each in document["selection"]["problem"]["assumed"]] == ["reach"]
+    assert [each["name"] for each in document["selection"]["problem"]["assumed"]] == ["reach", "capsules"]
     shares = np.array(document["mode_shares"]["chosen"])
     np.testing.assert_allclose(shares.sum(axis=0), 1.0)
     # The first mode is the base's rotation: its strain energy by hand.
