@@ -33,9 +33,9 @@ ALWAYS = ("limits", "clearance", "capsules")
 
 @dataclass(frozen=True)
 class Assumption:
-    """One of `flexopt.model.choices.ASSUMPTIONS` that was made; or what no word switches off, of bodies without a volume.
+    """One of `flexopt.model.choices.ASSUMPTIONS` that was made; or what no word switches off.
 
-    That is `clearance`, of some of them where that is asked for, or `capsules`, of all.
+    That is of bodies without a volume: `clearance` of some, where it is asked for, `capsules` of all.
 
     Attributes:
         name: the word that switches it;  sentence: what was assumed.
