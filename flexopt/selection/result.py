@@ -409,16 +409,17 @@ def _folded_names(e: Evaluation) -> list[list[str]]:
 
 
 def way_there(problem: SelectionProblem, best: Candidate) -> str:
-    """From the present configuration, or 0 where it is not known: the base's drive, the joint that moves most."""
+    """From the present configuration, or zeros where it is not given: the base's drive, the joint that moves most."""
     e, moved = best.evaluation, np.abs(way_to(problem, best.z))
     n, told = len(e.base_coordinates), list[str]()
-    for word, units, away, one, now in (
-        ("base", e.base_units, moved[:n], np.linalg.norm, problem.present_base),
-        ("joints up to", e.joint_units, moved[n:], np.max, problem.present_posture),
+    for word, what, units, away, one, now in (
+        ("base", "placement", e.base_units, moved[:n], np.linalg.norm, problem.present_base),
+        ("joints up to", "posture", e.joint_units, moved[n:], np.max, problem.present_posture),
     ):
         parts = {unit: away[[own == unit for own in units]] for unit in dict.fromkeys(units)}
         lengths = " and ".join(f"{float(one(x)):.3g} {unit}" for unit, x in parts.items())
-        told += [f"{word} {lengths}{' from 0' if now is None else ''}"] * bool(parts)
+        origin = f" from zeros, as no present {what} is given" if now is None else ""
+        told += [f"{word} {lengths}{origin}"] * bool(parts)
     return f"way there: {'; '.join(told)}"
 
 

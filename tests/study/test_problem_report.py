@@ -57,6 +57,9 @@ def test_choice_and_loops_are_those_of_the_calls(article):
     best, initial = article.selection.best.evaluation, article.selection.initial
     expected = flexopt.solve_problem(flexopt.load_problem("article"))
     np.testing.assert_allclose(best.posture, expected.best.evaluation.posture, atol=1e-9)
+    # The present placement is given and no posture, though there is one that reaches the target from there.
+    way = f"base {abs(best.base[0]):.3g} m; joints up to {abs(best.posture).max():.3g} rad from zeros, as no present posture"
+    assert way in article.selection.decided_by
     assert list(article.loops) == ["present", "chosen"]
     stated = flexopt.run_experiment(flexopt.load_experiment("article-a"))
     np.testing.assert_allclose(article.loops["present"].run.error, stated.error, atol=1e-9)
