@@ -190,7 +190,8 @@ def _of_plane(name: str) -> list[Question]:
             several(INERTIA, links), rods,
         ),
         Question(
-            "limits", f"Joint limits LO,HI;LO,HI…, rad, relative to the body before, each from -12.5 to 12.5, or {FREE}",
+            "limits",
+            f"Joint limits LO,HI;LO,HI…, rad, relative to the body before, each from -12.5 to 12.5, or {FREE}",
             word_or(FREE, _limits), lambda _: FREE,
         ),
         Question(
