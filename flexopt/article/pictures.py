@@ -24,6 +24,8 @@ from flexopt.plotting.workspace import dataset_plane
 from flexopt.robustness.residues import residue_unit, written_unit
 
 Arms = Mapping[str, Values]
+# What an upright name may take up, of the width of a curve.
+NAMED = 0.1
 
 
 @sized
@@ -93,11 +95,14 @@ def plot_figure8(transpose: Curve, inverse: Curve, marks: Mapping[str, float]) -
         left.set_xlabel(f"x of the end-point, m (workspace frame, y = {curve.y:g} m)")
         left.set_title(title)
         left.axhline(np.sin(np.pi / 8), color=colors().muted, linewidth=0.8, linestyle=":", zorder=0)
+        room = NAMED * float(np.ptp(curve.x))
         for name, x in marks.items():
             left.axvline(x, color=inks.mark, linewidth=0.9, alpha=0.75, zorder=0)
+            # On its left where on its right the next line is.
+            before = any(0 < other - x < room for other in marks.values())
             left.annotate(
-                name, (x, 0.02), xycoords=("data", "axes fraction"), xytext=(3, 0), textcoords="offset points",
-                color=inks.mark, rotation=90, va="bottom",
+                name, (x, 0.02), xycoords=("data", "axes fraction"), xytext=(-3 if before else 3, 0),
+                textcoords="offset points", color=inks.mark, rotation=90, va="bottom", ha="right" if before else "left",
             )  # fmt: skip
     # Below both panels: in them curves and marks are everywhere.
     lines = [axes.lines[0] for axes in figure.axes[:2]]

@@ -112,7 +112,13 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     "everything|nothing|WORDS",
     "What holds where nothing else is asked for: some of ground,limits,reach (everything by default).",
 )
-@value("--starts", "N", "Starts at most (32 by default; in the plane every peak of the scan).", whole)
+@value(
+    "--starts",
+    "N",
+    "Starts at most (32 by default; in the plane every peak of the scan); better points that are seen are climbed "
+    "from, too.",
+    whole,
+)
 @value("--seed", "N", "Seed of the starts.", whole)
 @value("--workers", "N", "Processes at most (one for each core by default); the result is the same.", whole)
 @GAIN

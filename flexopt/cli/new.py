@@ -190,7 +190,8 @@ def _of_plane(name: str) -> list[Question]:
             several(INERTIA, links), rods,
         ),
         Question(
-            "limits", f"Joint limits LO,HI;LO,HI…, rad, each from -12.5 to 12.5, or {FREE}",
+            "limits",
+            f"Joint limits LO,HI;LO,HI…, rad, relative to the body before, each from -12.5 to 12.5, or {FREE}",
             word_or(FREE, _limits), lambda _: FREE,
         ),
         Question(
@@ -257,7 +258,7 @@ def _spelt(name: str) -> str:
 @value("--lengths", "A,B,…", "Of the links, m.")
 @value("--masses", "A,B,…", "Of the links, kg.")
 @value("--inertias", "A,B,…", "Of the links about their centres of mass, kg m² (slender rods by default).")
-@value("--limits", f"LO,HI;LO,HI…|{FREE}", "Of the joints, rad.")
+@value("--limits", f"LO,HI;LO,HI…|{FREE}", "Of the joints, rad, relative to the body before.")
 @value("--base-length", "H", "Height of the first joint above the ground point, m.")
 @value("--base-mass", "M", "Of the base, kg.")
 @value("--base-inertia", "I", "Of the base about its centre of mass, kg m².")

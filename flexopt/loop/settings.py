@@ -29,6 +29,8 @@ from flexopt.robustness import Evaluation
 VELOCITY_KP = 1.0
 HALVINGS = 6
 USUAL = "usual of velocity-served joints"
+# How the sources of numbers begin that follow from a posture.
+SUITING, SERVING = "suits the arm's masses", "the largest at which no full lever asks a joint here"
 # What a loop may say of each joint's drive.
 OF_DRIVES = ("bandwidth_hz", "torque_limit", "rate_limit")
 
@@ -91,6 +93,16 @@ class LoopSettings(Result):
         """Of `servo_gain` and `nullspace_damping`: of arms of hinges, of slides, of both."""
         return damping_unit(self.joint_units)
 
+    @property
+    def fixed(self) -> Loop:
+        """The `Loop` of these numbers: with nothing left out it is the same in every posture."""
+        each = {name: getattr(self, name) for name in ("kp", "kv", "ki", *OF_DRIVES)}
+        return Loop(
+            control=self.control, feedback=self.feedback, drive=self.drive, rate=self.rate, dead_time=self.dead_time,
+            filter_hz=self.filter_hz, servo_gain=self.servo_gain, nullspace_damping=self.nullspace_damping,
+            **{name: value.tolist() for name, value in each.items() if value is not None},
+        )  # fmt: skip
+
     def motions(self, machine: AnyMachine, *, gravity: bool) -> SmallMotions:
         """The Functions of this loop."""
         return small_motions(
@@ -128,6 +140,23 @@ class LoopSettings(Result):
         """A line on what nobody gave; none where all was given."""
         names = ", ".join(self.sources)
         return [f"  not given of the loop, so proposed from the machine: {names}"] if names else []
+
+    def handed_on(self, where: str) -> str:
+        """Which numbers follow from the posture of a place, and how other calls are given them; empty without any."""
+        found = {
+            name: f"{float(np.max(getattr(self, name))):.6g}"
+            for name, source in self.sources.items()
+            if source.startswith((SUITING, SERVING))
+        }
+        if not found:
+            return ""
+        names = f"the gains {' and '.join(found)} follow" if len(found) > 1 else f"the gain {next(iter(found))} follows"
+        table = ", ".join(f'"{name}": {number}' for name, number in found.items())
+        options = " ".join(f"--loop {name}={number}" for name, number in found.items())
+        return (
+            f"{names} from the posture of {where} and would be {'others' if len(found) > 1 else 'another'} elsewhere; "
+            f"to keep {'these' if len(found) > 1 else 'it'}: loop={{{table}}}, in the shell {options}"
+        )
 
     def __repr__(self) -> str:
         gains = [f"{name} {_numbers(getattr(self, name.lower()))}{unit and ' ' + unit}"
@@ -171,7 +200,7 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
     gain = loop.servo_gain
     if drive == "velocity" and gain is None:
         gain = servo_gain_of_efforts(machine, stand.posture)
-        sources["servo_gain"] = "the largest at which no full lever asks a joint here for more than its effort"
+        sources["servo_gain"] = f"{SERVING} for more than its effort"
     gains: dict[str, float] = {}
     for name in ("kp", "kv"):
         given, allowed = getattr(loop, name), getattr(loop, f"{name}_range")
@@ -183,7 +212,7 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
     gains |= {name: usual[name] for name in chosen}
     why = USUAL
     if drive == "torque":
-        why = f"suits the arm's masses: corner at {SHARE:g} of the lowest mode, damping ratio {DAMPING_RATIO:g} on a "
+        why = f"{SUITING}: corner at {SHARE:g} of the lowest mode, damping ratio {DAMPING_RATIO:g} on a "
         why += "rigid base"
     sources |= dict.fromkeys(sorted(chosen), why)
     if "dead_time" not in loop.model_fields_set:

@@ -87,7 +87,8 @@ class SelectionOptions(BuiltByCall):
         gravity: measures and end-point under static deflection.
         gain: of a single target: servo gain kr of ε_max.
         base: present placement (n_b,), m or rad: breaks ties and gives the initial posture.
-        posture: present posture (n,), rad or m: with `base` the initial configuration.
+        posture: present posture (n,), rad or m: with `base` the initial configuration. Of several targets, which have a
+            posture each, no more than what a cost of travel counts from.
         base_range: where the base may stand: (lower, upper) of x, or a table such as {"x": (lower, upper), "yaw": …}
             with the placement coordinates that are bounded. By default all placements from which the arm reaches, and
             see `assume`; where the task does not say where that is, within the arm's reach of the present placement.
@@ -99,7 +100,7 @@ class SelectionOptions(BuiltByCall):
         starts: how many starts are tried at most. By default of a single target 32, and in space, where these leave it
             open what is best, rounds of 8 more for as long as they find better; in the plane every peak of the scan, up
             to 64; of a stand 8 placements where targets leave one degree of freedom, else 32; of a plan 3 ways, besides
-            standing still.
+            standing still and postures carried along. Points seen on the way to be better are climbed from, too.
         seed: of the sample that the starts come from.
         assume: what holds where nothing else is asked for: `"everything"`, `"nothing"`, or some of
             `"ground,limits,reach"`, see `flexopt.selection.assumed`. `"ground"`: above the ground on which the machine

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from flexopt.foundation.boundary import instance
@@ -163,10 +164,13 @@ def _number(axes: Axes, marks: Points) -> None:
             told.append((marks[:, k], [str(k + 1)]))
         else:
             near.append(str(k + 1))
+    # Some lie on an arm.
+    halo = withStroke(linewidth=2.5, foreground=colors().halo)
     for point, names in told:
         axes.annotate(
-            ", ".join(names), (float(point[0]), float(point[1])), xytext=(4, 5), textcoords="offset points", zorder=6
-        )
+            ", ".join(names), (float(point[0]), float(point[1])), xytext=(4, 5), textcoords="offset points", zorder=7,
+            path_effects=[halo],
+        )  # fmt: skip
 
 
 def _target_points(places: Sequence[TargetConfiguration], rows: tuple[str, ...]) -> Points:

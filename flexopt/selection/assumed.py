@@ -28,12 +28,14 @@ from flexopt.plant.reach import outer_reach
 from flexopt.selection.constraints.ground import above_ground, kept_above
 
 # What is in nobody's way.
-ALWAYS = ("limits", "clearance")
+ALWAYS = ("limits", "clearance", "capsules")
 
 
 @dataclass(frozen=True)
 class Assumption:
-    """One of `flexopt.model.choices.ASSUMPTIONS` that was made; or `clearance`, of bodies that have no volume.
+    """One of `flexopt.model.choices.ASSUMPTIONS` that was made; or what no word switches off.
+
+    That is of bodies without a volume: `clearance` of some, where it is asked for, `capsules` of all.
 
     Attributes:
         name: the word that switches it;  sentence: what was assumed.
@@ -112,6 +114,10 @@ def assumed(
         if bare and filled:
             sentence = f"kept clear is what has [[capsules]] alone, so nothing of {', '.join(bare)}"
             named.append(Assumption("clearance", sentence, float(len(bare)), "bodies"))
+    if not machine.capsules:
+        bodies = sum(not body.massless for body in machine.kinematic_tree.bodies)
+        sentence = "bodies may pass through each other, for the machine has no [[capsules]]"
+        named.append(Assumption("capsules", sentence, float(bodies), "bodies"))
     return Assumed(ground if above else None, limits, drive, tuple(named))
 
 

@@ -299,6 +299,16 @@ class Selection(Pictured, Result):
         return f"nothing to gain: the present configuration has as much {problem.name}, to {NOTHING:g} of |a||b|"
 
     @property
+    def present_told(self) -> str:
+        """What is to be known of the present configuration: that no posture was given, or where it is; else empty."""
+        e, plant = self.initial, self.problem.measures.plant
+        if e is None:
+            return ""
+        if self.problem.present_posture is None and plant.n_actuated > plant.n_task:
+            return "one of the postures that reach the target from there: none was given"
+        return elsewhere(self.problem, np.concatenate([e.base, e.posture]))
+
+    @property
     def left_out(self) -> str:
         """A sentence where ε_max was not sought and another candidate has more than twice as much; else empty."""
         margins = [candidate.evaluation.epsilon_max or 0.0 for candidate in self.candidates[:SHOWN]]
@@ -331,10 +341,7 @@ class Selection(Pictured, Result):
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")
         if self.initial is not None:
             e = self.initial
-            off = elsewhere(problem, np.concatenate([e.base, e.posture]))
-            plant = problem.measures.plant
-            if problem.present_posture is None and plant.n_actuated > plant.n_task:
-                off = "one of the postures that reach the target from there: none was given"
+            off = self.present_told
             lines.append(f"   now {in_columns(e)}{_measures(problem, e)}{off and '   ' + off}")
         lines.append(f"  {units_told(best)}")
         lines += [f"  {kept}" for kept in self.kept]
@@ -405,16 +412,17 @@ def _folded_names(e: Evaluation) -> list[list[str]]:
 
 
 def way_there(problem: SelectionProblem, best: Candidate) -> str:
-    """From the present configuration, or 0 where it is not known: the base's drive, the joint that moves most."""
+    """From the present configuration, or zeros where it is not given: the base's drive, the joint that moves most."""
     e, moved = best.evaluation, np.abs(way_to(problem, best.z))
     n, told = len(e.base_coordinates), list[str]()
-    for word, units, away, one, now in (
-        ("base", e.base_units, moved[:n], np.linalg.norm, problem.present_base),
-        ("joints up to", e.joint_units, moved[n:], np.max, problem.present_posture),
+    for word, what, units, away, one, now in (
+        ("base", "placement", e.base_units, moved[:n], np.linalg.norm, problem.present_base),
+        ("joints up to", "posture", e.joint_units, moved[n:], np.max, problem.present_posture),
     ):
         parts = {unit: away[[own == unit for own in units]] for unit in dict.fromkeys(units)}
         lengths = " and ".join(f"{float(one(x)):.3g} {unit}" for unit, x in parts.items())
-        told += [f"{word} {lengths}{' from 0' if now is None else ''}"] * bool(parts)
+        origin = f" from zeros, as no present {what} is given" if now is None else ""
+        told += [f"{word} {lengths}{origin}"] * bool(parts)
     return f"way there: {'; '.join(told)}"
 
 

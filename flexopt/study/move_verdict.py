@@ -44,11 +44,11 @@ from flexopt.study.place_loops import (
     drive_to,
     problems_of,
 )
-from flexopt.study.places import MOVE, STAY
+from flexopt.study.places import FIRST, MOVE, STAY, TOLD
 from flexopt.study.verdict_result import Band, PlaceVerdict, Verdict
 
-# Members that decays are computed of, nonlinear runs, and places besides the present one that are told.
-MEMBERS, RUNS, TOLD = 64, 16, 3
+# Members that decays are computed of, and nonlinear runs.
+MEMBERS, RUNS = 64, 16
 # How many points and runs a verdict may take.
 SIZES = {"members": whole(2, 100_000), "runs": whole(0, 100_000)}
 # Members at whose corners gains, margins and moves are looked at: up to 2³ of them.
@@ -148,8 +148,9 @@ def verdict(
     }
     each = {name: place.decays(points) for name, place in loops.items()}
     decays: dict[str, Vector] = {name: own.min(axis=0) for name, own in each.items()}
-    others = [name for name in ranked(decays) if name != STAY][:TOLD]
-    told = [name for name in (STAY, *others) if name in stands]
+    others = [name for name in ranked(decays) if name != STAY]
+    told = [name for name in (STAY, *others[:TOLD], FIRST) if name in stands]
+    told = list(dict.fromkeys(told))
     slowest = {name: loops[name].slowest(points, each[name]) for name in told}
     drives = {name: drive_to(stands[name], cast(Vector, now)) for name in told}
     stages.next()
@@ -182,6 +183,7 @@ def verdict(
         settings=settings,
         uncertainty=uncertain,
         members=len(points),
+        judged=len(others),
         selection=chosen,
         provenance=provenance(machine, members=members, runs=runs, duration=duration),
     )

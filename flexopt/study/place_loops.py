@@ -111,6 +111,13 @@ def configurations_of(chosen: Chosen) -> dict[str, Configurations]:
     return named if stay is None else {STAY: stay} | named
 
 
+def found_in(chosen: Chosen) -> int:
+    """How many candidates an answer has."""
+    if isinstance(chosen, Selection):
+        return len(chosen.candidates)
+    return 1 + (len(chosen.alternatives) if isinstance(chosen, Stand) else chosen.still is not None)
+
+
 def _same(base: Vector, present: Vector | None) -> bool:
     return present is not None and np.array_equal(base, present)
 

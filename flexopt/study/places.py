@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 
-STAY = "stay"
+# Where the machine stands now, and the best of the selection.
+STAY, FIRST = "stay", "candidate 1"
+# How many of the places judged are told of, besides these two.
+TOLD = 3
 # Length of the standard move, m.
 MOVE = 0.1
 

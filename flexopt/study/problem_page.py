@@ -16,7 +16,7 @@ from flexopt.selection import Selection
 from flexopt.selection.result import shown_measures
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.page import Picture, Table, begun, coordinate, number, picture, pictures, run_figures
-from flexopt.study.places import STAY
+from flexopt.study.places import FIRST, STAY
 from flexopt.study.problem_tables import SHOWN, constraints, coordinates, modes, parameters, some, written_residue
 from flexopt.study.verdict_page import judged, target_of
 
@@ -167,6 +167,11 @@ def _placed(report: Report) -> tuple[Table, str]:
         more = len(selection.candidates) - SHOWN
         wide = [f"{k} ({len(c.continuum)} more)" for k, c in enumerate(selection.candidates[:SHOWN], 1) if c.continuum]
     notes = [f"And {more} more."] * (more > 0)
+    if not isinstance(selection, Selection):
+        told = begun(selection.unused_posture)
+    else:
+        told = selection.present_told and f"Present: {selection.present_told}"
+    notes += [f"{told}."] * bool(told)
     if wide:
         notes.append(
             f"Placements that change nothing else, as when the machine turns about the target: {', '.join(wide)}."
@@ -206,7 +211,7 @@ def _loops_note(report: Report) -> str:
     if not isinstance(report.selection, Selection):
         return "At the target with the smallest V, the base standing where it is chosen to stand there."
     best = f"Chosen: candidate 1, which has the best {report.selection.objective}"
-    if report.verdict is not None and report.verdict.place not in ("", STAY, "candidate 1"):
+    if report.verdict is not None and report.verdict.place not in ("", STAY, FIRST):
         best += f"; the verdict looks at what the controller makes of each, and is about {report.verdict.place}"
     return f"{best}."
 

@@ -17,8 +17,9 @@ from flexopt.foundation.boundary import public, table, whole
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
 from flexopt.foundation.stages import Stages
+from flexopt.loop.settings import loop_settings
 from flexopt.model import AnyMachine, Problem
-from flexopt.model.loop import Loop, LoopLike
+from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.model.simulation import Experiment, SimulationOptions
 from flexopt.model.simulation_faults import brought_twice
 from flexopt.model.uncertainty import RangesLike
@@ -92,7 +93,8 @@ def report(
             halved until the linear loop is stable; see `flexopt.study.default_gains`.
         loop, ranges: the real controller and what is uncertain, as of `flexopt.verdict`; by default those of the
             experiment, the problem or the machine. Where a controller is known the report says whether it pays to move,
-            and the closed loops are its, unless `simulation` or the experiment's `[simulation]` say another.
+            and the closed loops are its, with the verdict's numbers, unless `simulation` or the experiment's
+            `[simulation]` say another.
         points: of the map, along each axis; 160; 48 in space, and with more than three passive coordinates.
         members, runs: of the verdict, as of `flexopt.verdict`.
         progress: called with the number of stages done and of all.
@@ -114,27 +116,30 @@ def report(
     solved, notes = problem_of(selection), list[str]()
     given |= {"control": solved.control, "gravity": solved.gravity}
     known = loop or (experiment and experiment.loop) or getattr(problem, "loop", None) or machine.loop
-    # What is said of the controller otherwise goes before a loop that is known.
-    real = None if brought_twice(given) else cast("Loop | None", known)
     stages.next()
     drawn = _attempt(notes, "the map", lambda: surroundings(selection, size))
     stages.next()
-    if real is None:
+    ground = ranges or getattr(problem, "uncertainty", None) or None
+    judged, why_not = _judged(selection, cast("Loop | None", known), ground, members, runs)
+    stages.next()
+    stands, loops, real = stands_of(selection), dict[str, ReportLoop](), None
+    # What is said of the controller otherwise goes before a loop that is known.
+    otherwise = known is None or bool(brought_twice(given))
+    if otherwise:
         given = _with_gains(machine, best_of(selection), given)
-    stands, loops = stands_of(selection), dict[str, ReportLoop]()
-    for name, stand in stands.items():
+    else:
+        first = next(iter(stands.values()))
+        real = _attempt(notes, "the closed loop", lambda: _one_loop(machine, known, first, solved, judged))
+    for name, stand in stands.items() if otherwise or real is not None else ():
         run = _attempt(notes, f"the closed loop, {name}", lambda s=stand: _run(machine, s, given, real))
         if run is not None:
             loops[name] = ReportLoop(run)
             notes += _undecided(name, run)
     stages.next()
     borders: list[BorderRow] = []
-    for name in loops if real is None else ():
+    for name in loops if otherwise else ():
         rows = _attempt(notes, f"the gains, {name}", lambda n=name: _borders(machine, n, stands[n], given))
         borders += rows or []
-    stages.next()
-    ground = ranges or getattr(problem, "uncertainty", None) or None
-    judged, why_not = _judged(selection, cast("Loop | None", known), ground, members, runs)
     stages.next()
     described = isinstance(problem, Problem)
     return Report(
@@ -173,6 +178,16 @@ def _judged(
         return verdict(selection, loop=known, ranges=ground, members=members, runs=runs), ""
     except FlexoptError as error:
         return None, f"It could not be judged: {error}"
+
+
+def _one_loop(
+    machine: AnyMachine, known: Any, first: Evaluation, solved: SelectionProblem, judged: Verdict | None
+) -> Loop:
+    """The loop that the verdict judges, the same in every configuration: in each what is left out would be another."""
+    if judged is not None:
+        return judged.settings.fixed
+    own = under_control(cast(Loop, known), machine, solved.control, "report")
+    return loop_settings(machine, own, first, gravity=solved.gravity).fixed
 
 
 def _attempt(notes: list[str], what: str, compute: Callable[[], T]) -> T | None:

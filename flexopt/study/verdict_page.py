@@ -87,8 +87,12 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "numbers": _numbers(verdict),
         "bands": _pictures(verdict),
         "places": _places(verdict),
+        "left_out": verdict.left_out and f"{begun(verdict.left_out)}.",
+        "drifts": verdict.drifts and f"{begun(verdict.drifts)}.",
+        "taken": verdict.taken and f"Staying is judged in {verdict.taken}.",
         "where": _where(verdict),
-        "loop": repr(verdict.settings).splitlines()[0],
+        "loop": verdict.controller,
+        "handed_on": verdict.handed_on and f"{begun(verdict.handed_on)}.",
         "sources": (("number", "where it is from"), list(verdict.settings.sources.items())),
         "over": f"{begun(verdict.over)}.",
     }

@@ -22,8 +22,8 @@ from flexopt.selection.problem import elsewhere
 from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import RULE, Word, gains_in_words
-from flexopt.study.place_loops import Chosen, problems_of
-from flexopt.study.places import STAY, told
+from flexopt.study.place_loops import Chosen, found_in, problems_of
+from flexopt.study.places import FIRST, STAY, TOLD, told
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
@@ -108,7 +108,8 @@ class Verdict(Pictured, Result):
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
         gains: those to change to.
         rule: by which the word was found.
-        places: the present one first, then the best others;  table: a row of numbers for each.
+        places: the present one first, then the best of the candidates, and candidate 1 where it is none of these;
+            table: a row of numbers for each;  judged: how many candidates were looked at.
         settings: of the loop, the same in every place.
         uncertainty: intervals by name;  members: how many points of them were looked at;  proven: False: bands are what
             was found among these points, and by a search from the slowest ones.
@@ -128,12 +129,13 @@ class Verdict(Pictured, Result):
     settings: LoopSettings
     uncertainty: tuple[Uncertainty, ...]
     members: int
+    judged: int
     selection: Chosen = field(repr=False)
     provenance: Document = field(repr=False)
 
     DOCUMENT = """
-    word sentence place reason measure gains rule targets[m] places settings uncertainty=_uncertainty members proven
-    provenance
+    word sentence place reason measure gains rule targets[m] places settings uncertainty=_uncertainty members judged
+    proven provenance
     """
 
     @property
@@ -189,6 +191,31 @@ class Verdict(Pictured, Result):
         return f"uncertain: {known}; {self.members} members and a search, not a proof{several}{runs}"
 
     @property
+    def left_out(self) -> str:
+        """How many candidates were looked at, and which of them are told of, a sentence; empty where all are."""
+        names = [place.name for place in self.places if place.name != STAY]
+        if len(names) == self.judged:
+            return ""
+        first = f", and {FIRST}, which comes first by {self.selection.objective}" if len(names) > TOLD else ""
+        found = found_in(self.selection)
+        of_all = f" of {found}" if found > self.judged else ""
+        return (
+            f"{self.judged}{of_all} candidates were judged; shown are the {TOLD} that are stable on the most grounds "
+            f"and, of these, decay fastest in the worst case{first}"
+        )
+
+    @property
+    def controller(self) -> str:
+        """The loop in words, with its gains."""
+        return repr(self.settings).splitlines()[0]
+
+    @property
+    def handed_on(self) -> str:
+        """Which gains follow from the posture, and how other calls are given them; empty where all were given."""
+        where = "the present place" if self._stays else FIRST
+        return self.settings.handed_on(f"{where} at target 1" if len(self.problems) > 1 else where)
+
+    @property
     def proven(self) -> bool:
         """See the class."""
         return False
@@ -223,6 +250,22 @@ class Verdict(Pictured, Result):
 
         write_file(path, verdict_html(self))
 
+    @property
+    def taken(self) -> str:
+        """In which posture staying is judged, where the problem does not say; empty where it does."""
+        many, given = len(self.problems) > 1, self.problems[0].present_posture is not None
+        if not self._stays:
+            return ""
+        if many:
+            # No one posture is how the arm is held.
+            why = "the one that was given is not used" if given else "how the arm is held was not given"
+            return f"postures that reach the targets: {why}"
+        return "" if given else "a posture that reaches the target: how the arm is held was not given"
+
+    @property
+    def _stays(self) -> bool:
+        return any(place.name == STAY for place in self.places)
+
     def _where(self, place: PlaceVerdict) -> str:
         machine, many = self.problems[0].machine, len(self.problems) > 1
         stands = [
@@ -232,11 +275,7 @@ class Verdict(Pictured, Result):
             )
             for base, posture in place.stands
         ]
-        taken = place.name == STAY and (many or self.problems[0].present_posture is None)
-        reaches = "postures that reach the targets" if many else "a posture that reaches the target"
-        # Of several targets no one posture is how the arm is held.
-        given = self.problems[0].present_posture is not None
-        why = f" ({reaches}{'' if given else ': how the arm is held was not given'})" if taken else ""
+        why = f" ({self.taken})" if place.name == STAY and self.taken else ""
         first, held = stands[0]
         if not many:
             off = elsewhere(self.problems[0], np.concatenate(place.stands[0])) if place.name == STAY else ""
@@ -249,9 +288,18 @@ class Verdict(Pictured, Result):
         return "\n".join(lines)
 
     @property
-    def _drifts(self) -> bool:
-        machine = self.problems[0].machine
-        return len(machine.joints) > len(machine.task_rows) and not self.settings.nullspace_damping
+    def drifts(self) -> str:
+        """That the controller does not brake the arm's self-motion, a sentence; empty where it does, or there is none.
+
+        Drives that follow rates hold it.
+        """
+        machine, loop = self.problems[0].machine, self.settings
+        if len(machine.joints) <= len(machine.task_rows) or loop.nullspace_damping or loop.drive == "velocity":
+            return ""
+        where = "in the linear loop"
+        if any(place.runs for place in self.places):
+            where = "neither in these runs nor in the linear loop"
+        return f"the arm's self-motion is not damped, {where}; loop.nullspace_damping brakes it"
 
     @property
     def _uncertainty(self) -> list[dict[str, Any]]:
@@ -261,23 +309,22 @@ class Verdict(Pictured, Result):
         unit = self.settings.gain_units[0]
         wide = max(15, len(unit) + 11)
         lines = [
-            f"{self.problems[0].machine.name}: {repr(self.settings).splitlines()[0]}",
+            f"{self.problems[0].machine.name}: {self.controller}",
             *self.settings.proposed,
+            *([f"  {self.handed_on}"] if self.handed_on else []),
             f"  {self.over}",
             "  decay with the file's numbers, then the worst of everything:",
             f"  {'place':12} {'drive':>8} {'decay, slowest':>20} {'allowed Kp':>{wide}} {'delay margin':>13} "
             f"{'settling':>10} {'turn':>11}   nonlinear runs",
         ]
         lines += [_row(place, f" {unit}", wide) for place in self.places]
+        lines += [f"  {self.left_out}"] * bool(self.left_out)
         if any(place.decay.least <= 0 for place in self.places):
             lines.append("  –: there is none, for on some ground it grows")
         elif any(math.isnan(place.settling.greatest) for place in self.places):
             lines.append("  –: on some ground it does not settle in a minute")
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
-        ran = [place.runs for place in self.places if place.runs]
-        if self._drifts and ran and (self.word == "cannot tell" or any(runs.undecided for runs in ran)):
-            told = "the arm's self-motion is not damped, neither in these runs nor in the linear loop"
-            lines.append(f"  {told}; loop.nullspace_damping brakes it")
+        lines += [f"  {self.drifts}"] * bool(self.drifts)
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
         return "\n".join([*lines, *([self.measure] if self.measure else [])])
 

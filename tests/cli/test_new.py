@@ -41,6 +41,10 @@ def test_a_machine_of_proposals_alone(command: Command) -> None:
     assert document["file"] == "machine.toml"
     assert command("check", "machine.toml").stdout.strip() == "machine 'machine': nothing to mend"
     machine = flexopt.load("machine.toml")
+    # One angle is from the horizontal; those of joints are relative to the body before, which the question says, too.
+    written = Path("machine.toml").read_text(encoding="utf-8").splitlines()
+    assert all("rest_angle" in line for line in written if "from the horizontal" in line)
+    assert re.search(r"Of the joints,\s+rad,\s+relative\s+to\s+the\s+body\s+before", command("new", "--help").stdout)
     assert held_swing(machine, document["posture"]) == (pytest.approx(2.0, rel=1e-5), pytest.approx(0.02, rel=1e-5))
     assert evaluation["frequencies_hz"][0] >= 2.0
     printed = command("new", "--yes", "--force").stdout

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import re
+
+import pytest
+
 import flexopt
 from tests.cli.command import Command
 
@@ -36,6 +41,18 @@ def test_places_can_be_chosen_by_a_weighted_sum_and_what_was_not_given_is_named(
     )
     found = flexopt.verdict(problem, loop={"kp": 1e4}, members=2, runs=0)
     assert shown.strip() == repr(found)
+    # The gain that follows from the present posture would be another at a candidate; handed on it is the one judged.
+    written = re.search(r"to keep it: loop=(.*), in the shell --loop kv=(.*)", shown)
+    assert written is not None
+    handed = json.loads(written[1])
+    assert handed == {"kv": float(written[2])}
+    place = next(each for each in found.places if each.name != "stay")
+    machine = flexopt.load("excavator")
+    kept, anew = (
+        flexopt.outcome(machine, place.posture, base=place.base, loop={"kp": 1e4} | more).decay for more in (handed, {})
+    )
+    assert kept == pytest.approx(place.decay.nominal, rel=1e-4)
+    assert anew != pytest.approx(place.decay.nominal, rel=1e-2)
 
 
 def test_a_present_posture_beside_the_target_is_told(command: Command) -> None:

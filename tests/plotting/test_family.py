@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from IPython.core.formatters import DisplayFormatter
-from matplotlib.colors import to_hex
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
@@ -20,6 +20,7 @@ from PIL import Image
 import flexopt
 from flexopt.foundation.palette import DARK, LIGHT, PALETTES
 from flexopt.foundation.pictures import Pictured, drawers
+from flexopt.plotting import several
 from flexopt.plotting.ensemble import ABOVE
 from flexopt.plotting.sheet import DOTS_OTHERWISE, PAGE, SLIDE, styled
 from flexopt.study import page
@@ -190,6 +191,20 @@ def test_the_best_place_is_where_the_measure_is_largest():
         x, y = star.get_xydata()[0]
         at = chart.dataset["w"][mode].sel({columns: x, rows: y}, method="nearest")
         assert float(at) == np.nanmax(w)
+
+
+@pytest.mark.parametrize("theme", PALETTES)
+def test_numbers_of_targets_are_read_on_an_arm(theme):
+    """Around each is the ground that letters lie on: on a surface of the arm's colour, pixels of it."""
+    inks = PALETTES[theme]
+    with styled(theme):
+        figure = Figure(figsize=(2.0, 2.0))
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), facecolor=inks.chosen, xlim=(0, 1), ylim=(0, 1))
+        several._number(axes, np.array([[0.2, 0.8], [0.2, 0.8]]))
+        figure.savefig(picture := BytesIO(), format="png", facecolor=inks.chosen)
+    halo = np.array(to_rgb(inks.halo)) * 255
+    seen = np.asarray(Image.open(picture).convert("RGB"), dtype=float)
+    assert (np.abs(seen - halo).max(axis=2) < 3).sum() > 40
 
 
 def test_a_plan_is_a_film_strip():

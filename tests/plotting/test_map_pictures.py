@@ -133,6 +133,19 @@ def test_figure_8(excavator):
     )
 
 
+@pytest.mark.parametrize("size", ["screen", "paper"])
+def test_names_in_figure_8_lie_on_no_line(excavator, size):
+    marks = {"A": -0.1733, "B, printed point": 1.32687, "B, point of its measures": 1.5575}
+    short = curve(excavator, 1.087, control="inverse", elbow="up")
+    figure = article.plot_figure8(short, short, marks, size=size)
+    figure.draw_without_rendering()
+    names = [text for text in figure.axes[0].texts if text.get_text() in marks]
+    assert len(names) == 3
+    lines = [figure.axes[0].transData.transform((x, 0.0))[0] for x in marks.values()]
+    for box in (name.get_window_extent() for name in names):
+        assert not any(box.x0 < x < box.x1 for x in lines)
+
+
 def test_curves_are_broken_where_the_arm_does_not_reach(excavator):
     low = curve(excavator, 0.3, control="inverse", elbow="up")
     figure = article.plot_figure8(low, low, {})

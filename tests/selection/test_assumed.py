@@ -130,9 +130,9 @@ def test_an_excavator_of_others_keeps_its_boom_out_of_the_ground():
     assert lowest(found) > -1e-7
     assert lowest(free) < -0.1
     names = [each["name"] for each in found.to_dict()["problem"]["assumed"]]
-    assert names == ["ground", "limits", "reach"]
+    assert names == ["ground", "limits", "reach", "capsules"]
     assert "assumed (ground): the joints of stick, bucket stay above the ground" in repr(found)
-    assert [each.name for each in free.problem.assumed] == ["limits"]
+    assert [each.name for each in free.problem.assumed] == ["limits", "capsules"]
 
 
 def test_bodies_without_a_volume_are_named_where_a_clearance_is_asked_for():
@@ -153,6 +153,16 @@ def test_bodies_without_a_volume_are_named_where_a_clearance_is_asked_for():
         of(whole, [(7.0, 1.0, 1.0)], constraints=everywhere),
     ):
         assert "clearance" not in [each.name for each in found.named]
+
+
+def test_that_nothing_has_a_volume_is_named():
+    """Whatever is assumed, for no word switches it off; a machine with capsules is kept apart by `self_clearance`."""
+    data = flexopt.load("excavator").to_dict()
+    (said,) = of(flexopt.machine_from_dict(data), [[0.0, 1.6]], assume="nothing").named
+    assert (said.name, said.value, said.unit) == ("capsules", 3.0, "bodies")
+    assert said.sentence == "bodies may pass through each other, for the machine has no [[capsules]]"
+    column = {"body": "base", "start": [0.0, 0.0], "end": [0.5, 0.0], "radius": 0.3}
+    assert of(flexopt.machine_from_dict(data | {"capsules": [column]}), [[0.0, 1.6]], assume="nothing").named == ()
 
 
 def test_how_far_to_drive():
@@ -215,7 +225,7 @@ def test_the_article_is_as_it_was():
     before = flexopt.select(machine, (0.0, 1.6), base=0.0, assume="limits", workers=1)
     assert [candidate.z.tolist() for candidate in found.candidates] == [c.z.tolist() for c in before.candidates]
     assert found.problem.constraint_set is None
-    assert [each.name for each in found.problem.assumed] == ["reach"]
+    assert [each.name for each in found.problem.assumed] == ["reach", "capsules"]
 
 
 def test_targets_of_one_choice_are_seen_together():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import flexopt
+from flexopt.study import page
 
 ARTICLE = {"kp": 1e4, "kv": 1e3}
 
@@ -57,6 +59,19 @@ def test_the_decision_is_the_same_for_the_selection_and_its_problem() -> None:
     other = judged("article", loop=ARTICLE, runs=0)
     assert told == [(k, 4) for k in (1, 2, 3, 4)]
     assert (one.word, one.place, one.reason) == (other.word, other.place, other.reason)
+    # What the selection recommends is told of though three others decay faster, and how many more there are.
+    assert len(one.places) == 4
+    assert "8 candidates were judged; shown are the 3 that are stable on the most grounds" in repr(one)
+    last = selection.candidates[-1]
+    turned = replace(selection, best=last, candidates=tuple(reversed(selection.candidates)))
+    worse = flexopt.verdict(turned, loop=ARTICLE, members=2, runs=0)
+    names = [place.name for place in worse.places]
+    assert (names[0], names[-1], len(names), worse.judged) == ("stay", "candidate 1", 5, 8)
+    assert "and candidate 1, which comes first by w1" in repr(worse)
+    recommended = worse.places[-1]
+    assert max(place.decay.nominal for place in worse.places[1:-1]) > recommended.decay.nominal
+    alone = flexopt.outcome(flexopt.load("excavator"), last.evaluation.posture, base=recommended.base, loop=ARTICLE)
+    assert recommended.decay.nominal == pytest.approx(alone.decay)
 
 
 def test_a_present_place_that_no_integrator_follows_grows() -> None:
@@ -77,7 +92,12 @@ def test_what_grows_is_not_said_to_settle_late(tmp_path: Path) -> None:
     found = judged("article", loop=ARTICLE, members=2, runs=0)
     assert found.places[0].decay.least < 0
     found.to_html(tmp_path / "verdict.html")
-    assert "over 60 s" not in (tmp_path / "verdict.html").read_text(encoding="utf-8")
+    words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
+    assert "over 60 s" not in words
+    # As the text does, the page says that nobody gave the present posture, and that the gains are given.
+    assert "Staying is judged in a posture that reaches the target: how the arm is held was not given." in words
+    assert "Kp 1e+04 N m, Kv 1000 N m s" in words
+    assert found.handed_on == ""
 
 
 def test_runs_that_wait_longer_than_the_loop_say_so() -> None:
@@ -170,10 +190,14 @@ def test_a_posture_that_was_given_is_not_called_missing() -> None:
         found = repr(flexopt.verdict(stand, loop=ARTICLE, members=2, runs=0))
         assert "postures that reach the targets" in found
         assert (words in found) == missing
+        assert ("the one that was given is not used" in found) != missing
+        assert ("posture: decides nothing" in repr(stand)) != missing
 
 
 @pytest.mark.parametrize(("damping", "told"), [(0.0, True), (1e4, False)])
-def test_a_self_motion_that_nothing_brakes_is_told_where_no_word_is_found(damping: float, told: bool) -> None:
+def test_a_self_motion_that_nothing_brakes_is_told(
+    damping: float, told: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """All places grow with these gains, and the runs with smaller ones drift: a damper is what is missing."""
     machine = flexopt.load("boom-stick-bucket")
     loop = {"kp": 1e9, "kv": 1e7, "dead_time": 0.02, "nullspace_damping": damping}
@@ -181,8 +205,17 @@ def test_a_self_motion_that_nothing_brakes_is_told_where_no_word_is_found(dampin
     found = flexopt.verdict(selection, loop=loop, members=2, runs=1, duration=5.0)
     assert all(place.runs is None or not place.runs.undecided for place in found.places)
     assert found.word == "cannot tell" or not told
-    assert ("loop.nullspace_damping brakes it" in repr(found)) == told
-    assert ("nor in the linear loop" in repr(found)) == told
+    # With any other word, too, and on the page.
+    for each in (found, replace(found, word="move", place="candidate 1")):
+        assert ("loop.nullspace_damping brakes it" in repr(each)) == told
+        assert ("nor in the linear loop" in repr(each)) == told
+    monkeypatch.setattr(page, "_png", lambda figure: "")
+    found.to_html(tmp_path / "verdict.html")
+    shown = (tmp_path / "verdict.html").read_text(encoding="utf-8")
+    assert ("nor in the linear loop; loop.nullspace_damping brakes it" in shown) == told
+    # Drives that follow rates hold it.
+    served = replace(found, settings=replace(found.settings, drive="velocity", servo_gain=1e5))
+    assert "nullspace_damping brakes it" not in repr(served)
 
 
 def test_a_target_that_grows_grows() -> None:

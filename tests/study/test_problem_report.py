@@ -5,6 +5,7 @@ import html
 import io
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import flexopt
 from flexopt.model.tree import tree_from_dict
 from flexopt.plotting.workspace import plot_quantities
 from flexopt.study import page
+from flexopt.study.problem_page import _placed as placed
 from flexopt.study.problem_page import report_html
 from tests.cli.command import Command
 from tests.oracles.spatial import in_space
@@ -55,6 +57,9 @@ def test_choice_and_loops_are_those_of_the_calls(article):
     best, initial = article.selection.best.evaluation, article.selection.initial
     expected = flexopt.solve_problem(flexopt.load_problem("article"))
     np.testing.assert_allclose(best.posture, expected.best.evaluation.posture, atol=1e-9)
+    # The present placement is given and no posture, though there is one that reaches the target from there.
+    way = f"base {abs(best.base[0]):.3g} m; joints up to {abs(best.posture).max():.3g} rad from zeros, as no present posture"
+    assert way in article.selection.decided_by
     assert list(article.loops) == ["present", "chosen"]
     stated = flexopt.run_experiment(flexopt.load_experiment("article-a"))
     np.testing.assert_allclose(article.loops["present"].run.error, stated.error, atol=1e-9)
@@ -85,7 +90,7 @@ def test_document(article):
     assert document["loops"]["present"]["run"]["verdict"] == "grows"
     assert document["simulation"]["kp"] == [1e5]
     assert len(document["gains"]) == 4
-    assert [each["name"] for each in document["selection"]["problem"]["assumed"]] == ["reach"]
+    assert [each["name"] for each in document["selection"]["problem"]["assumed"]] == ["reach", "capsules"]
     shares = np.array(document["mode_shares"]["chosen"])
     np.testing.assert_allclose(shares.sum(axis=0), 1.0)
     # The first mode is the base's rotation: its strain energy by hand.
@@ -95,6 +100,14 @@ def test_document(article):
     )
     energy = np.array([4e7, 4e7, 1.112e6]) * v["modes"].full()[:3, 0] ** 2
     np.testing.assert_allclose(shares[:, 0], energy / energy.sum())
+
+
+def test_a_present_posture_beside_the_target_is_told(article):
+    held = flexopt.evaluate(flexopt.load("excavator"), (0.5, -1.5))
+    elsewhere = replace(article, selection=replace(article.selection, initial=held))
+    x, y = held.end_point
+    assert f"Present: holds the end-point at ({x:.4g}, {y:.4g}) m, not at the target." in placed(elsewhere)[1]
+    assert "Present" not in placed(article)[1]
 
 
 def test_marks_are_where_the_machine_is(article):
@@ -231,11 +244,20 @@ def test_a_run_too_short_for_its_verdict_is_noted():
 
 
 @pytest.mark.usefixtures("words_alone")
-def test_the_verdict_takes_as_many_members_as_asked_for(capsys, tmp_path, monkeypatch):
+def test_the_verdict_is_that_of_the_call_and_its_loop_that_of_the_runs(capsys, tmp_path, monkeypatch):
+    """With as many members as asked for; what `default` leaves out follows from the present place once, for all."""
     monkeypatch.chdir(tmp_path)
-    asked = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--members", "5", "--runs", "1")
+    asked = ("--loop", "default", "--members", "5", "--runs", "1")
     command = Command(capsys, tmp_path)
-    found = command.json("report", "article", *asked, "--points", "3", "--out", "r")["verdict"]
+    document = command.json("report", "article", *asked, "--points", "3", "--out", "r")
+    found = document["verdict"]
     alone = command.json("verdict", "article", *asked)
+    present = flexopt.outcome(flexopt.load("excavator"), document["selection"]["initial"]["posture"], loop="default")
+    assert found["settings"]["kp"] == present.settings.kp.tolist()
+    numbers = {name: x for name, x in alone["settings"].items() if name != "sources"}
+    assert list(document["loops"]) == ["present", "chosen"]
+    for loop in document["loops"].values():
+        assert {name: x for name, x in loop["run"]["loop"].items() if name != "sources"} == numbers
+        assert loop["run"]["provenance"]["options"]["kp"] == numbers["kp"]
     assert found["provenance"]["options"]["members"] == 5
     assert [place["decay"] for place in found["places"]] == [place["decay"] for place in alone["places"]]

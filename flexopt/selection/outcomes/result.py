@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from flexopt.foundation.plain import counted
 from flexopt.loop.settings import LoopSettings
 from flexopt.model.choices import DECAY
@@ -14,7 +12,6 @@ from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.measures import MEASURES
-from flexopt.selection.problem import elsewhere
 from flexopt.selection.result import Selection, units_of_columns, unverified_told
 
 # Of the best value, by which the present one may be less and nothing is to gain.
@@ -124,7 +121,7 @@ class OutcomeSelection(Selection):
         lines += [f"  {sentence}" for sentence in (self.nothing_to_gain, *map(str, self.kept)) if sentence]
         if self.initial is not None and self.present is not None:
             e, now = self.initial, self.present
-            off = elsewhere(self.problem, np.concatenate([e.base, e.posture]))
+            off = self.present_told
             nominal = " with the machine's own numbers" if self.uncertainty else ""
             there = " ".join(f"{x:z9.4f}" for x in (*e.base, *e.posture))
             lines.append(f"   now {there} {now:16.6g}{nominal}{off and '   ' + off}")

@@ -174,6 +174,7 @@ def plan_base(
     still = _standing_still(program, common, found, begin, count)
     layers = [nodes_of(reached) for reached in by_target]
     begins = coarse_ways(program, layers, asked.starts or WAYS)
+    drawn = len(begins)
     begins += _carried(program, begin, count)
     if still is not None:
         begins.append(program.packed(still))
@@ -181,7 +182,9 @@ def plan_base(
         sentence = "with these rates no configurations of neighbouring targets are near enough"
         raise NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
     ends = ends_from(program, begins, count, progress)
-    good = not_below(program, verified(program, ends, "way"), begins, "way")
+    good = verified(program, ends, "way")
+    attempts = len(ends), len(good)
+    good = not_below(program, good, begins, "way")
     good, unverified = taken_up(program, good, ends, "way")
     end = _shortest(program, good)
     best = program.unwound(end.x)
@@ -198,7 +201,9 @@ def plan_base(
         travelled=travelled(machine, np.array([place.evaluation.base for place in places])),
         stationarity=end.stationarity,
         kinks=end.kinks,
-        attempts=(len(ends), len(good)),
+        attempts=attempts,
+        further=len(good) - attempts[1],
+        beside=len(begins) - drawn,
         problems=problems,
         unverified=unverified,
         provenance=provenance(machine, **stated, objective=problems[0].name, control=asked.control, seed=seed),

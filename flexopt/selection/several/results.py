@@ -67,7 +67,9 @@ class ConfigurationSet(Tabled):
         stationarity: of the solution, relative to the objective's scale.
         kinks: where w_i have kinks at the solution (a_i = 0 or b_i = 0 at a target), the multipliers that prove it, as
             in `flexopt.selection.result.Candidate`.
-        attempts: starts, and how many led to a verified optimum.
+        attempts: starts, and how many led to a verified optimum;  beside: how many of these starts nobody asked for,
+            as of a plan standing still and postures carried along.
+        further: verified optima of climbs from points that were seen to be better than where the starts led.
         problems: the configuration problem of each target.
         unverified: what the best climb was worth that broke no constraint but could not be verified where it ended,
             where that is better than what was chosen; else None.
@@ -80,6 +82,8 @@ class ConfigurationSet(Tabled):
     problems: tuple[SelectionProblem, ...] = field(repr=False)
     provenance: Document = field(repr=False)
     unverified: float | None = field(default=None, kw_only=True)
+    beside: int = field(default=0, kw_only=True)
+    further: int = field(default=0, kw_only=True)
 
     @property
     def converged(self) -> bool:
@@ -124,7 +128,9 @@ class ConfigurationSet(Tabled):
 
     def _found(self, what: str) -> str:
         tried, done = self.attempts
-        return f"{done} of {counted(tried, 'start')} led to a verified {what} {self._targets}"
+        beside = f" ({self.beside} besides those asked for)" if self.beside else ""
+        further = f", and {counted(self.further, 'further climb')} from better points seen" if self.further else ""
+        return f"{done} of {counted(tried, 'start')}{beside} led to a verified {what} {self._targets}{further}"
 
     def _document(self, status: str, own: dict[str, Any], targets: str) -> dict[str, Any]:
         """What both kinds say, around their own keys; `targets` is what the problem calls them."""
@@ -141,6 +147,7 @@ class ConfigurationSet(Tabled):
         first = self.problems[0]
         how = f"Jacobian {first.control} control, objective {self.objective}: {status}"
         named = [f"  {assumption}" for assumption in first.assumed]
+        named += [f"  {self.unused_posture}"] * bool(self.unused_posture)
         return [
             f"{first.machine.name}: {what}, {how}",
             *_table(self.places, self.shown_objective, self.worst, self.column),
@@ -151,6 +158,14 @@ class ConfigurationSet(Tabled):
             ),
             *named,
         ]
+
+    @property
+    def unused_posture(self) -> str:
+        """A sentence where a present posture was given that decides nothing; else empty."""
+        first = self.problems[0]
+        if first.present_posture is None or first.travel is not None:
+            return ""
+        return "posture: decides nothing, as each target has its own; a cost of travel alone counts from it"
 
     @property
     def left_out(self) -> str:

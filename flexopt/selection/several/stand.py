@@ -122,7 +122,7 @@ def select_stand(
     if not bases.shape[1]:
         raise none_reaches_all(len(points))
     found = [reached_from(problem, bases, asked.seed) for problem in problems]
-    good, unverified, tried = best_placements(
+    good, unverified, attempts = best_placements(
         program, bases, found, asked.starts or default_starts(program), asked.seed, count, progress
     )
     best = good[0].x
@@ -134,7 +134,8 @@ def select_stand(
         alternatives=tuple(_alternatives(program, [end.x for end in good])),
         stationarity=good[0].stationarity,
         kinks=good[0].kinks,
-        attempts=(tried, len(good)),
+        attempts=attempts,
+        further=len(good) - attempts[1],
         problems=problems,
         unverified=unverified,
         provenance=provenance(machine, **stated, objective=problems[0].name, control=asked.control, seed=asked.seed),

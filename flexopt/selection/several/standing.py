@@ -76,8 +76,8 @@ def best_placements(
     seed: int,
     workers: int,
     progress: Progress | None,
-) -> tuple[list[End], float | None, int]:
-    """Verified optima, best first, what an end that could not be verified is worth more, and how many solves were made.
+) -> tuple[list[End], float | None, tuple[int, int]]:
+    """Verified optima, best first, what an unverified end is worth more; starts, and how many led to one.
 
     Args:
         program: from `one_placement`.
@@ -94,6 +94,7 @@ def best_placements(
     begins = _starts(program, bases, found, starts, seed)
     ends = ends_from(program, begins, workers, progress)
     good = verified(program, ends, "placement")
+    attempts = len(begins), len(good)
     for end in good[:EXCHANGED]:
         better = _exchanged(program, end.x, seed)
         if better is not None:
@@ -104,7 +105,7 @@ def best_placements(
     best = np.argsort(-_worth(program, found), kind="stable")[:SEEN]
     seen = [program.packed([r.z[:, j, pick[j]] for r, pick in zip(found, picks, strict=True)]) for j in best]
     good = not_below(program, verified(program, ends, "placement"), [*begins, *seen], "placement")
-    return *taken_up(program, good, ends, "placement"), len(ends)
+    return *taken_up(program, good, ends, "placement"), attempts
 
 
 def _starts(program: Program, bases: Vector, found: list[Reached], count: int, seed: int) -> list[Vector]:

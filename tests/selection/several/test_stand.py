@@ -101,6 +101,16 @@ def test_an_epsilon_that_nobody_sought_is_told_of_where_it_is_small(excavator: f
     assert "  0.100000" in repr(told)
 
 
+def test_no_more_starts_are_counted_than_are_asked_for(
+    excavator: flexopt.Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Better postures that are seen at an optimum, as of arms in space, are climbed from, and are no starts."""
+    monkeypatch.setattr(standing, "_exchanged", lambda program, x, seed: x)
+    found = select_stand(excavator, TARGETS[:2], starts=1, workers=1)
+    assert (found.attempts, found.further) == ((1, 1), 1)
+    assert "1 of 1 start led to a verified placement for 2 targets, and 1 further climb from better" in found.status
+
+
 def test_number_of_workers_does_not_matter(excavator: flexopt.Machine) -> None:
     one, two = (select_stand(excavator, TARGETS, objective="w2", starts=4, workers=n) for n in (1, 2))
     assert one.to_dict() == two.to_dict()
