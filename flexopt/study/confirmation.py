@@ -5,18 +5,20 @@ In: a loop in a configuration, members. Out: an ensemble's verdicts, settling ti
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from flexopt.errors import NoSolutionFound
+from flexopt.errors import FlexoptWarning, NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.results import Result
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.simulation import simulate_ensemble
 from flexopt.simulation.ensemble import Ensemble
 from flexopt.simulation.real_loop import SHORTER, braked, braked_by, run_options, whole_samples
+from flexopt.simulation.run import OUTGREW
 
 SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "end_error", "peak_error")
 # What runs may show; of several the first that one of them shows.
@@ -132,7 +134,10 @@ def _ensemble(loop: UncertainLoop, members: Vector, waits: int, duration: float,
     varied, nominal = np.array([loop.box.numbers(u)[0] for u in members]) + brakes, loop.box.nominal + brakes
     moved = np.flatnonzero(np.any(varied != nominal, axis=0)).tolist() or [0]
     vary = {machine.parameters[k].name: varied[:, k] for k in moved}
-    return simulate_ensemble(
-        braked(machine, brakes), loop.posture, base=loop.base, vary=vary,
-        gravity=loop.gravity, substeps=substeps, duration=duration, **run_options(machine, s, waits),
-    )  # fmt: skip
+    with warnings.catch_warnings():
+        # Here that is a verdict as others are.
+        warnings.filterwarnings("ignore", f".*{OUTGREW}", FlexoptWarning)
+        return simulate_ensemble(
+            braked(machine, brakes), loop.posture, base=loop.base, vary=vary,
+            gravity=loop.gravity, substeps=substeps, duration=duration, **run_options(machine, s, waits),
+        )  # fmt: skip
