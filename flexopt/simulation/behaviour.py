@@ -43,8 +43,9 @@ class Behaviour:
             that decays slowest, 1/s: half the slope of the logarithm of the mode's energy, maxima over periods of the
             slowest mode, least squares over the second half of the run, three at least (N,); NaN where the base never
             moved.
-        growth_rate_error: standard error of that slope (N,); as large as the rate where a mode moves for two periods
-            alone.
+        growth_rate_error: what that slope may be off by (N,), squares added: its standard error, by how much its halves
+            differ, and where a louder mode decays, by how much that one's slope and its halves do; as large as the rate
+            where a mode moves for two periods alone. What is called clear is so by the standard error of each mode.
         settling_time: after which the end-point error stays below 2 % of what it was at the start, s; NaN where it does
             not (N,).
         peak_error, end_error: largest and last |e|, m (N,).
@@ -149,13 +150,14 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
     peaks, centres = _periods(times[begin:], judged, grounds.slowest_hz)
     peaks, elastic = peaks[:, :modes], peaks[:, modes:]
     bent = QUASI_STATIC * elastic if grounds.drifting else 0.0
-    rate, error, first, last = _growth(peaks, centres, grounds.still, bent)
+    rate, error, bend, first, last = _growth(peaks, centres, grounds.still, bent)
     with np.errstate(invalid="ignore"):
         growing = last >= GROWN * first
         if not grounds.noisy:
             growing |= (rate > 2 * error) | ((last >= first) & (rate > -2 * error))
         wavering = np.any((np.abs(rate) <= 2 * error) & (last < GROWN * first), axis=0)
-    told = _told(rate, growing & (rate > 2 * error), last)[None]
+        clearly = growing & (rate > 2 * error)
+    told = _told(rate, clearly, last)
 
     loud = ~(squared_error <= np.maximum(SETTLED**2 * squared_error[:1], STILL**2))
     last_loud = len(loud) - 1 - np.argmax(loud[::-1], axis=0)
@@ -164,8 +166,8 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
     turn = np.sqrt(np.max(np.where(alive, rotation, -np.inf), axis=0, initial=0.0))
     return Behaviour(
         grows=diverged | np.any(growing, axis=0),
-        growth_rate=np.take_along_axis(rate, told, axis=0)[0],
-        growth_rate_error=np.take_along_axis(error, told, axis=0)[0],
+        growth_rate=np.take_along_axis(rate, told[None], axis=0)[0],
+        growth_rate_error=_doubt(rate, error, bend, last, told, np.any(clearly, axis=0)),
         settling_time=np.where(loud[-1], np.nan, settling),
         peak_error=np.where(diverged, np.inf, peak),
         end_error=np.where(diverged, np.inf, end_error),
@@ -189,6 +191,24 @@ def _told(rate: Vector, growing: NDArray[np.bool_], last: Vector) -> NDArray[np.
     return told
 
 
+def _doubt(
+    rate: Vector, error: Vector, bend: Vector, last: Vector, told: NDArray[np.intp], grows: NDArray[np.bool_]
+) -> Vector:
+    """What the growth rate that is told may be off by (N,); see `Behaviour`.
+
+    Deviations from the line are no noise but what has not died away, and beats. The modes are those without a
+    controller: a loop's motion moves several, so that a quiet mode shows for seconds what a louder one lends it.
+    """
+    loud = np.argmax(np.where(np.isfinite(rate), last, -np.inf), axis=0)
+    own_rate, own_error, own_bend, loud_rate, loud_bend = (
+        np.take_along_axis(values, at[None], axis=0)[0]
+        for values, at in ((rate, told), (error, told), (bend, told), (rate, loud), (bend, loud))
+    )
+    lent = np.where(grows | (told == loud), 0.0, np.hypot(loud_rate - own_rate, loud_bend))
+    doubt: Vector = np.sqrt(own_error**2 + own_bend**2 + lent**2)
+    return doubt
+
+
 def _periods(times: Vector, energy: Vector, slowest_hz: float) -> tuple[Vector, Vector]:
     """Maxima over whole periods of the slowest mode (periods, m, N), and the periods' centres, s.
 
@@ -206,8 +226,8 @@ def _periods(times: Vector, energy: Vector, slowest_hz: float) -> tuple[Vector, 
 
 def _growth(
     peaks: Vector, centres: Vector, still: Vector | float, bent: Vector | float
-) -> tuple[Vector, Vector, Vector, Vector]:
-    """Growth rate, its standard error, and the amplitudes in the first and the last period, each (m, N).
+) -> tuple[Vector, Vector, Vector, Vector, Vector]:
+    """Growth rate, its standard error, how far halves differ, and amplitudes in the first and last period, each (m, N).
 
     Of the periods from where a mode first leaves rounding and what it is bent by, to where it falls back or to the end.
     """
@@ -222,15 +242,11 @@ def _growth(
     fitted = begin + np.minimum(length // 2, np.maximum(length - FEWEST_FITTED, 0))
     used = whole & (np.arange(len(peaks))[:, None, None] >= fitted)
     n = np.sum(used, axis=0)
+    rate, error = _slope(peaks, centres, used)
+    late = used & (np.arange(len(peaks))[:, None, None] >= fitted + n // 2)
+    halves = _slope(peaks, centres, late)[0] - _slope(peaks, centres, used & ~late)[0]
+    bend = np.where(np.sum(used & ~late, axis=0) < FEWEST_FITTED, 0.0, halves)
     with np.errstate(divide="ignore", invalid="ignore"):
-        logarithm = np.where(used, 0.5 * np.log(peaks), 0.0)
-        time = np.where(used, centres[:, None, None], 0.0)
-        dt = np.where(used, time - np.sum(time, axis=0) / n, 0.0)
-        dy = np.where(used, logarithm - np.sum(logarithm, axis=0) / n, 0.0)
-        spread = np.sum(dt**2, axis=0)
-        rate = np.sum(dt * dy, axis=0) / spread
-        residual = np.sum((dy - rate * dt) ** 2, axis=0)
-        error: Vector = np.sqrt(residual / np.maximum(n - 2, 1) / spread)
         # A line goes through two points whatever they are.
         error = np.where(n < FEWEST_FITTED, np.abs(rate), error)
         # What sets in later is compared with where the fit begins: it may have been pushed.
@@ -239,5 +255,20 @@ def _growth(
             np.sqrt(np.take_along_axis(peaks, at[None], axis=0)[0]) for at in (start, begin + np.maximum(length - 1, 0))
         )
     unmoved = length < 2
-    return (np.where(unmoved, np.nan, rate), np.where(unmoved, np.nan, error),
+    return (np.where(unmoved, np.nan, rate), np.where(unmoved, np.nan, error), np.where(unmoved, 0.0, bend),
             np.where(unmoved, 1.0, first), np.where(unmoved, 0.0, last))  # fmt: skip
+
+
+def _slope(peaks: Vector, centres: Vector, used: NDArray[np.bool_]) -> tuple[Vector, Vector]:
+    """Half the slope of the logarithm of maxima (periods, m, N) over the used periods, and its standard error."""
+    n = np.sum(used, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logarithm = np.where(used, 0.5 * np.log(peaks), 0.0)
+        time = np.where(used, centres[:, None, None], 0.0)
+        dt = np.where(used, time - np.sum(time, axis=0) / n, 0.0)
+        dy = np.where(used, logarithm - np.sum(logarithm, axis=0) / n, 0.0)
+        spread = np.sum(dt**2, axis=0)
+        rate: Vector = np.sum(dt * dy, axis=0) / spread
+        residual = np.sum((dy - rate * dt) ** 2, axis=0)
+        error: Vector = np.sqrt(residual / np.maximum(n - 2, 1) / spread)
+    return rate, error
