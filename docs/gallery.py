@@ -170,7 +170,11 @@ def files_of(exhibit: Exhibit, place: Path) -> list[Path]:
 
 
 def draw(exhibit: Exhibit, place: Path) -> Any:
-    """Run its lines, and draw the result once more on dark ground; the result."""
+    """Run its lines, and draw the result once more on dark ground; the result.
+
+    Raises:
+        ValueError: the result is of another kind, or a picture has not the ground or the size that it should.
+    """
     light, dark = files_of(exhibit, place)
     names: dict[str, Any] = {}
     with warnings.catch_warnings():
