@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
+
 import flexopt
 
 FOLDER = "gallery"
@@ -170,7 +172,11 @@ def files_of(exhibit: Exhibit, place: Path) -> list[Path]:
 
 
 def draw(exhibit: Exhibit, place: Path) -> Any:
-    """Run its lines, and draw the result once more on dark ground; the result."""
+    """Run its lines, and draw the result once more on dark ground; the result.
+
+    Raises:
+        ValueError: the result is of another kind, or a picture has not the ground or the size that it should.
+    """
     light, dark = files_of(exhibit, place)
     names: dict[str, Any] = {}
     with warnings.catch_warnings():
@@ -178,4 +184,18 @@ def draw(exhibit: Exhibit, place: Path) -> Any:
         exec("import numpy as np\nimport flexopt\n" + exhibit.code.replace('"FILE"', repr(str(light))), names)
         drawn = exhibit.code.splitlines()[-1].removesuffix(")")
         exec(drawn.replace('"FILE"', repr(str(dark))) + ', theme="dark")', names)
+    looked_at(exhibit, names["result"], light, dark)
     return names["result"]
+
+
+def looked_at(exhibit: Exhibit, result: Any, light: Path, dark: Path) -> None:
+    """As `draw` says: what is wrong ends the build of the pages."""
+    corners, sizes = [], []
+    for file in (light, dark):
+        with Image.open(file) as opened:
+            corners.append(sum(opened.convert("RGB").getpixel((1, 1))))
+            sizes.append(opened.size)
+    if type(result).__name__ != exhibit.kind:
+        raise ValueError(f"{exhibit.name}: shows a {type(result).__name__}, not a {exhibit.kind}")
+    if corners[0] <= 700 or corners[1] >= 100 or sizes[0] != sizes[1]:
+        raise ValueError(f"{exhibit.name}: grounds {corners} of 765, sizes {sizes}")

@@ -104,7 +104,7 @@ def report(
 
     Example:
         >>> problem = flexopt.load_problem("article")
-        >>> report = flexopt.report(problem, simulation={"duration": 2.0}, points=8)
+        >>> report = flexopt.report(problem, simulation={"duration": 2.0}, points=4)
         >>> sorted(report.loops)
         ['chosen', 'present']
     """

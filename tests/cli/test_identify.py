@@ -33,18 +33,13 @@ def test_the_command_says_what_python_says(command: Command) -> None:
 def test_a_selection_with_a_log_is_one_of_the_identified_machine(command: Command) -> None:
     write_log(command)
     words = ("--end-point", "0,1.6", "--base", "0", "--posture", POSTURE, "--starts", "1")
-    document = command.json("select", "excavator", *words, "--log", "swing.csv")
+    document = command.json("select", "excavator", *words, "--log", "swing.csv", "--imu", "0.3,0.1")
     found = document["identification"]
     assert document["provenance"]["machine_sha256"] == found["machine_sha256"]
     assert found["machine_sha256"] != flexopt.load("excavator").content_hash
     assert found["posture"] == [0.5, -1.2]
-
-
-def test_a_selection_knows_where_the_accelerometer_of_its_log_sits(command: Command) -> None:
-    write_log(command)
-    words = ("--end-point", "0,1.6", "--base", "0", "--posture", POSTURE, "--starts", "1", "--log", "swing.csv")
-    document = command.json("select", "excavator", *words, "--imu", "0.3,0.1")
-    assert document["identification"]["provenance"]["options"]["imu"] == [0.3, 0.1]
+    # It knows where the log's accelerometer sits.
+    assert found["provenance"]["options"]["imu"] == [0.3, 0.1]
 
 
 def test_the_command_refuses(command: Command) -> None:

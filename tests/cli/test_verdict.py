@@ -17,11 +17,12 @@ GROUND = {"stiffness": (0.5, 2.0)}
 
 def test_the_command_says_what_python_says(command: Command) -> None:
     words = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--ranges", "stiffness=0.5,2")
-    found = flexopt.verdict(flexopt.load_problem("article"), loop=LOOP, ranges=GROUND, runs=2)
-    document = command("verdict", "article", *words, "--runs", "2", "--json").document
+    found = flexopt.verdict(flexopt.load_problem("article"), loop=LOOP, ranges=GROUND, members=8, runs=2)
+    few = ("--members", "8", "--runs", "2")
+    document = command("verdict", "article", *words, *few, "--json").document
     assert document["word"] == found.word
     assert document["places"] == found.to_dict()["places"]
-    shown = command("verdict", "article", *words, "--runs", "2").stdout
+    shown = command("verdict", "article", *words, *few).stdout
     assert found.reason in shown
     for place in found.places:
         assert f"  {place.name}: x {place.base[0]:.4f} m; boom {place.posture[0]:.4f}, stick" in shown

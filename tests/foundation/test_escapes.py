@@ -230,7 +230,11 @@ def tags(text: str) -> list[str]:
 def test_pages(tmp_path: Path) -> None:
     """A whole report on a machine with a hostile name."""
     name = HOSTILE["tags"]
-    problem = flexopt.build_selection(machine(name, HOSTILE["mathtext"], "b"), (0.0, 1.6), starts=1)
+    data = machine(name, HOSTILE["mathtext"], "b").to_dict()
+    # With one mode there are fewer pictures.
+    for key in ("stiffness", "damping"):
+        data["base"][key] = {"rotation": data["base"][key]["rotation"]}
+    problem = flexopt.build_selection(flexopt.machine_from_dict(data), (0.0, 1.6), starts=1)
     result = flexopt.report(problem, points=4, simulation={"duration": 0.1})
     result.write(tmp_path)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable
+from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
@@ -14,11 +15,13 @@ import flexopt
 from benchmarks.identification import CASES, pushed
 from flexopt.identification.cleaning import spikes
 from flexopt.identification.poles import find_poles
+from flexopt.model import AnyMachine
 from flexopt.model.parameter_values import with_parameters
 from flexopt.model.uncertainty import parameters_of
 from tests.identification.swings import Swung, planar, spatial
 from tests.oracles.free_swing import FreeSwing
 
+TURN = "base.*.rotation"
 PLANAR = ("gyro_z", "end_point.x", "end_point.y")
 SPATIAL = ("gyro_x", "gyro_y", "gyro_z", "end_point.x", "end_point.y", "end_point.z")
 
@@ -102,8 +105,15 @@ def test_a_direction_that_is_open() -> None:
     check(found, swung, swung.truth)
 
 
+def one_turn(swung: Swung) -> tuple[AnyMachine, dict[str, object]]:
+    """The machine whose other numbers are known, and what asks for the spring and damper of the base's rotation."""
+    known = {name: value for name, value in swung.truth.items() if not fnmatchcase(name, TURN)}
+    return with_parameters(swung.machine, known), {"posture": swung.posture, "unknown": TURN}
+
+
 def test_units_of_headers_and_a_file(tmp_path: Path) -> None:
     swung = planar()
+    machine, asked = one_turn(swung)
     log = swung.log(*PLANAR)
     names = ["t [ms]", "gyro_z [deg/s]", "end_point.x [mm]", "end_point.y [cm]"]
     columns = [1e3 * log["t"], np.degrees(log["gyro_z"]), 1e3 * log["end_point.x"], 1e2 * log["end_point.y"]]
@@ -112,9 +122,9 @@ def test_units_of_headers_and_a_file(tmp_path: Path) -> None:
         cells = [f"{number:.12g}".replace(".", ",") for number in row]
         lines.append(";".join(["" if (k, j) == (7, 2) else cell for j, cell in enumerate(cells)]))
     (tmp_path / "swing.csv").write_text("# a comment\n" + "\n".join(lines) + "\n", encoding="utf-8")
-    found = flexopt.identify(swung.machine, tmp_path / "swing.csv", posture=swung.posture)
+    found = flexopt.identify(machine, tmp_path / "swing.csv", **asked)
     log["end_point.x"][7] = np.nan
-    same = flexopt.identify(swung.machine, log, posture=swung.posture)
+    same = flexopt.identify(machine, log, **asked)
     assert found.values == pytest.approx(same.values, rel=1e-5)
     assert [column.samples for column in found.columns] == [301, 300, 301]
 
@@ -127,13 +137,12 @@ def test_a_unit_that_is_told_wrongly() -> None:
     assert "is it in deg/s, not rad/s?" in found.doubts[0]
     assert [column.name for column in found.columns] == ["end_point.x", "end_point.y"]
     check(found, swung)
-    alone = flexopt.identify(swung.machine, {"t": log["t"], "gyro_z": log["gyro_z"]}, posture=swung.posture)
+    machine, asked = one_turn(swung)
+    alone = flexopt.identify(machine, {"t": log["t"], "gyro_z": log["gyro_z"]}, **asked)
     assert any("tilt the base by" in doubt and "deg/s" in doubt for doubt in alone.doubts)
-    far = flexopt.identify(
-        swung.machine, {"t": log["t"], "end_point.x": 1e3 * log["end_point.x"]}, posture=swung.posture
-    )
+    far = flexopt.identify(machine, {"t": log["t"], "end_point.x": 1e3 * log["end_point.x"]}, **asked)
     assert any("is it in mm, not m?" in doubt for doubt in far.doubts)
-    near = flexopt.identify(swung.machine, {"t": log["t"], "end_point.x": log["end_point.x"]}, posture=swung.posture)
+    near = flexopt.identify(machine, {"t": log["t"], "end_point.x": log["end_point.x"]}, **asked)
     assert not any("in mm" in doubt for doubt in near.doubts)
 
 
@@ -250,7 +259,7 @@ def test_a_swing_too_short_to_show_its_decay_is_told_with_a_doubt() -> None:
     machine = flexopt.load("excavator")
     swing = FreeSwing(machine, (0.5, -1.2), [1e-4, -1e-4, 6e-3], np.zeros(3))
     log = swing.log(("gyro_z",), np.arange(501) / 100, 0.01, seed=2)
-    found = flexopt.identify(machine, log, posture=(0.5, -1.2))
+    found = flexopt.identify(machine, log, posture=(0.5, -1.2), unknown=TURN)
     assert any("may last for ever" in doubt for doubt in found.doubts)
     assert "may last for ever" in str(found)
     low, high = found.intervals["base.stiffness.rotation"] or (np.nan, np.nan)

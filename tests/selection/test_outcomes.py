@@ -173,7 +173,7 @@ def test_a_problem_file_and_the_command(tmp_path: Any, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     text = "\n".join([
         'name = "own"', 'machine = "excavator"', "[target]", "end_point = [0.0, 1.6]", "[selection]",
-        'objective = "decay"', "starts = 4", "base = 0.0", "[loop]", "kp = 1e4", "kv = 1e3", "dead_time = 0.02",
+        'objective = "decay"', "starts = 2", "base = 0.0", "[loop]", "kp = 1e4", "kv = 1e3", "dead_time = 0.02",
     ])  # fmt: skip
     (tmp_path / "own.toml").write_text(text, encoding="utf-8")
     found = flexopt.solve_problem(flexopt.load_problem("own.toml"))
@@ -186,6 +186,6 @@ def test_a_problem_file_and_the_command(tmp_path: Any, monkeypatch: pytest.Monke
     document = command("select", "own.toml", "--json").document
     assert document["measure"] == "decay"
     assert document["best"]["outcome"]["decay"] == pytest.approx(found.best.objective)
-    words = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--loop", "dead_time=0.02", "--starts", "4", "--json")
+    words = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--loop", "dead_time=0.02", "--starts", "2", "--json")
     same = command("select", "article", "--objective", "decay", *words).document
     assert same["best"]["objective"] == pytest.approx(found.best.objective, rel=1e-9)

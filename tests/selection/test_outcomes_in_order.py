@@ -69,7 +69,7 @@ def test_what_does_not_go_together() -> None:
 def test_robust_margins_beside_what_a_loop_must_do() -> None:
     """Of a small part of the redundancy: ε_max first, a weighted sum with it, and ε_max where the decay is bounded."""
     options = {"loop": LOOP, "base_range": (-2.1, -1.4), "starts": 2, "workers": 1}
-    places = [(x, posture_at(x, "up")) for x in np.linspace(-2.1, -1.4, 29).tolist()]
+    places = [(x, posture_at(x, "up")) for x in np.linspace(-2.1, -1.4, 15).tolist()]
     margin, decay, w1 = (
         np.array([worth(name, *place, LOOP) for place in places]) for name in ("epsilon_max", "decay", "w1")
     )

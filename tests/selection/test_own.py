@@ -237,11 +237,11 @@ def test_a_kink_of_a_measure_is_one_of_its_functions_and_proved() -> None:
 
 def test_a_kink_of_a_measure_in_a_constraint_is_proved() -> None:
     """w_1 best, with Σ αi wi at least what nearly its best has, which stands on a kink: as in order with a slack."""
-    theirs = flexopt.select(**pipe_laying(objective="V,w1", slack=1e-3))
+    theirs = flexopt.select(**pipe_laying(objective="V,w1", slack=1e-3, starts=4))
     size, alpha = theirs.problem.objective_scales[0], theirs.problem.objectives[0].alpha
     own = not_seen_through(SLEWING, alpha, size)
     least = size * math.atan(theirs.kept[0].at_least / size)
-    arguments = pipe_laying(objective="w1", weights=None)
+    arguments = pipe_laying(objective="w1", weights=None, starts=4)
     arguments["constraints"] = [arguments["constraints"], flexopt.Constraint(own, lower=least, name="enough")]
     best = flexopt.select(**arguments).best
     assert "enough" in best.active

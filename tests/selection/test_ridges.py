@@ -30,7 +30,7 @@ def machine():
 @pytest.fixture(scope="module")
 def selection(machine):
     options = {"objective": "epsilon_max", "control": CONTROL, "gain": GAIN}
-    return flexopt.solve_selection(flexopt.build_selection(*machine, starts=16, **options), workers=1)
+    return flexopt.solve_selection(flexopt.build_selection(*machine, starts=8, **options), workers=1)
 
 
 def test_a_hill_that_no_point_of_the_scan_shows(machine, selection):

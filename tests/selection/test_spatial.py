@@ -118,7 +118,7 @@ def dense(machine):
 def test_never_below_thousands_of_feasible_points(machine, dense, objective):
     weights = WEIGHTS if objective == "V" else None
     ranges = {name: (BOX[0][k], BOX[1][k]) for k, name in enumerate(("x", "y", "yaw"))}
-    selection = flexopt.select(machine, TARGET, objective=objective, weights=weights, base_range=ranges)
+    selection = flexopt.select(machine, TARGET, objective=objective, weights=weights, base_range=ranges, starts=8)
     z = dense
     assert z.shape[1] >= 4_500
     measures = build_measures(machine)

@@ -64,7 +64,7 @@ def test_dimensions_are_those_of_a_walk(case) -> None:
 @functools.cache
 def slewing(seed: int) -> flexopt.Selection:
     """w_1 of the slewing excavator, a surface of dimension 2."""
-    return flexopt.select(flexopt.load("slewing-excavator"), (6, 2, 1), objective="w1", seed=seed, starts=8, workers=1)
+    return flexopt.select(flexopt.load("slewing-excavator"), (6, 2, 1), objective="w1", seed=seed, starts=4, workers=1)
 
 
 def test_chance_does_not_decide_what_is_recommended() -> None:
@@ -83,7 +83,7 @@ def test_nor_where_the_surface_has_an_edge() -> None:
     """Optima of the truck crane stand where a_1 = 0, in its plane of symmetry."""
     machine, target, options = chosen("truck-crane", 1)
     found = [
-        flexopt.select(machine, target, objective="w1", control=options["control"], seed=seed, starts=4, workers=1)
+        flexopt.select(machine, target, objective="w1", control=options["control"], seed=seed, starts=2, workers=1)
         for seed in (0, 2)
     ]
     assert all("kink of w1: a1 = 0" in each.best.kinks and each.best.dimension == 2 for each in found)
@@ -184,7 +184,7 @@ def test_a_planar_arm_of_more_joints_has_curves_of_optima() -> None:
     base, posture = np.zeros(1), np.array([0.9, -1.1, 0.8])
     target = plant.end_point(plant.rest(base, posture, plant.parameter_values), base, plant.parameter_values)
     found = [
-        flexopt.select(machine, target.full().ravel(), objective="w1", seed=seed, starts=6, workers=1)
+        flexopt.select(machine, target.full().ravel(), objective="w1", seed=seed, starts=3, workers=1)
         for seed in (0, 1)
     ]
     assert all(each.best.dimension == 1 for each in found)

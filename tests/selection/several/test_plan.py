@@ -120,7 +120,7 @@ def test_what_stands_still_keeps_its_joints_rates() -> None:
     assert still(1.0)[2] > rate
     found, slow, fastest = still(rate)
     assert fastest <= rate + 1e-7
-    first, second = (reached_from(problem, np.linspace(-4.0, 4.0, 81)[None], 7, 16) for problem in found.problems)
+    first, second = (reached_from(problem, np.linspace(-4.0, 4.0, 41)[None], 7, 16) for problem in found.problems)
     away = np.abs(first.z[1:, :, :, None] - second.z[1:, :, None, :]).max(axis=0)
     both = np.minimum(first.value[:, :, None], second.value[:, None, :])
     best = float(both[away <= rate * seconds].max())

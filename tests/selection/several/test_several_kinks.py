@@ -38,7 +38,7 @@ def packed(program: Program, places: tuple[TargetConfiguration, ...]) -> np.ndar
 @pytest.fixture(scope="module")
 def stand() -> tuple[flexopt.Stand, Program, np.ndarray]:
     machine, targets, options = asked(MACHINE, 1, 2)
-    found = flexopt.select_stand(machine, targets, starts=16, workers=1, **options)
+    found = flexopt.select_stand(machine, targets, starts=8, workers=1, **options)
     program = program_of(found.problems, moving=False)
     return found, program, packed(program, found.places)
 
@@ -92,7 +92,7 @@ def test_a_stand_of_shares_on_a_kink() -> None:
 
 def test_a_plan_on_kinks() -> None:
     machine, targets, options = asked(MACHINE, 7, 2)
-    found = flexopt.plan_base(machine, targets, duration=SECONDS, max_base_rate=RATE, workers=1, **options)
+    found = flexopt.plan_base(machine, targets, duration=SECONDS, max_base_rate=RATE, starts=4, workers=1, **options)
     assert found.kinks
     assert all(re.fullmatch(r"target [12]: kink of w(\d): [ab]\1 = 0", name) for name in found.kinks)
     assert all(0 <= share < 1 for share in found.kinks.values())
