@@ -61,7 +61,7 @@ def identification(name: str) -> Any:
 
 
 def atlas(name: str) -> Any:
-    return flexopt.atlas(machine(name), posture=posture(name)[2:] or None, cells=(5, 5))
+    return flexopt.atlas(machine(name), posture=posture(name)[2:] or None, cells=(8, 8))
 
 
 def workspace(name: str, over: str) -> Any:

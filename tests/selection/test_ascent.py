@@ -200,6 +200,13 @@ def test_steps_never_lead_down_nor_off_the_rows(objective: str) -> None:
             low = high
 
 
+@pytest.fixture
+def _interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is computed at many points of a machine in space takes less time than its compilation."""
+    monkeypatch.setenv("FLEXOPT_COMPILE", "0")
+
+
+@pytest.mark.usefixtures("_interpreted")
 @pytest.mark.parametrize(("machine", "target"), [("excavator", (0.0, 1.6)), ("truck-crane", (6.0, 0.0, 3.0))])
 def test_no_point_nearby_is_better(machine: str, target: tuple[float, ...]) -> None:
     """Random points about the optimum, moved onto the rows by other steps: V alone is looked at."""
@@ -216,6 +223,7 @@ def test_no_point_nearby_is_better(machine: str, target: tuple[float, ...]) -> N
     assert compared >= 6
 
 
+@pytest.mark.usefixtures("_interpreted")
 def test_what_is_on_the_way_is_not_proved() -> None:
     """V bends little here, so that branches far apart in place are near in value: no reason to take a mean of both."""
     problem = flexopt.build_selection(flexopt.load("slewing-excavator"), (3.5, 1.0, 1.2), objective="epsilon_max",
