@@ -54,7 +54,8 @@ def plot_stand(sheet: Sheet, stand: Stand) -> None:
     actors = [Actor(shape, inks.other, ghost=True) for k, shape in shapes.items() if k != stand.worst]
     if actors:
         actors[0] = Actor(actors[0].shape, inks.other, "at the other targets", ghost=True)
-    actors.append(Actor(shapes[stand.worst], inks.chosen, "at the worst target"))
+    worst = "at the worst target" if stand.differs else f"at target {stand.worst + 1}"
+    actors.append(Actor(shapes[stand.worst], inks.chosen, worst))
     targets = _target_points(places, stand.problems[0].machine.task_rows)
     for k, view in enumerate(seen):
         axes = sheet.figure.add_subplot(left[k, 0])
