@@ -301,10 +301,10 @@ class Selection(Pictured, Result):
     @property
     def present_told(self) -> str:
         """What is to be known of the present configuration: that no posture was given, or where it is; else empty."""
-        e, plant = self.initial, self.problem.measures.plant
+        e = self.initial
         if e is None:
             return ""
-        if self.problem.present_posture is None and plant.n_actuated > plant.n_task:
+        if self.problem.present_posture is None:
             return "one of the postures that reach the target from there: none was given"
         return elsewhere(self.problem, np.concatenate([e.base, e.posture]))
 

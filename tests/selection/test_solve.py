@@ -247,3 +247,10 @@ def test_every_argument_has_a_type(call):
     """Also those that are fields of the options; notebooks and editors show them."""
     parameters = inspect.signature(call).parameters.values()
     assert [parameter.name for parameter in parameters if parameter.annotation is inspect.Parameter.empty] == []
+
+
+def test_the_row_of_the_present_says_where_no_posture_was_given() -> None:
+    machine = flexopt.load("excavator")
+    asked = {"base": 0.0, "starts": 1, "workers": 1}
+    assert "reach the target from there: none was given" in repr(flexopt.select(machine, (0.0, 1.6), **asked))
+    assert "none was given" not in repr(flexopt.select(machine, (0.0, 1.6), posture=[0.0448, -2.0499], **asked))
