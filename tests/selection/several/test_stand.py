@@ -112,6 +112,10 @@ def test_an_epsilon_that_nobody_sought_is_told_of_where_it_is_small(excavator: f
         replace(found, alternatives=others)
     )
     assert "among equals" not in repr(replace(found, alternatives=others[2:]))
+    # Bars that are 0 are said to be.
+    bare = replace(found, places=tuple(replace(place, objective=0.0) for place in found.places))
+    written = [text.get_text() for drawn in (found, bare) for axes in drawn.plot().axes for text in axes.texts]
+    assert written.count("0 at every target") == 1
     # What is equal has no worst.
     far = [replace(place, objective=value) for place, value in zip(found.places, (-1.0, -2.0), strict=True)]
     assert "the worst" in repr(replace(found, places=tuple(far)))
