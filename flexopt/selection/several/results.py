@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -257,16 +258,19 @@ class Stand(Pictured, ConfigurationSet):
     def as_good(self) -> str:
         """A sentence where other placements found are as good, to 1e-4 of the objective's scale; else empty."""
         size = abs(self.worth) if self.unit is not None else self.problems[0].objective_scale
-        alike = [base for worth, base in self.alternatives if abs(worth - self.worth) <= NOTHING * size]
+        near = NOTHING * float(size)
+        alike = [
+            base for worth, base in self.alternatives if math.isclose(worth, self.worth, rel_tol=0.0, abs_tol=near)
+        ]
         away = [np.abs(base - self.base) for base in alike]
         if not away:
             return ""
         units = np.array(self.places[0].evaluation.base_units)
         lengths = list[str]()
         for unit in dict.fromkeys(units.tolist()):
-            far = np.linalg.norm(np.array(away)[:, units == unit], axis=1)
-            near, most = f"{far.min():.3g}", f"{far.max():.3g}"
-            lengths.append(f"{near} {unit}" if near == most else f"{near} to {most} {unit}")
+            far = np.linalg.norm(np.array(away)[:, units == unit], axis=1).round(4)
+            least, most = f"{far.min():.3g}", f"{far.max():.3g}"
+            lengths.append(f"{least} {unit}" if least == most else f"{least} to {most} {unit}")
         found = f"{counted(len(away), 'other placement')} found {'is' if len(away) == 1 else 'are'} as good"
         return f"a choice among equals: {found}, to {NOTHING:g} of the objective's scale, {' and '.join(lengths)} away"
 
