@@ -304,9 +304,10 @@ class Selection(Pictured, Result):
         e = self.initial
         if e is None:
             return ""
-        if self.problem.present_posture is None:
-            return "one of the postures that reach the target from there: none was given"
-        return elsewhere(self.problem, np.concatenate([e.base, e.posture]))
+        away = elsewhere(self.problem, np.concatenate([e.base, e.posture]))
+        if away or self.problem.present_posture is not None:
+            return away
+        return "one of the postures that reach the target from there: none was given"
 
     @property
     def left_out(self) -> str:
