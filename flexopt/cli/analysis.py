@@ -49,7 +49,6 @@ from flexopt.foundation.writing import write_file
 from flexopt.model import load, load_any
 from flexopt.model.choices import OUTCOMES, asks_for_loop
 from flexopt.robustness import evaluate
-from flexopt.robustness.evaluation import without_rounding
 
 if TYPE_CHECKING:
     from flexopt.identification import Identification
@@ -312,8 +311,10 @@ def _selection_text(result: Selection, *, judged: bool) -> str:
         )
     lines = [repr(result), "", f"{stand} {angles}.", repr(best)]
     if result.initial is not None and result.measure is None:
+        from flexopt.selection.result import shown_measures  # noqa: PLC0415  (`evaluate` does not need it)
+
         first = problem.sought[0]
         ends = (result.initial, best)
-        before, after = (first.value(without_rounding(e.w, e.scale), e.epsilon_max) for e in ends)
+        before, after = (first.value(shown_measures(problem, e), e.epsilon_max) for e in ends)
         lines.append(f"{first.name}: {before:.5e} in the present posture, {after:.5e} in the chosen one")
     return "\n".join(lines)

@@ -68,7 +68,7 @@ def _best(
     placement = np.zeros(len(machine.base_coordinates)) if base is None else np.atleast_1d(base)
     first = w_of_few(measures, placement, np.array(postures).T)[0]
     if not VOICE.quiet:
-        of = f"of {len(postures)} postures found that reach it" + (f", the elbow {elbow}," if elbow else "")
-        told = f"{of} the one with the greatest w1 is taken"
+        those = f" with the elbow {elbow} (--elbow names the other)" if elbow else ""
+        told = f"of {len(postures)} postures found that reach it{those}, the one with the greatest w1 is taken"
         say(f"flexopt: --end-point: {told}; --posture names another, `flexopt select` seeks the best", err=True)
     return postures[int(np.argmax(np.where(np.isnan(first), -np.inf, first)))]

@@ -134,7 +134,8 @@ def reproduce_command(as_json: bool, out: str | None, figures: str | None, **opt
     """The article computed again: Table 2, Figs. 5 to 12, mean frequencies, its claims and contradictions.
 
     Writes one HTML report and one JSON file into a folder, which is made if it is missing; with --figures each figure
-    as a file of its own, too.
+    as a file of its own, too: figure5 to figures11and12, and two that the article does not have: gains (the loop's
+    decay over Kp and Kv) and gaps (ν-gap to the rigid plant and ε_max as the damping grows).
     """
     from flexopt.article import reproduce  # noqa: PLC0415  (only this command needs it)
     from flexopt.article.reproduction import FORMS  # noqa: PLC0415

@@ -54,7 +54,8 @@ def plot_stand(sheet: Sheet, stand: Stand) -> None:
     actors = [Actor(shape, inks.other, ghost=True) for k, shape in shapes.items() if k != stand.worst]
     if actors:
         actors[0] = Actor(actors[0].shape, inks.other, "at the other targets", ghost=True)
-    actors.append(Actor(shapes[stand.worst], inks.chosen, "at the worst target"))
+    worst = "at the worst target" if stand.differs else f"at target {stand.worst + 1}"
+    actors.append(Actor(shapes[stand.worst], inks.chosen, worst))
     targets = _target_points(places, stand.problems[0].machine.task_rows)
     for k, view in enumerate(seen):
         axes = sheet.figure.add_subplot(left[k, 0])
@@ -67,6 +68,9 @@ def plot_stand(sheet: Sheet, stand: Stand) -> None:
     shades = [inks.chosen if k == stand.worst else inks.other for k in range(numbers.size)]
     panels[0].bar(numbers, stand.shown_objective, 0.6, color=shades)
     panels[0].axhline(0.0, color=inks.muted, linewidth=0.8, zorder=0)
+    if not stand.shown_objective.any():
+        told = "0 at every target" if len(places) > 1 else "0 at the target"
+        panels[0].annotate(told, (0.5, 0.0), (0, 6), ("axes fraction", "data"), "offset points", ha="center")
     panels[0].set_ylabel(_sought(stand))
     panels[0].set_title("objective at each target" + (", 0 is best" if stand.unit is None else ""), loc="right")
     _draw_measures(panels[1], places, numbers)

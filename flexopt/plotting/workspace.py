@@ -87,7 +87,9 @@ def plot_workspace(sheet: Sheet, chart: Any, *, marks: Mapping[str, tuple[float,
             draw_marks(axes, _placed(plane, shown))
             # Where nothing stands below a panel it has the axis' name itself.
             bottom = row == len(panels) - 1 or column >= len(panels[row + 1])
-            label_plane(axes, plane, panel[1], left=column == 0, bottom=bottom)
+            # Beside the bar of another panel an axis without a name seems to have that bar's.
+            left = column == 0 or dataset.attrs["over"] == "loop"
+            label_plane(axes, plane, panel[1], left=left, bottom=bottom)
             handles, names = axes.get_legend_handles_labels()
             named |= dict(zip(names, handles, strict=True))
     if named and sheet.axes is None:

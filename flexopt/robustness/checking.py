@@ -181,13 +181,16 @@ def _weights(problem: Problem) -> Iterator[str]:
 def _left(problem: Problem) -> Iterator[str]:
     """What travel counts from and the file does not tell, without which a selection refuses it."""
     travel, machine = problem.constraints and problem.constraints.travel, problem.loaded_machine
-    if travel is None or problem.target.kind != "end_point":
+    if travel is None:
         return
     needed = ["base"] * bool(machine.base_coordinates) + ["posture"]
     open_ = [name for name in needed if getattr(travel, name) is None and getattr(problem.selection, name) is None]
     if open_:
         words = " and ".join(open_)
-        yield f"constraints.travel: a selection needs what the machine leaves, {words}: give {words} in [selection]"
+        yield (
+            f"constraints.travel: a selection refuses its cost without the present {words}, from which it counts: "
+            f"give {words} in [constraints.travel] or [selection]"
+        )
 
 
 def _targets(problem: Problem) -> Iterator[ImplausibleNumber]:

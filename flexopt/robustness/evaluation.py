@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 # Below this share of |a_i||b_i| w_i is 0, and shown as such: its terms cancel.
 ROUNDING = 1e-13
+# What a rigid part that is not passive means.
+EXCITES = "equal gains in all rows damp the rigid part, some unequal ones excite it"
 # Below this share of the largest |a_i||b_i| a mode is not reached: what is left where a_i = 0 was sought is rounding,
 # and its direction chance.
 UNREACHED = 1e-11
@@ -217,8 +219,8 @@ class Evaluation(Result):
             lines.append("    –: the end-point does not move in that mode, or no feedback excites it")
         rigid = f"{self.rigid:.5e} {'mixed units' if unit == MIXED else unit}"
         lines.append(f"  rigid part: λmin(R0 + R0ᵀ) = {rigid}; cond Jv = {self.condition:.4g}")
-        if self.rigid < -ROUNDING * np.abs(self.rigid_residue).max():
-            lines.append("    negative: equal gains in all rows damp the rigid part, some unequal ones excite it")
+        if excites_rigid(self):
+            lines.append(f"    negative: {EXCITES}")
         if self.epsilon_max is not None:
             margin = with_bound(self.epsilon_max, self.epsilon_max_error)
             gain = f"{self.gain:g} {gain_units(self.control, self.joint_units)[0]}"
@@ -234,6 +236,11 @@ class Evaluation(Result):
         lines += [f"  {cylinder}" for cylinder in self.cylinders]
         lines += [] if self.outcome is None else repr(self.outcome).splitlines()
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
+
+
+def excites_rigid(e: Evaluation) -> bool:
+    """Whether λmin(R_0 + R_0ᵀ) is negative, beyond rounding."""
+    return bool(e.rigid < -ROUNDING * np.abs(e.rigid_residue).max())
 
 
 def unreached(scale: Vector) -> NDArray[np.bool_]:

@@ -261,7 +261,8 @@ def _present(
         base = np.zeros(0)
     for name, value in (("base", base), ("posture", posture)):
         if value is None and not arguments.faulty(name):
-            sentence = f"is required: what the machine leaves, here or as {name} of the call or [selection]"
+            sentence = f"is required: the cost of travel counts from the present {name}; give it here, or as {name} "
+            sentence += "of the call or of [selection]"
             arguments.faults.append(Fault(f"{where}{name}", sentence))
     return None if base is None or posture is None else np.concatenate([base, posture])
 

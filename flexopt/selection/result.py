@@ -301,12 +301,13 @@ class Selection(Pictured, Result):
     @property
     def present_told(self) -> str:
         """What is to be known of the present configuration: that no posture was given, or where it is; else empty."""
-        e, plant = self.initial, self.problem.measures.plant
+        e = self.initial
         if e is None:
             return ""
-        if self.problem.present_posture is None and plant.n_actuated > plant.n_task:
-            return "one of the postures that reach the target from there: none was given"
-        return elsewhere(self.problem, np.concatenate([e.base, e.posture]))
+        away = elsewhere(self.problem, np.concatenate([e.base, e.posture]))
+        if away or self.problem.present_posture is not None:
+            return away
+        return "one of the postures that reach the target from there: none was given"
 
     @property
     def left_out(self) -> str:

@@ -17,9 +17,11 @@ from flexopt.foundation.arrays import Vector
 Word = Literal["move", "stay", "change gains", "cannot tell"]
 # By which share of its decay one is faster than the other, and in which share of the members it must be.
 FASTER, MOST = 0.1, 0.95
+# What "better" is, in every sentence.
+BETTER = f"decays {100 * FASTER:.0f} % faster"
 
 RULE = (
-    f"One place is better than another on a ground where it decays by {100 * FASTER:.0f} % faster. "
+    f"One place is better than another on a ground where it {BETTER.replace('decays', 'decays by')}. "
     "MOVE: a place is stable on every ground looked at, better than the present one on "
     f"{100 * MOST:.0f} % of them and in its worst case, and {100 * MOST:.0f} % of the nonlinear runs confirm it: the "
     "base's oscillation decays, and the end-point comes nearer to its target. CHANGE GAINS: other gains that were "
@@ -95,7 +97,7 @@ def decide(
     if best is not None:
         reason = "from the present placement the arm does not reach the target within its limits"
         if stay is not None:
-            reason = f"better on {100 * best.better_than(stay):.0f} % of the grounds; "
+            reason = f"{BETTER} on {100 * best.better_than(stay):.0f} % of the grounds; "
             reason += f"slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
         return Decision("move", best.name, f"{reason}, for a drive of {best.drive:.3g} m")
     if stay is not None and stay.holds and stay.name not in unconfirmed:
@@ -104,19 +106,17 @@ def decide(
         )
         if share <= 1 - MOST:
             where = f"more than {100 * share:.0f} % of the grounds" if share else "any ground"
-            reason = f"no place found decays {100 * FASTER:.0f} % faster on {where}"
+            reason = f"no place found {BETTER} on {where}"
             return Decision("stay", stay.name, f"{reason}; slowest decay here {stay.slowest:.3g}/s")
         return Decision("cannot tell", rival.name, _why_not(rival, share, unconfirmed))
     if stay is not None and sound:
         first = max(sound, key=lambda place: place.slowest)
         share = first.better_than(stay)
         where = f"on {100 * share:.0f} % of the grounds only" if share else "on no ground"
-        reason = f"{first.name} is stable on every ground, and the present place is not, but better than it {where}"
+        reason = f"{first.name} is stable on every ground, and the present place is not, but {BETTER} {where}"
         if stay.holds:
-            reason = (
-                f"nonlinear runs do not confirm the present place, and {first.name}, which they confirm, is better "
-            )
-            reason += where
+            reason = "nonlinear runs do not confirm the present place, and "
+            reason += f"{first.name}, which they confirm, {BETTER} {where}"
         return Decision("cannot tell", first.name, reason)
     every = [*([] if stay is None else [stay]), *others]
     doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
@@ -149,7 +149,7 @@ def deciding(decision: Decision, known: Mapping[str, Place], stay: Place | None)
 
 def _why_not(rival: Place, share: float, unconfirmed: Sequence[str]) -> str:
     """Why a place that is better on many grounds is none to move to."""
-    reason = f"{rival.name} is better on {100 * share:.0f} % of the grounds"
+    reason = f"{rival.name} {BETTER} on {100 * share:.0f} % of the grounds"
     if not rival.holds:
         return f"{reason}, but not stable on every one"
     if rival.name in unconfirmed:
@@ -186,7 +186,7 @@ def _why_gains(
         return f"{reason}, with these {stay.slowest:.3g}/s"
     if sound and stay is not None:
         rival = max(sound, key=lambda place: place.better_than(stay))
-        share = f"better than the present place on {100 * rival.better_than(stay):.0f} % of them only"
+        share = f"{BETTER} than the present place on {100 * rival.better_than(stay):.0f} % of them only"
         return f"{reason}; with these {rival.name} is stable on every ground, too, but {share}"
     if doubted:
         names = " and ".join(place.name for place in doubted)

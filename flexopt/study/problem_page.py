@@ -139,7 +139,8 @@ def _listed(report: Report) -> list[_Listed]:
             _Listed(
                 f"target {k + 1}",
                 place.evaluation,
-                f"{name} {number(selection.shown_objective[k], 4)}{unit}" + (", the worst" * (k == selection.worst)),
+                f"{name} {number(selection.shown_objective[k], 4)}{unit}"
+                + (", the worst" * (selection.differs and k == selection.worst)),
             )
             for k, place in some(selection, SHOWN)
         ]

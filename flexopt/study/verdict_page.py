@@ -14,6 +14,7 @@ import numpy as np
 from flexopt.foundation.rendering import render
 from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
+from flexopt.study.decision import BETTER
 from flexopt.study.page import Picture, Table, begun, coordinate, number, picture
 from flexopt.study.places import MOVE, STAY, told
 
@@ -193,7 +194,7 @@ def _pictures(verdict: Verdict) -> list[Picture]:
 def _places(verdict: Verdict) -> Table:
     """Every place's worst over what is uncertain."""
     shown = measures(verdict)
-    header = ["place", "drive", *map(_title, shown), "stable on", "better on", "nonlinear runs"]
+    header = ["place", "drive", *map(_title, shown), "stable on", f"{BETTER} on", "nonlinear runs"]
     rows = [
         [
             place.name, "" if place.name == STAY else told(place.drive, 1.0, " m"),

@@ -239,6 +239,11 @@ def test_joints_and_end_point_of_a_robot_can_be_chosen(command: Command) -> None
     assert data["base"]["stiffness"] == {"z": 4e6, "pitch": 3e6}
     # Coupled fingers stand still.
     assert "finger_b" in data["locked"]
+    # What is commented out can be taken as it stands.
+    text = Path("own.toml").read_text(encoding="utf-8")
+    assert text.index("# capsules =") < text.index("\n[")
+    taken = tomllib.loads(text.replace("# capsules =", "capsules ="))
+    assert taken == data | {"capsules": "collision"}
 
 
 def test_nothing_is_written_over(command: Command) -> None:

@@ -29,6 +29,11 @@ def test_a_redundant_arm_is_held_in_the_sampled_posture_with_the_greatest_first_
     assert np.allclose(chosen["posture"], found.document["posture"], atol=1e-12)
 
 
+def test_of_a_redundant_arm_in_the_plane_the_elbow_is_said_to_choose_among_the_postures(command: Command) -> None:
+    told = command("evaluate", "boom-stick-bucket", "--end-point", "5,1", "--elbow", "down").stderr
+    assert "reach it with the elbow down (--elbow names the other), the one with the greatest w1 is taken" in told
+
+
 def test_a_refusal_names_the_elbow_that_was_asked_for(command: Command) -> None:
     """The other one reaches the same end-point within the limits."""
     text = (Path(__file__).parents[2] / "models" / "excavator.toml").read_text(encoding="utf-8")

@@ -15,6 +15,7 @@ from pathlib import Path
 import click
 import pytest
 from click.shell_completion import ShellComplete
+from click.testing import CliRunner
 
 import flexopt
 from flexopt.cli import common, main
@@ -254,3 +255,9 @@ def test_an_interrupted_command_says_so(command: Command, monkeypatch: pytest.Mo
     assert outcome.code == 130
     assert outcome.stdout == ""
     assert outcome.stderr.strip() == "Aborted"
+
+
+def test_help_of_the_article_names_every_figure() -> None:
+    told = CliRunner().invoke(cli, ["reproduce", "--help"]).output
+    for name in ("figure5", "figures11and12", "gains", "gaps"):
+        assert name in told

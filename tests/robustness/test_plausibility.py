@@ -470,6 +470,16 @@ def test_weights_that_a_selection_refuses_are_told(tmp_path: Path) -> None:
         assert flexopt.check(tmp_path / "p.toml").status == "good"
 
 
+@pytest.mark.parametrize("target", ["end_point = [0, 1.6]", "end_points = [[0, 1.6], [0.2, 1.4]]"])
+def test_what_a_cost_of_travel_wants_is_told_of_one_target_and_of_several(target: str, tmp_path: Path) -> None:
+    text = f'name = "p"\nmachine = "excavator"\n[target]\n{target}\n[constraints.travel]\ncost = 0.1\nbase = 0.0\n'
+    (tmp_path / "p.toml").write_text(text)
+    (sentence,) = flexopt.check(tmp_path / "p.toml").warnings
+    assert "the present posture, from which it counts: give posture in [constraints.travel]" in sentence
+    (tmp_path / "p.toml").write_text(text + "posture = [0.0448, -2.0499]\n")
+    assert flexopt.check(tmp_path / "p.toml").warnings == ()
+
+
 def test_rates_and_times_of_outcomes_have_their_own_units(tmp_path: Path) -> None:
     bounds = "[constraints.outcome]\ndecay = 1e9\ndelay_margin = 1e9\n"
     (tmp_path / "p.toml").write_text('name = "p"\nmachine = "excavator"\n[target]\nend_point = [0, 1.6]\n' + bounds)

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexopt
+from flexopt.cli import analysis
 from flexopt.errors import InputError
 from flexopt.model.problem import SelectionKeywords, SharedKeywords, StandKeywords
 from flexopt.selection.check import prove
@@ -247,3 +248,22 @@ def test_every_argument_has_a_type(call):
     """Also those that are fields of the options; notebooks and editors show them."""
     parameters = inspect.signature(call).parameters.values()
     assert [parameter.name for parameter in parameters if parameter.annotation is inspect.Parameter.empty] == []
+
+
+@pytest.fixture(scope="module")
+def from_a_placement(machine):
+    return flexopt.select(machine, (0.0, 1.6), base=0.0, starts=1, workers=1)
+
+
+def test_the_row_of_the_present_says_where_no_posture_was_given(machine, from_a_placement) -> None:
+    assert "reach the target from there: none was given" in repr(from_a_placement)
+    held = flexopt.select(machine, (0.0, 1.6), base=0.0, posture=[0.0448, -2.0499], starts=1, workers=1)
+    assert "none was given" not in repr(held)
+
+
+def test_the_last_line_of_the_command_rounds_as_the_table_does(from_a_placement) -> None:
+    best, there = from_a_placement.best, from_a_placement.best.evaluation
+    nearly = replace(there, w=np.array([-1e-10 * from_a_placement.problem.first_scale, *there.w[1:]]))
+    chosen = replace(best, w=nearly.w, evaluate=lambda: nearly)
+    text = analysis._selection_text(replace(from_a_placement, best=chosen, candidates=(chosen,)), judged=False)
+    assert text.endswith("in the present posture, 0.00000e+00 in the chosen one")

@@ -42,7 +42,8 @@ def test_over_gain_and_dead_time_each_point_is_that_loop(tmp_path: Path) -> None
     field.to_netcdf(tmp_path / "map.nc")
     with xr.open_dataset(tmp_path / "map.nc") as kept:
         np.testing.assert_array_equal(kept["decay"].values, data["decay"].values)
-    assert field.plot(tmp_path / "map.png").axes
+    drawn = field.plot(tmp_path / "map.png").axes
+    assert [axes.get_ylabel() for axes in drawn if axes.get_title()] == 2 * ["dead time of the loop, s"]
 
 
 def test_over_soil_and_payload_the_machine_is_another() -> None:

@@ -107,7 +107,7 @@ def test_a_present_posture_beside_the_target_is_told(article):
     elsewhere = replace(article, selection=replace(article.selection, initial=held))
     x, y = held.end_point
     assert f"Present: holds the end-point at ({x:.4g}, {y:.4g}) m, not at the target." in placed(elsewhere)[1]
-    assert "Present" not in placed(article)[1]
+    assert "Present: one of the postures that reach the target from there: none was given." in placed(article)[1]
 
 
 def test_marks_are_where_the_machine_is(article):

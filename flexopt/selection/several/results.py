@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,16 +16,19 @@ from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Tabled
 from flexopt.model.simulation import Path
-from flexopt.robustness.evaluation import Evaluation
+from flexopt.robustness.evaluation import EXCITES, Evaluation, excites_rigid
+from flexopt.robustness.residues import MIXED, residue_unit
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import (
+    NOTHING,
     THIN,
     TIE_TOLERANCE,
     ConstraintValue,
     column_heads,
     in_columns,
     in_margin,
-    units_of_columns,
+    shown_measures,
+    units_told,
     unverified_told,
 )
 
@@ -118,6 +122,30 @@ class ConfigurationSet(Tabled):
         return shown
 
     @property
+    def differs(self) -> bool:
+        """Whether the targets differ in the objective, as tables show it."""
+        return len({f"{value:.4e}" for value in self.shown_objective}) > 1
+
+    @property
+    def not_passive(self) -> str:
+        """A sentence on targets where λmin(R_0 + R_0ᵀ) is negative; empty where there is none."""
+        found = {
+            k + 1: place.evaluation.rigid for k, place in enumerate(self.places) if excites_rigid(place.evaluation)
+        }
+        if not found:
+            return ""
+        e, least = self.places[0].evaluation, min(found.values())
+        unit = residue_unit(e.control, e.joint_units)
+        where = "every target" if len(found) == len(self.places) > 1 else _numbered(list(found))
+        least_told = f"{'' if len(found) == 1 else 'down to '}{least:.5e} {'mixed units' if unit == MIXED else unit}"
+        return f"rigid part: λmin(R0 + R0ᵀ) is negative at {where}, {least_told}: {EXCITES}"
+
+    @property
+    def as_good(self) -> str:
+        """A sentence where others that were found are as good; empty where that is not told."""
+        return ""
+
+    @property
     def _targets(self) -> str:
         return counted(len(self.places), "target")
 
@@ -150,14 +178,36 @@ class ConfigurationSet(Tabled):
         named += [f"  {self.unused_posture}"] * bool(self.unused_posture)
         return [
             f"{first.machine.name}: {what}, {how}",
-            *_table(self.places, self.shown_objective, self.worst, self.column),
+            *self._table(),
             *(
                 f"  {sentence}"
-                for sentence in (unverified_told(self.objective, self.unverified), self.left_out)
+                for sentence in (
+                    unverified_told(self.objective, self.unverified),
+                    self.as_good,
+                    self.not_passive,
+                    self.left_out,
+                )
                 if sentence
             ),
             *named,
         ]
+
+    def _table(self) -> list[str]:
+        """A line for each target: where it stands, what was sought, every w_i, ε_max."""
+        e, name = self.places[0].evaluation, self.column
+        measures = [f"w{i + 1}" for i in range(e.w.size)]
+        # Of one w_i alone its own column tells it, but where a cost of travel is taken off.
+        apart = name not in measures or self.problems[0].travel is not None
+        heads = [*([name if name not in measures else "V"] if apart else []), *measures]
+        lines = column_heads("  target", e, "".join(f"{head:>13}" for head in heads) + f"{'ε_max':>10}")
+        count = len(self.places)
+        shown = range(count) if count <= SHOWN else np.linspace(0, count - 1, SHOWN).astype(int)
+        for k in sorted({*(int(i) for i in shown), self.worst}):
+            told = "   the worst" if k == self.worst and self.differs else ""
+            e, problem = self.places[k].evaluation, self.problems[k]
+            values = [*([self.shown_objective[k]] if apart else []), *shown_measures(problem, e)]
+            lines += [f"  {k + 1:6d} {in_columns(e)}{''.join(f'{x:13.4e}' for x in values)}{in_margin(e)}{told}"]
+        return [*lines, f"  {units_told(e)}"]
 
     @property
     def unused_posture(self) -> str:
@@ -203,6 +253,26 @@ class Stand(Pictured, ConfigurationSet):
     def base(self) -> Vector:
         """The placement (n_b,), m or rad."""
         return self.places[0].evaluation.base
+
+    @property
+    def as_good(self) -> str:
+        """A sentence where other placements found are as good, to 1e-4 of the objective's scale; else empty."""
+        size = abs(self.worth) if self.unit is not None else self.problems[0].objective_scale
+        near = NOTHING * float(size)
+        alike = [
+            base for worth, base in self.alternatives if math.isclose(worth, self.worth, rel_tol=0.0, abs_tol=near)
+        ]
+        away = [np.abs(base - self.base) for base in alike]
+        if not away:
+            return ""
+        units = np.array(self.places[0].evaluation.base_units)
+        lengths = list[str]()
+        for unit in dict.fromkeys(units.tolist()):
+            far = np.linalg.norm(np.array(away)[:, units == unit], axis=1).round(4)
+            least, most = f"{far.min():.3g}", f"{far.max():.3g}"
+            lengths.append(f"{least} {unit}" if least == most else f"{least} to {most} {unit}")
+        found = f"{counted(len(away), 'other placement')} found {'is' if len(away) == 1 else 'are'} as good"
+        return f"a choice among equals: {found}, to {NOTHING:g} of the objective's scale, {' and '.join(lengths)} away"
 
     @property
     def status(self) -> str:
@@ -342,15 +412,9 @@ class BasePlan(Pictured, ConfigurationSet):
 SHOWN = 12
 
 
-def _table(places: tuple[TargetConfiguration, ...], worths: Vector, worst: int, name: str) -> list[str]:
-    e = places[0].evaluation
-    lines = column_heads("  target", e, f"{name:>13}{'ε_max':>10}")
-    shown = range(len(places)) if len(places) <= SHOWN else np.linspace(0, len(places) - 1, SHOWN).astype(int)
-    for k in sorted({*(int(i) for i in shown), worst}):
-        told = "   the worst" if k == worst and len(places) > 1 else ""
-        e = places[k].evaluation
-        lines += [f"  {k + 1:6d} {in_columns(e)}{worths[k]:13.4e}{in_margin(e)}{told}"]
-    return [*lines, f"  in {units_of_columns(e)}"]
+def _numbered(targets: list[int]) -> str:
+    *before, last = map(str, targets)
+    return f"targets {', '.join(before)} and {last}" if before else f"target {last}"
 
 
 def _path(time: Vector, points: Vector) -> Path:

@@ -99,6 +99,27 @@ def test_an_epsilon_that_nobody_sought_is_told_of_where_it_is_small(excavator: f
     assert told.left_out == "the objective leaves ε_max out: 0.1 at target 2, of 0.3827 of a rigid machine"
     assert told.left_out in repr(told)
     assert "  0.100000" in repr(told)
+    # Every w_i, once; a rigid part that is not passive; others that are as good.
+    assert repr(found).count(" w1 ") == 1
+    assert " w2 " in repr(found)
+    assert f"{found.places[1].evaluation.w[2]:13.4e}" in repr(found)
+    assert "rigid part" not in repr(found)
+    rigid = replace(found.places[1], evaluation=replace(found.places[1].evaluation, rigid=-0.5))
+    active = repr(replace(found, places=(found.places[0], rigid)))
+    assert "λmin(R0 + R0ᵀ) is negative at target 2, -5.00000e-01 1/(kg m2): equal gains" in active
+    others = ((found.worth, found.base + 1.0), (found.worth, found.base - 2.0), (found.worth - 1.0, found.base + 9.0))
+    assert "equals: 2 other placements found are as good, to 0.0001 of the objective's scale, 1 to 2 m away" in repr(
+        replace(found, alternatives=others)
+    )
+    assert "among equals" not in repr(replace(found, alternatives=others[2:]))
+    # Bars that are 0 are said to be.
+    bare = replace(found, places=tuple(replace(place, objective=0.0) for place in found.places))
+    written = [text.get_text() for drawn in (found, bare) for axes in drawn.plot().axes for text in axes.texts]
+    assert written.count("0 at every target") == 1
+    # What is equal has no worst.
+    far = [replace(place, objective=value) for place, value in zip(found.places, (-1.0, -2.0), strict=True)]
+    assert "the worst" in repr(replace(found, places=tuple(far)))
+    assert "the worst" not in repr(replace(found, places=(far[0], far[0])))
 
 
 def test_no_more_starts_are_counted_than_are_asked_for(
