@@ -64,8 +64,8 @@ class Trajectory(Pictured, Result):
             the same, `"undecided"` where they do not, or the run is shorter than four periods of the slowest mode, or
             the eigenvalues are 1 to rounding; where there is no `linear`, the run's own, if significant.
         verdict_reason: both, in a sentence.
-        growth_rate, growth_rate_error: of the base's amplitude in the run and what it may be off by, 1/s: of the largest
-            mode that grows, or else of the one that decays slowest; None where it never moved. See
+        growth_rate, growth_rate_error: of the base's amplitude in the run and what it may be off by, 1/s: of the
+            largest mode that grows, or else of the one that decays slowest; None where it never moved. See
             `simulation.behaviour.Behaviour`.
         linear_growth_rate: of `linear`, 1/s.
         integrated_growth_rate: of the same loop as the run's integrator makes it, 1/s (computed when asked for); None
