@@ -49,6 +49,9 @@ AROUND_STARTS = 8
 # derivatives change quickly a step of full length ends behind the hill. How often it goes on from where it came to.
 WITHIN = (np.inf, 1e-1, 1e-2, 1e-3)
 ONWARD = 12
+# How far below the best optimum, as a share of the scale, climbs at random may have ended that are followed, too: they
+# end a little below their tops, and hills of nearly one height are many.
+BELOW = 1e-4
 # How many of the ends that could not be verified and are better than every optimum are taken up again.
 TAKEN_UP = 2
 
@@ -81,7 +84,7 @@ def first_optima(
     found, attempts = _not_below_seen(problem, found, attempts, failures)
     found, attempts, more = _in_rounds(problem, found, attempts, workers, progress)
     summits = [] if any(proof.unsurpassed for _, proof, _ in found) else climbed_anywhere(problem, workers)
-    found, attempts, others = _higher(problem, found, attempts, summits, workers)
+    found, attempts, others = _higher(problem, found, attempts, summits, workers, BELOW)
     return problem, _taken_up(problem, found, attempts, failures + more + others)
 
 
@@ -104,10 +107,18 @@ def _taken_up(
 
 
 def _higher(
-    problem: SelectionProblem, found: list[Found], attempts: list[Attempt], points: list[Vector], workers: int
+    problem: SelectionProblem,
+    found: list[Found],
+    attempts: list[Attempt],
+    points: list[Vector],
+    workers: int,
+    below: float = -BETTER,
 ) -> tuple[list[Found], list[Attempt], list[tuple[Vector, Proof]]]:
-    """The optima and attempts with those from points that are better than all optima, and what failed of these."""
-    least = max(value_at(problem, z) for z, _, _ in found) + BETTER * problem.objective_scale
+    """The optima and attempts with those from points that are better than all optima, and what failed of these.
+
+    Or as good, up to so much `below` the best, as a share of the objective's scale.
+    """
+    least = max(value_at(problem, z) for z, _, _ in found) - below * problem.objective_scale
     starts = [z for z in points if value_at(problem, z) > least]
     if not starts:
         return found, attempts, []

@@ -46,6 +46,24 @@ def test_the_scan_tells_where_a_selection_falls_short(machine):
     assert len(attempts) > 1
 
 
+def test_a_climb_that_ends_a_little_below_is_followed(machine):
+    """Climbs at random end below their tops: one below the best optimum may lie on a higher hill."""
+    problem = flexopt.build_selection(machine, TARGET, objective="epsilon_max")
+    z, values = np.vstack([problem.scan.base, problem.scan.posture]), seen_values(problem)
+    _, (found, attempts, _) = optima.first_optima(problem, [z[:, values.argmax()]], 1, None)
+    high = max(found, key=lambda item: value_at(problem, item[0]))
+    near = np.abs((z - high[0][:, None]) / problem.scale[:, None]).max(axis=0)
+    point = z[:, np.where(near > 0.05, near, np.inf).argmin()]
+    short = (value_at(problem, high[0]) - value_at(problem, point)) / problem.objective_scale
+    assert short > 1e-5
+    # As if the point, which is no optimum, were the only one known: it is not better than that, but as good.
+    known = [(point, *high[1:])]
+    assert optima._higher(problem, known, attempts, [point], 1)[0] == known
+    more, tried, _ = optima._higher(problem, known, attempts, [point], 1, optima.BELOW)
+    assert len(tried) == len(attempts) + 1
+    assert value_at(problem, more[-1][0]) == pytest.approx(value_at(problem, high[0]), abs=1e-9)
+
+
 def test_a_better_point_that_leads_nowhere_is_an_error(machine, monkeypatch):
     problem = flexopt.build_selection(machine, TARGET)
     monkeypatch.setattr(optima, "seen_values", lambda problem: np.full(problem.scan.size, 1.0))
