@@ -56,7 +56,8 @@ def plot_ensemble(sheet: Sheet, ensemble: Ensemble) -> None:
         grid = sheet.figure.add_gridspec(2, 2, height_ratios=[1.0, 1.1])
         _draw_rates(sheet.figure.add_subplot(grid[0, :]), ensemble)
         data, drawn = ensemble.dataset, list[Axes]()
-        error = 1e3 * np.linalg.norm(np.asarray(data["error"]), axis=-1)
+        with np.errstate(over="ignore"):  # of what has grown beyond all numbers, drawn up to `ABOVE`
+            error = 1e3 * np.linalg.norm(np.asarray(data["error"]), axis=-1)
         panels = (("end-point error, mm", error), ("energy, kJ", 1e-3 * np.asarray(data["energy"])))
         for k, (label, values) in enumerate(panels):
             drawn.append(sheet.figure.add_subplot(grid[1, k]))
@@ -108,7 +109,8 @@ def _varied(ensemble: Ensemble) -> tuple[str, Values]:
 def _draw_bands(axes: Axes, ensemble: Ensemble, values: Values) -> None:
     """Quantiles over time of values (members, samples), each verdict by itself; what has diverged lies above all."""
     time, inks = np.asarray(ensemble.dataset["time"], dtype=float), colors()
-    sizes, known = np.where(np.isfinite(values), values, ABOVE), values[np.isfinite(values)]
+    known = values[np.abs(values) < ABOVE]
+    sizes = np.where(np.abs(values) < ABOVE, values, ABOVE)
     for word in VERDICTS:
         chosen = sizes[ensemble.verdict == word]
         if not len(chosen):

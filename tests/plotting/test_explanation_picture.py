@@ -10,7 +10,7 @@ import flexopt
 from flexopt.foundation.palette import LIGHT
 from flexopt.study.explanation import WHY
 from tests.plotting.looking import faults
-from tests.plotting.specimens import MACHINES, explanation
+from tests.plotting.specimens import OF, explanation
 
 
 def arrows(axes):
@@ -66,7 +66,7 @@ def test_where_there_is_nothing_to_move_it_says_why():
     assert not faults(figure)
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", OF["explanation"])
 def test_every_arrow_is_inside_its_axes(name):
     figure = explanation(name).plot()
     for axes in figure.axes:
@@ -77,7 +77,7 @@ def test_every_arrow_is_inside_its_axes(name):
             assert low <= y <= high
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", OF["explanation"])
 def test_scenes_below_each_other_have_the_same_limits(name):
     """Only the lowest one's numbers are shown."""
     found = explanation(name)
