@@ -72,7 +72,7 @@ axes.set_ylabel("stick, rad")
 figure
 
 # %%
-k = np.unravel_index(int(w1.argmax()), w1.shape)
+k = np.unravel_index(int(np.argmax(w1.to_numpy())), w1.shape)
 print(
     "best of the worst:",
     float(w1[k]),
