@@ -8,15 +8,13 @@ from __future__ import annotations
 from collections.abc import Generator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Literal, NamedTuple
 
 Theme = Literal["light", "dark"]
 THEMES: tuple[Theme, ...] = ("light", "dark")
 
 
-@dataclass(frozen=True)
-class Palette:
+class Palette(NamedTuple):
     """Colours by what they stand for, `#rrggbb`.
 
     Attributes:
@@ -71,7 +69,7 @@ class Palette:
 
     def named(self) -> dict[str, str]:
         """The single colours by name, all but the series."""
-        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "series"}
+        return {name: value for name, value in self._asdict().items() if name != "series"}
 
 
 LIGHT = Palette(

@@ -44,8 +44,9 @@ class Behaviour:
             slowest mode, least squares over the second half of the run, three at least (N,); NaN where the base never
             moved.
         growth_rate_error: what that slope may be off by (N,), squares added: its standard error, by how much its halves
-            differ, and where a louder mode decays, by how much that one's slope and its halves do; as large as the rate
-            where a mode moves for two periods alone. What is called clear is so by the standard error of each mode.
+            differ beyond what scatter makes of them, and where a louder mode decays, by how much that one's slope
+            does, and its own error and halves; as large as the rate where fewer than six periods are fitted. What is
+            called clear is so by the standard error of each mode.
         settling_time: after which the end-point error stays below 2 % of what it was at the start, s; NaN where it does
             not (N,).
         peak_error, end_error: largest and last |e|, m (N,).
@@ -200,12 +201,11 @@ def _doubt(
     controller: a loop's motion moves several, so that a quiet mode shows for seconds what a louder one lends it.
     """
     loud = np.argmax(np.where(np.isfinite(rate), last, -np.inf), axis=0)
-    own_rate, own_error, own_bend, loud_rate, loud_bend = (
-        np.take_along_axis(values, at[None], axis=0)[0]
-        for values, at in ((rate, told), (error, told), (bend, told), (rate, loud), (bend, loud))
+    (own_rate, own_error, own_bend), (loud_rate, loud_error, loud_bend) = (
+        [np.take_along_axis(values, at[None], axis=0)[0] for values in (rate, error, bend)] for at in (told, loud)
     )
-    lent = np.where(grows | (told == loud), 0.0, np.hypot(loud_rate - own_rate, loud_bend))
-    doubt: Vector = np.sqrt(own_error**2 + own_bend**2 + lent**2)
+    lent = (loud_rate - own_rate) ** 2 + loud_error**2 + loud_bend**2
+    doubt: Vector = np.sqrt(own_error**2 + own_bend**2 + np.where(grows | (told == loud), 0.0, lent))
     return doubt
 
 
@@ -227,7 +227,7 @@ def _periods(times: Vector, energy: Vector, slowest_hz: float) -> tuple[Vector, 
 def _growth(
     peaks: Vector, centres: Vector, still: Vector | float, bent: Vector | float
 ) -> tuple[Vector, Vector, Vector, Vector, Vector]:
-    """Growth rate, its standard error, how far halves differ, and amplitudes in the first and last period, each (m, N).
+    """Growth rate, its standard error, by how much halves differ, amplitudes in the first and last period, each (m, N).
 
     Of the periods from where a mode first leaves rounding and what it is bent by, to where it falls back or to the end.
     """
@@ -242,10 +242,16 @@ def _growth(
     fitted = begin + np.minimum(length // 2, np.maximum(length - FEWEST_FITTED, 0))
     used = whole & (np.arange(len(peaks))[:, None, None] >= fitted)
     n = np.sum(used, axis=0)
-    rate, error = _slope(peaks, centres, used)
+    rate, error, spread = _slope(peaks, centres, used)
     late = used & (np.arange(len(peaks))[:, None, None] >= fitted + n // 2)
-    halves = _slope(peaks, centres, late)[0] - _slope(peaks, centres, used & ~late)[0]
-    bend = np.where(np.sum(used & ~late, axis=0) < FEWEST_FITTED, 0.0, halves)
+    (late_rate, _, late_spread), (early_rate, _, early_spread) = (
+        _slope(peaks, centres, half) for half in (late, used & ~late)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scatter = error**2 * spread * (1 / late_spread + 1 / early_spread)
+        bend = np.sqrt(np.maximum((late_rate - early_rate) ** 2 - scatter, 0.0))
+    # Halves of too few periods are not compared; of two periods the error says it.
+    bend = np.where(np.sum(used & ~late, axis=0) < FEWEST_FITTED, np.where(n < FEWEST_FITTED, 0.0, np.abs(rate)), bend)
     with np.errstate(divide="ignore", invalid="ignore"):
         # A line goes through two points whatever they are.
         error = np.where(n < FEWEST_FITTED, np.abs(rate), error)
@@ -259,8 +265,8 @@ def _growth(
             np.where(unmoved, 1.0, first), np.where(unmoved, 0.0, last))  # fmt: skip
 
 
-def _slope(peaks: Vector, centres: Vector, used: NDArray[np.bool_]) -> tuple[Vector, Vector]:
-    """Half the slope of the logarithm of maxima (periods, m, N) over the used periods, and its standard error."""
+def _slope(peaks: Vector, centres: Vector, used: NDArray[np.bool_]) -> tuple[Vector, Vector, Vector]:
+    """Half the slope of the logarithm of maxima (periods, m, N) over the used periods, its standard error, and Σ Δt²."""
     n = np.sum(used, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         logarithm = np.where(used, 0.5 * np.log(peaks), 0.0)
@@ -271,4 +277,4 @@ def _slope(peaks: Vector, centres: Vector, used: NDArray[np.bool_]) -> tuple[Vec
         rate: Vector = np.sum(dt * dy, axis=0) / spread
         residual = np.sum((dy - rate * dt) ** 2, axis=0)
         error: Vector = np.sqrt(residual / np.maximum(n - 2, 1) / spread)
-    return rate, error
+    return rate, error, spread

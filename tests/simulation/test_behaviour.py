@@ -55,9 +55,9 @@ def test_a_clean_exponential_gives_its_rate(rate):
 
 
 def test_the_fit_is_a_linear_regression():
-    """Slope, its standard error and what its halves differ by, of the second half's logarithms, against SciPy's."""
+    """Of the second half's logarithms slope, standard error and what halves differ by beyond it, against SciPy's."""
     rng = np.random.default_rng(5)
-    logarithms = 0.3 * np.arange(40) * 0.25 + rng.normal(0.0, 0.1, 40)
+    logarithms = 0.3 * np.arange(40) * 0.25 + rng.normal(0.0, 0.1, 40) + 0.02 * np.maximum(np.arange(40) - 30, 0)
     times = np.arange(2001) * STEP
     energy = np.repeat(np.exp(2 * logarithms), 50)
     monitors = np.stack([np.exp(-AT), 0 * AT, energy], axis=1)[:, :, None]
@@ -65,7 +65,22 @@ def test_the_fit_is_a_linear_regression():
     expected = linregress(0.25 * np.arange(20), logarithms[20:])
     early, late = (linregress(0.25 * np.arange(10), half).slope for half in (logarithms[20:30], logarithms[30:]))
     assert result.growth_rate[0] == pytest.approx(expected.slope, rel=1e-10)
-    assert result.growth_rate_error[0] == pytest.approx(math.hypot(expected.stderr, late - early), rel=1e-10)
+    # What white scatter alone makes of the halves' difference: variances of slopes are as 1 / sum of squared times.
+    spread, of_half = (np.sum((0.25 * (np.arange(n) - (n - 1) / 2)) ** 2) for n in (20, 10))
+    bend = max((late - early) ** 2 - 2 * expected.stderr**2 * spread / of_half, 0.0)
+    assert bend > 0
+    assert result.growth_rate_error[0] == pytest.approx(math.sqrt(expected.stderr**2 + bend), rel=1e-10)
+
+
+def test_the_error_of_scatter_alone_is_little_more_than_the_standard_error():
+    """Of 2000 runs: halves of a line in noise differ by four standard errors of the whole one's slope, by chance."""
+    logarithms = -0.2 * np.arange(40)[:, None] * 0.25 + np.random.default_rng(3).normal(0.0, 0.1, (40, 2000))
+    energy = np.exp(2 * logarithms)
+    monitors = np.stack([np.ones_like(energy), 0 * energy, energy], axis=1)
+    result = behaviour(np.arange(41) * 0.25, monitors, np.ones(2000), Grounds(4.0, True))
+    standard = 0.1 / np.sqrt(np.sum((0.25 * (np.arange(20) - 9.5)) ** 2))
+    assert np.median(result.growth_rate_error) < 1.5 * standard
+    assert np.mean(np.abs(result.growth_rate + 0.2) > 2 * result.growth_rate_error) < 0.05
 
 
 @pytest.mark.parametrize("periods", [4, 5])
@@ -76,7 +91,8 @@ def test_a_fit_takes_three_periods_at_least(periods):
     result = judged(energy, times=times, error=np.ones(50 * periods), slowest=4.0)
     expected = linregress(0.25 * np.arange(3), logarithms[-3:])
     assert result.growth_rate[0] == pytest.approx(expected.slope, rel=1e-10)
-    assert result.growth_rate_error[0] == pytest.approx(expected.stderr, rel=1e-10)
+    # Halves of a period or two say nothing of how it goes on.
+    assert result.growth_rate_error[0] == pytest.approx(math.hypot(expected.stderr, expected.slope), rel=1e-10)
     assert not result.significant[0]
 
 
@@ -110,7 +126,9 @@ def test_a_mode_that_is_dragged_along_is_not_told():
     assert result.growth_rate[0] == pytest.approx(0.4, rel=1e-6)
 
 
-@pytest.mark.parametrize(("name", "duration"), [("article-b", 10.0), ("article-b", 15.0), ("article-move", 17.0)])
+@pytest.mark.parametrize(
+    ("name", "duration"), [("article-b", 5.0), ("article-b", 10.0), ("article-b", 15.0), ("article-move", 17.0)]
+)
 def test_the_error_of_a_decay_covers_what_the_loop_does(name, duration):
     """Of short runs, in which other modes have not died away and quiet ones show what louder ones lend them."""
     long = flexopt.load_experiment(name)
@@ -118,7 +136,7 @@ def test_the_error_of_a_decay_covers_what_the_loop_does(name, duration):
     run = flexopt.run_experiment(short)
     # The article's RK4 makes 0.0297/s of both, a run of a minute, too.
     assert abs(run.growth_rate + 0.0297) < 2 * run.run.error
-    assert run.run.error < 0.03
+    assert run.run.error < (0.09 if duration < 10 else 0.03)
 
 
 def test_a_run_at_large_turns_tells_the_rate_of_the_linear_loop():
