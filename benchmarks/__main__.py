@@ -73,7 +73,8 @@ def main() -> int:
     machine = this_machine()
     print(table(f"Scores on {machine['processor']}, {machine['vectors']}", lines))
     if kept["machine"]:
-        print(f"the record is of {kept['machine']['processor']}, {kept['machine']['vectors']}")
+        print(f"the record is of {kept['machine']['processor']}, {kept['machine']['vectors']}", end="")
+        print("" if kept["machine"]["processor"] == machine["processor"] else ": another, whose ratios may be others")
     print("without rows here, each by its own command:", ", ".join(f"python -m {name}" for name in others))
     if options.record and not failed:
         merged = kept["rows"] | {row.what: {"value": round(row.value, 3), "ran": row.ran} for row in every}

@@ -76,9 +76,11 @@ def this_machine() -> dict[str, str]:
         lines = []
     told = dict(reversed([part.strip() for part in line.split(":", 1)]) for line in lines if ":" in line)
     by_name = {name: value for value, name in told.items()}
+    # A name alone may be that of many: "AMD EPYC" runs vectors of 512 bits in halves or whole.
+    kind = [f"{name.removeprefix('cpu ')} {by_name[name]}" for name in ("cpu family", "model") if name in by_name]
     packages = ["numpy", "scipy", "casadi", "slycot", "numba", "mujoco"]
     return {
-        "processor": by_name.get("model name", platform.processor() or platform.machine()),
+        "processor": ", ".join([by_name.get("model name", platform.processor() or platform.machine()), *kind]),
         "vectors": "AVX-512" if "avx512f" in by_name.get("flags", "").split() else "no AVX-512",
         "cores": str(os.cpu_count()),
         "compiler": " ".join(compiler.command) if compiler else "none",

@@ -266,7 +266,7 @@ def _growth(
 
 
 def _slope(peaks: Vector, centres: Vector, used: NDArray[np.bool_]) -> tuple[Vector, Vector, Vector]:
-    """Half the slope of the logarithm of maxima (periods, m, N) over the used periods, its standard error, and Σ Δt²."""
+    """Half the slope of logarithms of maxima (periods, m, N) over the used periods, its standard error, and Σ Δt²."""
     n = np.sum(used, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         logarithm = np.where(used, 0.5 * np.log(peaks), 0.0)
