@@ -323,6 +323,13 @@ class Selection(Pictured, Result):
             f"{margins.index(most) + 1}"
         )
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences on the choice: what it leaves out, by what it was decided, what it gains."""
+        unverified = unverified_told(self.problem.objective.name, self.unverified)
+        said = (unverified, *self.edges, self.decided_by, self.left_out, self.nothing_to_gain)
+        return tuple(sentence for sentence in said if sentence)
+
     def __repr__(self) -> str:
         best = self.best.evaluation
         problem = self.problem
@@ -354,17 +361,7 @@ class Selection(Pictured, Result):
                 f"  best found in {counted(len(self.attempts), 'start')}, {ended} of which ended at an optimum: "
                 f"about {100 * self.missed_chance:.0f} % of further ones drawn alike would end at a value not found yet"
             )
-        lines += [
-            f"  {sentence}"
-            for sentence in (
-                unverified_told(problem.objective.name, self.unverified),
-                *self.edges,
-                self.decided_by,
-                self.left_out,
-                self.nothing_to_gain,
-            )
-            if sentence
-        ]
+        lines += [f"  {sentence}" for sentence in self.remarks]
         lines += [f"  {assumption}" for assumption in problem.assumed]
         return "\n".join(lines)
 

@@ -57,7 +57,7 @@ def report_html(report: Report) -> str:
         placed=placed,
         placed_note=note,
         measured=_measured(report),
-        assumed=" ".join(f"{begun(str(each))}." for each in report.problem.assumed),
+        said=" ".join(f"{begun(str(each))}." for each in (*report.selection.remarks, *report.problem.assumed)),
         constraints=constraints(report),
         panels=_panels(report),
         frame="" if report.map is None else begun(str(report.map.dataset.attrs["frame"])),

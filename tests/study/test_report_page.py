@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import re
@@ -18,6 +19,7 @@ from playwright.sync_api import Browser
 import flexopt
 from flexopt.foundation import printing
 from flexopt.foundation.rendering import render
+from flexopt.selection import Selection
 from flexopt.study import page as study_page
 from flexopt.study import problem_page
 from flexopt.study.problem_page import report_html
@@ -221,6 +223,18 @@ def test_candidates_without_a_column_of_constraints_are_counted(name: str, reque
 def test_a_map_of_followed_postures_says_so(name: str, followed: bool, request: pytest.FixtureRequest) -> None:
     page = Parsed(page_text(request.getfixturevalue(name)))
     assert ("another posture may still reach" in " ".join(text for _, text in page.all("p"))) == followed
+
+
+@pytest.mark.parametrize("name", ["judged", "crowded"])
+def test_what_the_command_says_of_a_choice_is_on_the_page(name: str, request: pytest.FixtureRequest) -> None:
+    report: flexopt.Report = request.getfixturevalue(name)
+    worth = report.selection.best.objective if isinstance(report.selection, Selection) else report.selection.worth
+    # One sentence at least: the better end of a climb that could not be verified.
+    left = dataclasses.replace(report.selection, unverified=worth + 1.0)
+    words = Parsed(report_html(dataclasses.replace(report, selection=left))).all("main")[0][1]
+    assert left.remarks
+    assert all(study_page.begun(sentence) in words for sentence in left.remarks)
+    assert all(f"\n  {sentence}\n" in f"{left!r}\n" for sentence in left.remarks)
 
 
 def test_nothing_is_minus_zero() -> None:

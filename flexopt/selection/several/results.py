@@ -146,6 +146,12 @@ class ConfigurationSet(Tabled):
         return ""
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences on the choice: what it leaves out, what is as good."""
+        said = (unverified_told(self.objective, self.unverified), self.as_good, self.not_passive, self.left_out)
+        return tuple(sentence for sentence in said if sentence)
+
+    @property
     def _targets(self) -> str:
         return counted(len(self.places), "target")
 
@@ -179,16 +185,7 @@ class ConfigurationSet(Tabled):
         return [
             f"{first.machine.name}: {what}, {how}",
             *self._table(),
-            *(
-                f"  {sentence}"
-                for sentence in (
-                    unverified_told(self.objective, self.unverified),
-                    self.as_good,
-                    self.not_passive,
-                    self.left_out,
-                )
-                if sentence
-            ),
+            *(f"  {sentence}" for sentence in self.remarks),
             *named,
         ]
 
