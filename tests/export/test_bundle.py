@@ -157,11 +157,25 @@ def test_the_example_closes_the_loop_around_the_machine(machine: flexopt.Machine
     parts = ["kinematics", "controller", "simulator"]
     folder = export_c(machine, tmp_path / "b", real=real, parts=parts).folder
     said = subprocess.run(["make", "-s", "-C", str(folder), "test"], capture_output=True, text=True, check=True).stdout
-    errors = [float(error) for error in re.findall(r"end-point ([\d.]+) m from its target", said)]
+    errors = [float(error) for error in re.findall(r"end-point (\S+) m from its target", said)]
     assert errors[0] > 0.05
     assert max(errors[-4:]) < 1e-3
     assert "on target" in said
     assert "NOT" not in said
+
+
+@MAKE
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_the_stand_in_comes_to_rest_on_its_target(machine: flexopt.Machine, tmp_path: Path, real: str) -> None:
+    """In single precision, too: the arm's small steps are not lost in the rounding of its angles."""
+    folder = export_c(machine, tmp_path / "b", real=real, parts=["kinematics", "controller"]).folder
+    options = "CFLAGS=-std=c99 -Wall -Wdouble-promotion -Werror"
+    subprocess.run(["make", "-s", "-C", str(folder), options, "example"], capture_output=True, check=True)
+    said = subprocess.run([str(folder / "example")], capture_output=True, text=True, check=True).stdout
+    errors = [float(error) for error in re.findall(r"end-point (\S+) m from its target", said)]
+    assert errors[0] > 0.05
+    # What a float resolves at two metres.
+    assert errors[-1] < 2.4e-7
 
 
 def test_what_a_machine_does_not_allow_is_left_out(

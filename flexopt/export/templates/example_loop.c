@@ -1,4 +1,4 @@
-{% set state, rates = ("machine", "machine.rates") if of_machine else ("configuration", "rate") %}
+{% set state, rates = ("machine", "machine.rates") if of_machine else ("configuration", "(" ~ prefix ~ "_real)rate") %}
 {% set moving, jacobian = ("COORDINATES", "jacobian") if of_machine else ("JOINTS", "rigid_jacobian") %}
 {% set first = PREFIX ~ "_COORDINATES - " ~ PREFIX ~ "_JOINTS + " %}
 {% if of_machine %}
@@ -25,7 +25,7 @@
 {% if of_machine %}
 #define STEPS {{ start.substeps }} /* of the machine in a sample of the controller: RK4 wants angular frequency times step below 2.8 */
 {% else %}
-#define INERTIA (({{ prefix }}_real){{ number(start.inertia) }}) /* kg m^2, of each joint of the stand-in: the mean of the machine's in the start posture */
+#define INERTIA ((double){{ number(start.inertia) }}) /* kg m^2, of each joint of the stand-in: the mean of the machine's in the start posture */
 {% endif %}
 
 static {{ prefix }}_real workspace[{{ PREFIX }}_WORKSPACE];
@@ -47,7 +47,7 @@ int main(void)
 {% endif %}
   static const {{ prefix }}_real start[{{ PREFIX }}_COORDINATES] = {{ listed(coordinates) }};
 {% if not of_machine %}
-  const {{ prefix }}_real step = ({{ prefix }}_real)1 / RATE_HZ;
+  const double step = 1.0 / RATE_HZ;
 {% endif %}
 {% if not baked %}
   const {{ prefix }}_parameters parameters = {{ PREFIX }}_DEFAULT_PARAMETERS;
@@ -57,7 +57,8 @@ int main(void)
 {% if of_machine %}
   {{ prefix }}_machine_step_out moved;
 {% else %}
-  {{ prefix }}_real rate[{{ PREFIX }}_JOINTS] = {0};
+  /* The stand-in moves in double, whatever the controller computes in: small steps would be lost in a float's rounding. */
+  double angle[{{ PREFIX }}_JOINTS], rate[{{ PREFIX }}_JOINTS] = {0};
 {% endif %}
   double error = 0.0;
   int failures = 0, k, i, j;
@@ -74,6 +75,11 @@ int main(void)
   for (i = 0; i < {{ PREFIX }}_COORDINATES; ++i) {
     {{ state }}.coordinates[i] = start[i];
   }
+{% if not of_machine %}
+  for (j = 0; j < {{ PREFIX }}_JOINTS; ++j) {
+    angle[j] = (double)start[{{ first }}j];
+  }
+{% endif %}
   for (k = 0; k <= DURATION_S * RATE_HZ; ++k) {
 {% if of_machine %}
     /* What sensors measure: end-point, its rate, joint angles. */
@@ -107,7 +113,7 @@ int main(void)
     }
     error = sqrt(error);
     if (k % RATE_HZ == 0) {
-      printf("t = %2d s: end-point %.6f m from its target, torque of the first joint %.6g N m\n", k / RATE_HZ, error,
+      printf("t = %2d s: end-point %.3g m from its target, torque of the first joint %.6g N m\n", k / RATE_HZ, error,
              (double)command.torque[0]);
     }
 {% if of_machine %}
@@ -124,8 +130,9 @@ int main(void)
         machine.rates[j] = moved.next_rates[j];
       }
 {% else %}
-      rate[j] += step * command.torque[j] / INERTIA;
-      configuration.coordinates[{{ first }}j] += step * rate[j];
+      rate[j] += step * (double)command.torque[j] / INERTIA;
+      angle[j] += step * rate[j];
+      configuration.coordinates[{{ first }}j] = ({{ prefix }}_real)angle[j];
 {% endif %}
     }
   }
