@@ -26,21 +26,23 @@ from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
 from flexopt.plant.reach import outer_reach
 from flexopt.selection.constraints.ground import above_ground, kept_above
+from flexopt.selection.constraints.self_clearance import meeting_pairs
 
 # What is in nobody's way.
-ALWAYS = ("limits", "clearance", "capsules")
+ALWAYS = ("limits", "clearance", "self_clearance", "capsules")
 
 
 @dataclass(frozen=True)
 class Assumption:
     """One of `flexopt.model.choices.ASSUMPTIONS` that was made; or what no word switches off.
 
-    That is of bodies without a volume: `clearance` of some, where it is asked for, `capsules` of all.
+    That is of bodies in each other's way: `clearance` of some without a volume, where it is asked for, `capsules` of
+    all without one, `self_clearance` where nobody asks for it.
 
     Attributes:
         name: the word that switches it;  sentence: what was assumed.
         value: its number, in `unit`: the ground's height, m; how many joints keep limits; how far to drive, m; how many
-            bodies.
+            bodies, or pairs of capsules.
     """
 
     name: str
@@ -118,6 +120,9 @@ def assumed(
         bodies = sum(not body.massless for body in machine.kinematic_tree.bodies)
         sentence = "bodies may pass through each other, for the machine has no [[capsules]]"
         named.append(Assumption("capsules", sentence, float(bodies), "bodies"))
+    elif constraints.self_clearance is None and (pairs := meeting_pairs(machine)):
+        sentence = "bodies may pass through each other, for constraints.self_clearance is not given"
+        named.append(Assumption("self_clearance", sentence, float(len(pairs)), "pairs of capsules"))
     return Assumed(ground if above else None, limits, drive, tuple(named))
 
 

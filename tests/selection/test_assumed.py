@@ -156,13 +156,24 @@ def test_bodies_without_a_volume_are_named_where_a_clearance_is_asked_for():
 
 
 def test_that_nothing_has_a_volume_is_named():
-    """Whatever is assumed, for no word switches it off; a machine with capsules is kept apart by `self_clearance`."""
+    """Whatever is assumed, for no word switches it off."""
     data = flexopt.load("excavator").to_dict()
     (said,) = of(flexopt.machine_from_dict(data), [[0.0, 1.6]], assume="nothing").named
     assert (said.name, said.value, said.unit) == ("capsules", 3.0, "bodies")
     assert said.sentence == "bodies may pass through each other, for the machine has no [[capsules]]"
     column = {"body": "base", "start": [0.0, 0.0], "end": [0.5, 0.0], "radius": 0.3}
     assert of(flexopt.machine_from_dict(data | {"capsules": [column]}), [[0.0, 1.6]], assume="nothing").named == ()
+
+
+def test_that_capsules_may_meet_is_named_until_they_may_not():
+    machine = flexopt.load("slewing-excavator")
+    (said,) = of(machine, [(7.0, 1.0, 1.0)], assume="nothing").named
+    assert (said.name, said.unit) == ("self_clearance", "pairs of capsules")
+    kept = Constraints(self_clearance=0.05)
+    apart = flexopt.build_selection(machine, (7.0, 1.0, 1.0), constraints=kept, assume="nothing").constraint_set
+    assert apart is not None
+    assert said.value == len(apart)
+    assert of(machine, [(7.0, 1.0, 1.0)], constraints=kept, assume="nothing").named == ()
 
 
 def test_how_far_to_drive():
@@ -183,7 +194,7 @@ def test_how_far_to_drive():
     # Without a present placement it stands at zeros, and the sentence says so.
     at_zeros = flexopt.build_selection(machine, (7.0, 1.0, 1.0), starts=1)
     assert at_zeros.upper[0] == drive.value
-    assert "from zeros" in at_zeros.assumed[-1].sentence
+    assert "from zeros" in next(each for each in at_zeros.assumed if each.name == "reach").sentence
     assert "from where it stands" in drive.sentence
     # Where nothing stands on the ground zeros mean nothing, and where the range is given, nothing is claimed.
     article = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), starts=1)
@@ -197,16 +208,16 @@ def test_how_far_to_drive():
     problem = flexopt.build_selection(machine, (7.0, 1.0, 1.0), starts=1, **given)
     assert problem.upper[0] == 50.0
     assert problem.upper[1] < 15.0
-    assert "along y" in problem.assumed[-1].sentence
+    assert "along y" in next(each for each in problem.assumed if each.name == "reach").sentence
 
 
 def test_the_words():
     machine = flexopt.load("boom-stick-bucket")
     options = {"base": 0.0, "starts": 1}
     everything = flexopt.build_selection(machine, (7.0, 1.0), **options)
-    assert [each.name for each in everything.assumed] == ["ground", "limits", "reach"]
+    assert [each.name for each in everything.assumed] == ["ground", "limits", "reach", "self_clearance"]
     nothing = flexopt.build_selection(machine, (7.0, 1.0), assume="nothing", **options)
-    assert nothing.assumed == ()
+    assert [each.name for each in nothing.assumed] == ["self_clearance"]
     assert nothing.constraint_set is None
     assert not np.isfinite(nothing.lower[1:]).any()
     assert nothing.lower[0] < everything.lower[0] or nothing.upper[0] > everything.upper[0]
@@ -235,7 +246,7 @@ def test_targets_of_one_choice_are_seen_together():
     both = of(machine, [[7.0, 1.0], [30.0, 1.0]], present=np.array([0.0]))
     assert both.drive == 30.0
     stand = flexopt.select_stand(machine, [(7.0, 1.0), (6.5, 1.2)], base=0.0, starts=1, workers=1)
-    assert {each.name for each in stand.problems[0].assumed} == {"ground", "limits", "reach"}
+    assert {each.name for each in stand.problems[0].assumed} == {"ground", "limits", "reach", "self_clearance"}
     assert "assumed (ground): boom, stick stay above" in repr(stand)
     assert stand.to_dict()["problem"]["assumed"][0]["value"] == 0.0
     values = [value.value for place in stand.places for value in place.constraints.values()]
