@@ -27,19 +27,22 @@ def test_the_option(command: Command) -> None:
     assert "assumed (ground): boom, stick stay above the ground, whose height is 0 m" in said
     assert "assumed (reach): the base moves by no more than" in said
     document = command.json(*MACHINE)
-    assert names(document) == ["ground", "limits", "reach"]
+    assert names(document) == ["ground", "limits", "reach", "self_clearance"]
     assert document["problem"]["assumed"][0]["value"] == 0.0
     assert any("assumed ground" in name for name in document["best"]["constraints"])
     nothing = command.json(*MACHINE, "--assume", "nothing")
-    assert names(nothing) == []
+    assert names(nothing) == ["self_clearance"]
     assert nothing["best"]["constraints"].keys() == {"singularity margin"}
 
 
 def test_a_file(command: Command) -> None:
     command.write("load.toml", PROBLEM)
-    assert names(command.json("select", "load.toml", "--workers", "1")) == ["limits", "reach"]
+    assert names(command.json("select", "load.toml", "--workers", "1")) == ["limits", "reach", "self_clearance"]
     # An option goes before the file.
-    assert names(command.json("select", "load.toml", "--workers", "1", "--assume", "ground")) == ["ground"]
+    assert names(command.json("select", "load.toml", "--workers", "1", "--assume", "ground")) == [
+        "ground",
+        "self_clearance",
+    ]
     command.write("wrong.toml", PROBLEM.replace("limits, reach", "the ground"))
     outcome = command("select", "wrong.toml")
     assert outcome.code == 2
