@@ -38,9 +38,30 @@ class Pictures {
       const flat = points.map((p) => view.flat(p)), low = [0, 1].map((k) => Math.min(...flat.map((p) => p[k])));
       const high = [0, 1].map((k) => Math.max(...flat.map((p) => p[k])));
       if (view.upright) low[1] = Math.max(low[1], floor * Math.cos(view.elevation));
-      const room = 0.06 * data.size;
-      view.show(low.map((x) => x - room), high.map((x) => x + room));
+      const room = 0.06 * data.size, show = () => view.show(low.map((x) => x - room), high.map((x) => x + room));
+      show();
+      // Arrows are so many pixels long, whatever the scale: with more room for them it gets smaller.
+      const tip = view.flat(this.shape.points.at(-1));
+      for (let round = 0; round < 3; round++) {
+        for (const { vector, length } of this.arrows(view)) {
+          view.flat(vector).forEach((x, k) => {
+            const end = tip[k] + length * x / (view.scale * (Math.hypot(...vector) || 1));
+            low[k] = Math.min(low[k], end);
+            high[k] = Math.max(high[k], end);
+          });
+        }
+        show();
+      }
     }
+  }
+
+  // Of all modes how they move the end-point and how feedback there drives them; lengths in pixels.
+  arrows(view) {
+    const modes = this.modes || [], longest = 0.2 * Math.min(view.width, view.height) + 20;
+    return ["a", "b"].flatMap((key) => {
+      const most = Math.max(...modes.map((mode) => Math.hypot(...mode[key]))) || 1;
+      return modes.map((mode, i) => ({ mode: i, key, vector: this.inSpace(mode[key], this.data.dimensions), length: longest * Math.hypot(...mode[key]) / most }));
+    });
   }
 
   displayed(now) {
@@ -99,14 +120,9 @@ class Pictures {
       painter.cross(target, theme.text);
     }
     const tip = shape.points[shape.points.length - 1];
-    if (this.modes) {
-      const longest = 0.2 * Math.min(view.width, view.height) + 20;
-      const most = ["a", "b"].map((key) => Math.max(...this.modes.map((mode) => Math.hypot(...mode[key]))));
-      const order = this.modes.map((_, i) => i).filter((i) => i === this.mode || $("show-arrows").checked).sort((i, j) => (i === this.mode) - (j === this.mode));
-      for (const i of order) {
-        const mode = this.modes[i], width = i === this.mode ? 3.5 : 2, colour = theme.series[i % theme.series.length];
-        ["a", "b"].forEach((key, k) => painter.arrow(tip, this.inSpace(mode[key], d), longest * Math.hypot(...mode[key]) / most[k], colour, key === "b", width));
-      }
+    const shown = this.arrows(view).filter(({ mode }) => mode === this.mode || $("show-arrows").checked);
+    for (const { mode, key, vector, length } of shown.sort((one, other) => (one.mode === this.mode) - (other.mode === this.mode))) {
+      painter.arrow(tip, vector, length, theme.series[mode % theme.series.length], key === "b", mode === this.mode ? 3.5 : 2);
     }
     const put = (button, point) => { const [x, y] = view.at(point); button.style.left = `${x}px`; button.style.top = `${y}px`; };
     put(view.end, points[points.length - 1]);
