@@ -237,6 +237,40 @@ def test_it_fits_light_and_dark_and_takes_touches(width: int, chromium: Browser,
         assert np.allclose(moved, [20, -20], atol=1e-6)
 
 
+@pytest.mark.parametrize("name", ["excavator", "mobile-manipulator", "slewing-excavator"])
+@pytest.mark.parametrize("width", [400, 1280])
+def test_arrows_of_all_modes_are_in_the_picture(name: str, width: int, chromium: Browser, pages: Path) -> None:
+    _, explorer = explored(name)
+    with opened(chromium, explorer, pages, viewport={"width": width, "height": 900}) as page:
+        beyond = """explorer.views.map((view) => Math.max(...explorer.arrows(view).map(({ vector, length }) => {
+          const [x, y] = view.at(explorer.shape.points.at(-1)), size = length / Math.hypot(...vector);
+          const [u, v] = view.flat(vector).map((along) => size * along);
+          return Math.max(-(x + u), x + u - view.width, -(y - v), y - v - view.height);
+        })))"""
+        assert max(page.evaluate(beyond)) < 0
+
+
+@pytest.mark.parametrize("name", ["excavator", "truck-crane"])
+def test_on_paper_it_is_light_and_has_nothing_to_press(name: str, chromium: Browser, pages: Path) -> None:
+    """What was dark on the screen is so again afterwards; pictures have the shape that they were drawn in."""
+    _, explorer = explored(name)
+    ground = "getComputedStyle(document.documentElement).getPropertyValue('--page')"
+    with opened(chromium, explorer, pages, color_scheme="dark") as page:
+        dark, text = page.evaluate(f"[{ground}, explorer.theme.text]")
+        page.emulate_media(media="print")
+        page.set_viewport_size({"width": 718, "height": 1000})
+        page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        light, printed = page.evaluate(f"[{ground}, explorer.theme.text]")
+        assert light != dark
+        assert printed != text
+        assert page.locator(":is(button:not(#modes button), input, .handle, #motion):visible").count() == 0
+        assert page.locator("output:visible").count() > 3
+        fits = "[...document.querySelectorAll('.view canvas')].map((each) => getComputedStyle(each).objectFit)"
+        assert set(page.evaluate(fits)) == {"contain"}
+        page.evaluate("dispatchEvent(new Event('afterprint'))")
+        assert page.evaluate(f"[{ground}, explorer.theme.text]") == [dark, text]
+
+
 def test_a_notebook_shows_it(chromium: Browser, pages: Path) -> None:
     _, explorer = explored("excavator")
     cell = pages / "cell.html"

@@ -34,6 +34,10 @@ class Explorer extends Pictures {
     this.setTheme(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", (e) => this.setTheme(e.matches ? "dark" : "light"));
     if (matchMedia("(prefers-reduced-motion: reduce)").matches) $("motion").value = "off";
+    // Paper is light; a browser that prints does not wait for a frame.
+    const paper = (theme) => { this.setTheme(theme); this.draw(performance.now()); };
+    addEventListener("beforeprint", () => { this.onScreen = document.documentElement.dataset.theme; paper("light"); });
+    addEventListener("afterprint", () => paper(this.onScreen));
     new ResizeObserver(() => { this.resized = true; this.wake(); }).observe($("views"));
     this.resized = true;
     this.wake();
@@ -416,7 +420,7 @@ class Explorer extends Pictures {
     }
     box.className = word;
     const rate = word === "undecided" || verdict.decay === -Infinity ? "" : ` at ${digits(Math.abs(verdict.decay))} /s`;
-    const mark = { grows: "▲ ", settles: "▼ ", undecided: "" }[word];
+    const mark = { grows: "▲\u00a0", settles: "▼\u00a0", undecided: "" }[word];
     box.replaceChildren();
     const strong = document.createElement("strong");
     strong.innerHTML = `<span class="word">${mark}${word}</span>${rate}`;
@@ -450,7 +454,7 @@ class Explorer extends Pictures {
     $("middle").textContent = decay ? "0" : digits(worst / 4);
     $("best").textContent = decay ? `settles at ${digits(-worst)} /s and more` : "0, robust";
     const others = this.data.joints.filter((_, k) => !this.axes.includes(k));
-    const held = others.length ? ` ${others.join(", ")} held as now.` : "";
+    const held = others.length ? ` Held as now: ${others.join(", ")}.` : "";
     const where = this.data.dimensions === 2 ? " In the picture of the machine each cell lies where the end-point is, the arm bent to the present side." : "";
     const side = CELLS / shown.stride, loop = decay ? " The slowest motion of the sampled loop as the sliders have it." : "";
     $("map-note").textContent = `${side} × ${side} postures, computed exactly at each cell's middle; blank: singular${this.data.weight ? ", or not held" : ""}.${loop}${held}${where}`;
