@@ -50,7 +50,7 @@ def fitted(text: str, stream: TextIO) -> str:
 
 
 def folded(text: str, width: int) -> str:
-    """Text in lines of that width: sentences go on indented, the columns of a table that do not fit come below it."""
+    """Text in lines of that width: sentences go on indented, further columns of a table below with its first again."""
     if width < WIDTH_MIN:
         return text
     lines, done = text.split("\n"), list[str]()
@@ -81,14 +81,21 @@ def _columns(table: list[str], width: int) -> list[str]:
     longest = max(map(len, table))
     padded = [line.ljust(longest) for line in table]
     gutters = [k for k in range(2, longest) if all(line[k - 2 : k] == "  " for line in padded)]
+    # What a line is about stands before every part of it, and parts without anything are left out.
+    first = next((k for k in gutters if any(line[:k].strip() for line in padded)), 0)
+    first = first if first <= width // 3 else 0
     parts: list[list[str]] = []
     start = 0
-    while longest - start > width - (4 if parts else 0):
-        room = width - (4 if parts else 0)
+    while longest - start > (room := width - (first or 4 if parts else 0)):
         ends = [k for k in gutters if start < k <= start + room and any(line[start:k].strip() for line in padded)]
         if not ends:
             return [part for line in table for part in _sentence(line, width)]
         parts.append([line[start : ends[-1]] for line in padded])
         start = ends[-1]
     parts.append([line[start:] for line in padded])
-    return [("    " if k else "") + line.rstrip() for k, part in enumerate(parts) for line in part]
+    lines = [*parts[0]]
+    for part in parts[1:]:
+        for line, rest in zip(padded, part, strict=True):
+            if rest.strip() or not first:
+                lines.append((line[:first] or "    ") + rest)
+    return [line.rstrip() for line in lines]

@@ -314,7 +314,7 @@ class Verdict(Pictured, Result):
             *([f"  {self.handed_on}"] if self.handed_on else []),
             f"  {self.over}",
             "  decay with the file's numbers, then the worst of everything:",
-            f"  {'place':12} {'drive':>8} {'decay, slowest':>20} {'allowed Kp':>{wide}} {'delay margin':>13} "
+            f"  {'place':12} {'drive':>8} {'decay, slowest':>26} {'allowed Kp':>{wide}} {'delay margin':>13} "
             f"{'settling':>10} {'turn':>11}   nonlinear runs",
         ]
         lines += [_row(place, f" {unit}", wide) for place in self.places]
@@ -341,7 +341,7 @@ def _row(place: PlaceVerdict, gain_unit: str, wide: int) -> str:
     drive = "" if place.name == STAY else "–" if math.isnan(place.drive) else f"{place.drive:.2f} m"
     decay = f"{place.decay.nominal:+.4g}, {place.decay.least:+.4g}/s"
     return (
-        f"  {place.name:12} {drive:>8} {decay:>20} {told(place.allowed_gain.least, 1, gain_unit):>{wide}} "
+        f"  {place.name:12} {drive:>8} {decay:>26} {told(place.allowed_gain.least, 1, gain_unit):>{wide}} "
         f"{told(place.delay_margin.least, 1e3, ' ms'):>13} {told(place.settling.greatest, 1, ' s'):>10} "
         f"{told(place.swing.greatest, 1e3, ' m' + place.swing_unit):>11}   {place.shown_runs}"
     )
