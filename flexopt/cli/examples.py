@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import textwrap
 
 from flexopt.cli.terminal import WIDTH_MIN
 
+# An option and the space before its value.
+OPTION = re.compile(r"(--\S+) (?!-)")
 # What each is worth, briefly: lines of a terminal of 80 columns.
 EXAMPLES: dict[str, tuple[str, ...]] = {
     "": ("flexopt evaluate excavator --posture 0.9929,-2.6306", "flexopt verdict article --loop kp=1e4 --loop kv=1e3"),
@@ -79,5 +82,7 @@ def epilog(command: str) -> str:
     """The examples of a command, as wide as the terminal is; the first letter keeps click from filling their lines."""
     width = max(WIDTH_MIN, shutil.get_terminal_size().columns) - 8
     wrapper = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
-    folded = (" \\\n      ".join(wrapper.wrap(line)) for line in EXAMPLES[command])
+    # An option stays on one line with its value.
+    kept = (OPTION.sub("\\1\u00a0", line) for line in EXAMPLES[command])
+    folded = (" \\\n      ".join(wrapper.wrap(line)).replace("\u00a0", " ") for line in kept)
     return "\n".join(["\b", "Examples:", *(f"  {line}" for line in folded)])

@@ -111,7 +111,9 @@ def test_what_the_script_calls_answers() -> None:
 def test_every_command_has_examples_and_every_example_is_understood(command: Command) -> None:
     assert set(EXAMPLES) == {"", *COMMANDS}
     for name, lines in EXAMPLES.items():
-        told = re.sub(r" \\\n +", " ", command(*([name] if name else []), "--help").stdout)
+        told = command(*([name] if name else []), "--help").stdout
+        assert not re.search(r" --[\w-]+ \\\n +[^- ]", told)
+        told = re.sub(r" \\\n +", " ", told)
         assert "Examples:" in told
         for line in lines:
             assert line in told
