@@ -64,6 +64,18 @@ def _size(chart: Any) -> tuple[float, float]:
     return 0.8 + 3.2 * columns, 1.1 + (0.55 + _each(dataset_plane(chart.dataset))) * len(panels)
 
 
+def _laid(panels: list[list[Panel]], size: tuple[float, float], each: float) -> list[list[Panel]]:
+    """Rows as columns where that makes panels larger, as on a slide, and leaves no gap before a panel."""
+    lengths = [len(row) for row in panels]
+
+    def share(rows: int, columns: int) -> float:
+        return min((size[0] - 0.8) / (3.2 * columns), (size[1] - 1.1) / ((0.55 + each) * rows))
+
+    if lengths != sorted(lengths, reverse=True) or share(lengths[0], len(panels)) <= share(len(panels), lengths[0]):
+        return panels
+    return [[row[k] for row in panels if k < len(row)] for k in range(lengths[0])]
+
+
 def _count(chart: Any) -> int:
     return sum(map(len, _panels(chart.dataset)))
 
@@ -72,11 +84,12 @@ def _count(chart: Any) -> int:
 def plot_workspace(sheet: Sheet, chart: Any, *, marks: Mapping[str, tuple[float, float]] | None = None) -> None:
     """Draw a map: a row for frequencies, w_i and in-phase regions, a column for each mode, and what concerns all.
 
-    On a map of the placement a star in each panel of a measure marks where that is best. `marks`: points of the plane
-    to show, name -> (x, y); the map's own by default.
+    On a wide sheet rows are columns. On a map of the placement a star in each panel of a measure marks where that is
+    best. `marks`: points of the plane to show, name -> (x, y); the map's own by default.
     """
     dataset = chart.dataset
-    plane, panels = dataset_plane(dataset), _panels(dataset)
+    plane = dataset_plane(dataset)
+    panels = _laid(_panels(dataset), sheet.size, _each(plane))
     shown = json.loads(dataset.attrs.get("marks", "{}")) if marks is None else marks
     columns, named = max(len(row) for row in panels), dict[str, Any]()
     for row, entries in enumerate(panels):

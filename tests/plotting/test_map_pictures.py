@@ -52,6 +52,15 @@ def test_map(maps, tmp_path):
     assert any("workspace frame" in axes.get_xlabel() for axes in figure.axes)
 
 
+def test_on_a_slide_rows_of_a_map_are_columns(maps):
+    """Eleven panels in four rows were a fifteenth of its width each."""
+    figure = maps["inverse"].plot(size="slide")
+    assert list(images(figure))[:3] == ["mode 1: frequency", "mode 1: $w_1$", "mode 1: in phase (yellow)"]
+    assert set(images(figure)) == set(images(maps["inverse"].plot()))
+    assert figure.axes[0].get_window_extent().width > 0.08 * figure.bbox.width
+    assert list(images(maps["inverse"].plot(size="paper")))[:2] == ["mode 1: frequency", "mode 2: frequency"]
+
+
 def test_map_of_little(excavator):
     geometry = flexopt.map_workspace(excavator, points=(5, 4), measures=False, epsilon_max=False)
     assert list(images(geometry.plot())) == ["condition of the rigid-body Jacobian"]
