@@ -109,6 +109,7 @@ def plot_plan(sheet: Sheet, plan: BasePlan) -> None:
     for line in panels[0].get_lines()[: len(moving)]:
         line.set_marker("o")
         line.set_markersize(3)
+        line.set_clip_on(False)
     for panel, unit in zip(panels[1:], units, strict=True):
         rows_of = [k for k, other in enumerate(e.base_units) if other == unit]
         lines: tuple[Line, ...] = tuple((mathtext(e.base_coordinates[k]), plan.time, plan.base[:, k]) for k in rows_of)
