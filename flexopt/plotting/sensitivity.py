@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
 
 from flexopt.foundation.escapes import mathtext
 from flexopt.foundation.palette import colors
@@ -33,7 +34,7 @@ def _size(found: Sensitivity) -> tuple[float, float]:
 def plot_sensitivity(sheet: Sheet, found: Sensitivity) -> None:
     """Draw first-order and total indices with their intervals, and the bounds that slopes give."""
     count, (rows, columns), inks = len(found.outputs), _grid(found), colors()
-    at, panels = np.arange(len(found.names)), list[Axes]()
+    at, panels, halo = np.arange(len(found.names)), list[Axes](), withStroke(linewidth=2.4, foreground=inks.halo)
     for k in range(count):
         panel = sheet.only() if count == 1 else sheet.figure.add_subplot(rows, columns, k + 1)
         panels.append(panel)
@@ -43,10 +44,16 @@ def plot_sensitivity(sheet: Sheet, found: Sensitivity) -> None:
         ):
             error = np.abs(interval.T - values)
             style = {"ecolor": inks.text, "elinewidth": 0.8, "capsize": 2}
-            panel.barh(at + shift, values, 0.34, color=color, xerr=error, error_kw=style, label=label)
+            bars = panel.barh(at + shift, values, 0.34, color=color, xerr=error, error_kw=style, label=label)
+            # Half of a whisker lies on its bar, which is about as dark.
+            _, caps, lines = bars.errorbar.lines  # pyright: ignore[reportOptionalMemberAccess]
+            for part in (*caps, *lines):
+                part.set_path_effects([halo])
         # Far bounds say nothing: an index is at most 1.
         shown = np.where(found.bound[k] <= 1.5, found.bound[k], np.nan)
-        panel.plot(shown, at + 0.18, "|", color=inks.text, markersize=13, label="at most, by slopes")
+        panel.plot(
+            shown, at + 0.18, "|", color=inks.text, markersize=13, path_effects=[halo], label="at most, by slopes"
+        )
         panel.set_title(f"{found.outputs[k]}: {mathtext(found.said[k])}")
         panel.set_yticks([])
         if k % columns == 0:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from IPython.core.formatters import DisplayFormatter
 from matplotlib.colors import to_hex, to_rgb
+from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
@@ -219,6 +220,14 @@ def test_a_plan_is_a_film_strip():
         tip = min(float(np.linalg.norm(outline - place.skeleton[:, -1], axis=1).min()) for outline in ends)
         assert tip < 0.05
     assert len({tuple(axes.get_xlim()) for axes in shots}) == 1
+
+
+def test_intervals_are_seen_on_bars_as_dark_as_they_are():
+    panel = made("sensitivity excavator").plot().axes[0]
+    for bars in panel.containers:
+        if isinstance(bars, BarContainer):
+            _, caps, lines = bars.errorbar.lines
+            assert all(part.get_path_effects() for part in (*caps, *lines))
 
 
 def test_what_may_stand_where_is_said_and_marked():
