@@ -134,7 +134,7 @@ def draw_signed(axes: Axes, plane: FieldPlane, values: Values, *, label: str) ->
     draw_border(axes, *plane.edges, values, width=0.8)
     bar = _bar(axes, image, label, extend="both")
     bar.set_ticks([-low, -low / 2, 0.0, high / 2, high])
-    bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.2g}")
+    bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.2g}".replace("-", "−"))
 
 
 def draw_border(axes: Axes, x: Values, y: Values, values: Values, *, width: float) -> None:

@@ -56,7 +56,7 @@ def plot_identification(sheet: Sheet, identification: Identification) -> None:
     sheet.figure.legend(handles, ["log", "fit"], loc="outside lower right", ncols=2, frameon=False, markerscale=3)
     modes = "; ".join(mode.words for mode in found.modes)
     known = len(found.values) - len(found.unidentified)
-    heading = f"{mathtext(found.before.name)}: {known} of {len(found.values)} parameters identified. {modes}"
+    heading = f"{mathtext(found.before.name)}: {known} of {len(found.values)} parameters identified; {modes}"
     sheet.title(textwrap.fill(heading, TITLE_WIDTH // (3 - wide)))
 
 
