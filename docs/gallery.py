@@ -148,7 +148,7 @@ def page() -> str:
         parts.append(f"```python\n{exhibit.code.replace('FILE', file)}\n```")
         shown = zip(files_of(exhibit, Path(FOLDER)), ("light", "dark"), strict=True)
         parts += [
-            f"```{{image}} {image.as_posix()}\n:alt: {exhibit.title}\n:class: only-{theme}\n```"
+            f"```{{figure}} {image.as_posix()}\n:alt: {exhibit.title}\n:figclass: only-{theme}\n```"
             for image, theme in shown
         ]
     return "\n\n".join(parts) + "\n"
