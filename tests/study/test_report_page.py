@@ -136,6 +136,8 @@ def test_every_place_is_beside_the_others(judged: flexopt.Report) -> None:
     assert all(place.name in words for place in verdict.places)
     assert "stiffness times 0.5 to 2" in words
     assert verdict.rule in words
+    # Numbers with their unit are right-aligned, on one line.
+    assert set(re.findall(r"<td([^>]*)>[^< ]+ N m</td>", page_text(judged))) == {' class="number"'}
     figure = verdict.plot()
     assert [axes.get_xlabel().split(" (")[0] for axes in figure.axes] == [
         "decay", "settling time", "allowed Kp", "delay margin", "base swing, move of 0.1 m",
