@@ -18,6 +18,7 @@ from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.page import Picture, Table, begun, coordinate, number, picture, pictures, run_figures
 from flexopt.study.places import FIRST, STAY
 from flexopt.study.problem_tables import SHOWN, constraints, coordinates, modes, parameters, some, written_residue
+from flexopt.study.surroundings import CHOSEN, PRESENT
 from flexopt.study.verdict_page import judged, target_of
 
 if TYPE_CHECKING:
@@ -29,9 +30,13 @@ CAPTIONS = {
     "loops": "Nonlinear closed loops with the same gains and the same displacement at the start.",
 }
 MAP_CAPTION = (
-    "Frequencies, w_i, in-phase regions (yellow: trace R_i > 0), the robust stability margin and the rigid part. Star "
-    "and ring: chosen and present configuration; cross: the end-point."
+    "Frequencies, w_i, in-phase regions (yellow: trace R_i > 0), the robust stability margin and the rigid part."
 )
+MARKS = {
+    CHOSEN: "star: the chosen configuration",
+    PRESENT: "ring: the present one",
+    "end-point": "cross: the end-point",
+}
 FOLLOWED = (
     " From the chosen configuration on each posture is the one nearest to its neighbour's: where none is drawn another "
     "posture may still reach."
@@ -61,7 +66,7 @@ def report_html(report: Report) -> str:
         constraints=constraints(report),
         panels=_panels(report),
         frame="" if report.map is None else begun(str(report.map.dataset.attrs["frame"])),
-        map_caption=MAP_CAPTION + (FOLLOWED if report.map is not None and "end_point" in report.map.options else ""),
+        map_caption=_map_caption(report),
         around="at the worst target" if several else "of the chosen configuration",
         loops=_loops(report),
         loops_note=_loops_note(report),
@@ -73,6 +78,13 @@ def report_html(report: Report) -> str:
         masses=parameters(report, ("kg",), "mass"),
         springs=parameters(report, ("N/m", "N m/rad", "N"), "spring"),
     )
+
+
+def _map_caption(report: Report) -> str:
+    """What the panels show, the marks that are in them, and which postures they are of."""
+    marks = [words for name, words in MARKS.items() if name in report.marks]
+    followed = report.map is not None and "end_point" in report.map.options
+    return MAP_CAPTION + (f" {begun('; '.join(marks))}." if marks else "") + (FOLLOWED if followed else "")
 
 
 def _panels(report: Report) -> dict[str, Picture]:
