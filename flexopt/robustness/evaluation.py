@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 # Below this share of |a_i||b_i| w_i is 0, and shown as such: its terms cancel.
 ROUNDING = 1e-13
 # What a rigid part that is not passive means.
-EXCITES = "equal gains in all rows damp the rigid part, some unequal ones excite it"
+EXCITES = "equal gains in all rows damp the rigid part, some other gains excite it"
 # Below this share of the largest |a_i||b_i| a mode is not reached: what is left where a_i = 0 was sought is rounding,
 # and its direction chance.
 UNREACHED = 1e-11

@@ -180,7 +180,10 @@ class Explanation(Pictured, Result):
         if len(self.evaluation.end_point) > 1 and w >= -NOTHING * size:
             why = "good: a and b point the same way, and no velocity feedback, whatever its gains, excites it"
         elif degrees < 90:
-            why = f"a and b are {degrees:.3g}° apart: equal gains in all rows damp it, some unequal ones excite it"
+            unequal = "equal gains in all rows damp it, some unequal ones excite it"
+            if self.evaluation.in_phase_strict[i]:
+                unequal = "gains of the rows damp it, equal or not; some that couple rows excite it"
+            why = f"a and b are {degrees:.3g}° apart: {unequal}"
         else:
             why = f"bad: a and b are {degrees:.3g}° apart: velocity feedback with equal gains takes damping from it"
         if len(self.evaluation.end_point) == 1:

@@ -121,6 +121,23 @@ def test_sizes_and_angles_are_those_of_the_residues() -> None:
     )
 
 
+def test_words_on_unequal_gains_are_those_of_the_residue() -> None:
+    """To first order velocity gains K of the rows add tr(K R_i) to the damping term of mode i."""
+    seen = set[bool]()
+    for seed in range(8):
+        found = flexopt.explain(flexopt.load("excavator"), random_posture(flexopt.load("excavator"), seed))
+        for sentence, residue, angle in zip(found.sentences, found.evaluation.residues, found.angle, strict=True):
+            if not math.radians(1) < angle < math.radians(89):
+                continue
+            assert np.trace(residue) > 0
+            assert np.linalg.eigvalsh(residue + residue.T)[0] < 0
+            whatever = bool((np.diag(residue) >= 0).all())
+            assert ("gains of the rows damp it, equal or not" in sentence) == whatever
+            assert ("some unequal ones excite it" in sentence) == (not whatever)
+            seen.add(whatever)
+    assert seen == {True, False}
+
+
 def test_under_gravity_the_deflected_end_point_stays() -> None:
     machine = flexopt.load("excavator")
     found = flexopt.explain(machine, [0.4, -1.8], gravity=True)
