@@ -244,6 +244,8 @@ def _trajectory(
 ) -> Trajectory:
     plant, loop = build_plant(s.machine), s.loop.structure
     brake = "nullspace_damping" if settings is None else "loop.nullspace_damping"
+    if settings is not None and settings.drive == "velocity":
+        brake = ""
     sentences += _warnings(s, plant, outputs, of, brake, left)
     for sentence in sentences:
         python_warnings.warn(sentence, FlexoptWarning, stacklevel=4)
@@ -308,7 +310,10 @@ def _overshoot(error: Vector) -> float | None:
 def _warnings(
     s: Scenario, plant: Plant, outputs: dict[str, Vector], of: Behaviour, brake: str, left: str
 ) -> tuple[str, ...]:
-    """Sentences on the run; `brake` is the key by which self-motion is damped, `left` how it ended early."""
+    """Sentences on the run; `left` is how it ended early.
+
+    `brake`: the key by which self-motion is damped; empty where drives that follow rates hold it.
+    """
     sentences: list[str] = []
     ended = float(of.finite_until[0])
     if ended < s.times[-1]:
@@ -321,7 +326,7 @@ def _warnings(
             sentences.append(
                 f"the arm came close to a singular posture at {at:.4g} s (sine squared {near:.2g} of its start)"
             )
-    if plant.n_actuated > plant.n_task and not s.options.nullspace_damping:
+    if brake and plant.n_actuated > plant.n_task and not s.options.nullspace_damping:
         sentences.append(f"the arm's self-motion is not damped and may drift; {brake} brakes it")
     sentences += feeble_levers(s.machine, s.options, s.posture)
     if s.loop.structure.noisy:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,23 @@ def test_every_machine_with_what_follows_from_it(name: str) -> None:
     told = flexopt.outcome(machine, posture, loop="default")
     assert run.linear_growth_rate == pytest.approx(-told.decay, abs=1e-8)
     assert "dead_time: none is given" in repr(run)
+
+
+@pytest.mark.parametrize(("drive", "drifts"), [("torque", True), ("velocity", False)])
+def test_drives_that_follow_rates_hold_the_self_motion(drive: str, *, drifts: bool) -> None:
+    """A warning speaks of it where, set going, it goes on: not where it has ended after a second."""
+    machine, posture = flexopt.load("truck-crane"), np.array([0.4, 0.9, -0.7, 0.8])
+    plant, loop = build_plant(machine), {"drive": drive}
+    p, base = plant.parameter_values, np.zeros(plant.n_base)
+    own = np.linalg.svd(plant.rigid_jacobian(plant.rest(base, posture, p), base, p).full())[2][-1]
+    start = {"offset": [[0.0] * 4], "rates": [[0.0] * plant.n_passive + (0.01 * own).tolist()]}
+    going = flexopt.simulate_ensemble(machine, posture, vary=start, loop=loop, duration=1.0, keep="trajectories")
+    left = abs(going.dataset["v"].to_numpy()[0, -1, plant.n_passive :] @ own)
+    assert left > 5e-3 if drifts else left < 1e-4
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        run = flexopt.simulate(machine, posture, loop=loop, duration=0.1)
+    assert any("self-motion is not damped" in each for each in run.warnings) == drifts
 
 
 def test_waits_whole_samples_and_says_so() -> None:
