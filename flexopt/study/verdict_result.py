@@ -23,7 +23,7 @@ from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import RULE, Word, gains_in_words
 from flexopt.study.place_loops import Chosen, found_in, problems_of
-from flexopt.study.places import FIRST, STAY, TOLD, told
+from flexopt.study.places import FIRST, MOVE, STAY, TOLD, told
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
@@ -313,6 +313,7 @@ class Verdict(Pictured, Result):
             *self.settings.proposed,
             *([f"  {self.handed_on}"] if self.handed_on else []),
             f"  {self.over}",
+            f"  drive of the base to the place; settling, and turn of the base, of a move by {MOVE:g} m;",
             "  decay with the file's numbers, then the worst of everything:",
             f"  {'place':12} {'drive':>8} {'decay, slowest':>26} {'allowed Kp':>{wide}} {'delay margin':>13} "
             f"{'settling':>10} {'turn':>11}   nonlinear runs",

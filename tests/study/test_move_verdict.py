@@ -48,7 +48,9 @@ def test_values_are_those_of_evaluate() -> None:
         assert place.decay.nominal == pytest.approx(alone.decay)
         assert place.allowed_gain.nominal == pytest.approx(alone.allowed_gain)
         assert place.delay_margin.nominal == pytest.approx(alone.delay_margin, nan_ok=True)
+        assert place.swing.nominal == pytest.approx(0.1 * alone.swing, nan_ok=True)
         assert place.runs is None
+    assert "turn of the base, of a move by 0.1 m" in repr(found)
 
 
 def test_the_decision_is_the_same_for_the_selection_and_its_problem() -> None:
