@@ -29,6 +29,7 @@ from flexopt.loop.uncertain import UncertaintyBox
 from flexopt.model import AnyMachine
 from flexopt.model.loop import GAINS, LOOP_GAIN, Loop, LoopLike
 from flexopt.model.uncertainty import LATE, Uncertainty, kind_of, parameters_of, uncertainty_faults
+from flexopt.robustness.evaluation import in_words
 from flexopt.study.grid import Axis, Grid
 from flexopt.study.workspace import check_points
 from flexopt.study.workspace_map import WorkspaceMap, loop_dataset
@@ -173,7 +174,9 @@ def map_loop(
     proof = provenance(machine, **options)
     dataset.attrs |= {
         "title": f"{machine.name}: loop over {x.name} and {y.name}", "machine": machine.name,
-        "control": settings.control, "gravity": str(gravity).lower(), "over": "loop", "frame": "one posture",
+        "control": settings.control, "gravity": str(gravity).lower(), "over": "loop",
+        "frame": f"one posture, {in_words(machine.joints, held, machine.joint_units)}",
+        "loop": f"{repr(settings).splitlines()[0]}; {x.name} and {y.name} as they vary",
         "marks": json.dumps(marks), "provenance": json.dumps(proof),
     }  # fmt: skip
     return WorkspaceMap(machine.name, options, dataset, proof)

@@ -181,12 +181,13 @@ def _computed(
         machine, grid.posture[:, where], bases=grid.base[:, where], control=options["control"], gain=options["gain"],
         gravity=options["gravity"], epsilon_max=margins, threads=threads, progress=progress,
     )  # fmt: skip
-    found: Decays | None = None
+    found, real = None, dict[str, str]()
     regular = np.isfinite(values.rigid)
     if loop is not None and regular.any():
         bases, postures = grid.base[:, where][:, regular], grid.posture[:, where][:, regular]
         settings = _settings(machine, loop, bases, postures, control=options["control"], gravity=options["gravity"])
         options["loop"] = settings.to_dict()
+        real = {"loop": repr(settings).splitlines()[0]}
         found = Decays(*np.full((2, regular.size), np.nan))
         there = decays(
             machine, settings, {"base": bases, "posture": postures}, gravity=options["gravity"], threads=threads
@@ -195,7 +196,7 @@ def _computed(
     dataset = workspace_dataset(
         grid, values, machine, measures=measures, margins=margins, control=options["control"], loop=found
     )
-    dataset.attrs |= _attributes(machine, plane, options)
+    dataset.attrs |= _attributes(machine, plane, options) | real
     return WorkspaceMap(machine.name, options, dataset, provenance(machine, **options))
 
 

@@ -75,7 +75,7 @@ class WorkspaceMap(Tabled):
             motion; of a map over the loop's own numbers these alone, the dimensions called by what varies.
             Each variable has `units` (of `posture`, where they differ, one for each joint), `long_name` and
             `description`. Attributes: `title`, `machine`, `control`, `gain`, `gravity`, `over`, `elbow`, `frame`,
-            `marks` (JSON, name -> point of the plane), `provenance`.
+            `loop` (its numbers in words), `marks` (JSON, name -> point of the plane), `provenance`.
         provenance: machine, versions and options.
 
     Example:
@@ -229,6 +229,7 @@ class WorkspaceMap(Tabled):
         )
         lines = [
             f"{self.machine}: Jacobian {self.options['control']} control over {axes}",
+            *(f"  {name}: {self.dataset.attrs[name]}" for name in ("frame", "loop") if name in self.dataset.attrs),
         ]
         if self.options["over"] != "loop":
             share = f"{100 * document['mapped']:.1f} % of {document['points']} points"

@@ -35,6 +35,9 @@ def test_over_gain_and_dead_time_each_point_is_that_loop(tmp_path: Path) -> None
         alone = flexopt.outcome(EXCAVATOR, B, loop=loop)
         assert float(data["decay"][row, column]) == pytest.approx(alone.decay, rel=1e-8, abs=1e-9)
         assert float(data["loop_frequency_hz"][row, column]) == pytest.approx(alone.frequency_hz, rel=1e-6)
+    text = repr(field)
+    assert "one posture, boom 0.0448, stick -2.0499 rad" in text
+    assert "Kv 1000 N m s, 200 Hz, dead time 0.02 s; kp and dead_time as they vary" in text
     document = field.to_dict()
     assert document["stable"] == np.mean(data["decay"].values > 0)
     assert document["best_decay"]["value"] == data["decay"].values.max()

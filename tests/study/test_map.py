@@ -201,7 +201,7 @@ def test_summary(workspace):
     e = flexopt.evaluate(flexopt.load("excavator"), best["posture"], control=workspace.options["control"])
     assert e.epsilon_max == pytest.approx(best["value"], rel=1e-9)
     assert document["provenance"]["options"]["control"] == workspace.options["control"]
-    for word in ("epsilon_max", "frequency_hz 3", "Hz", "in phase"):
+    for word in ("frame: workspace: axes of the inertial frame", "epsilon_max", "frequency_hz 3", "Hz", "in phase"):
         assert word in repr(workspace)
 
 
