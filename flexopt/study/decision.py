@@ -74,7 +74,7 @@ def decide(
     changed: Place | None = None,
     unconfirmed: Sequence[str] = (),
     *,
-    tried: bool = False,
+    tried: str = "",
     refuted: Place | None = None,
     gains: Mapping[str, Sequence[float]] | None = None,
 ) -> Decision:
@@ -85,7 +85,7 @@ def decide(
         others: to which one may move.
         changed: the best place with other gains, where runs confirm it.
         unconfirmed: names of places that nonlinear runs do not confirm.
-        tried: whether other gains were.
+        tried: which other gains were; empty for none.
         refuted: the best place with other gains, where runs do not confirm it.
         gains: these other gains.
     """
@@ -122,7 +122,7 @@ def decide(
     doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
     if doubted:
         return Decision("cannot tell", doubted[0], f"nonlinear runs do not confirm {' and '.join(doubted)}")
-    with_others = ", nor with others that were tried" if tried else ""
+    with_others = f", nor with {tried}" if tried else ""
     if refuted is not None and refuted.holds:
         named = f" ({gains_in_words(gains)})" if gains else ""
         with_others = f"; with others{named} {refuted.name} is, but nonlinear runs do not confirm that"

@@ -52,6 +52,13 @@ def best_gains(loop: PlaceLoops, asked: Loop, members: Vector) -> PlaceLoops:
     return with_gains(found.x if found.fun < min(values) else start)
 
 
+def tried_gains(asked: Loop) -> str:
+    """Which gains `best_gains` looks at, in words."""
+    if gain_ranges(asked):
+        return "others in their ranges"
+    return f"{LEAST:g} to {MOST:g} times these; kp_range and kv_range of the loop have others tried"
+
+
 def _simplex(start: Vector, axes: Sequence[Vector]) -> Vector:
     """Corners one step of the grid away, inside."""
     corners = [start]

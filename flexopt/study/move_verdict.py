@@ -34,7 +34,7 @@ from flexopt.selection.several.by_loop import ByLoop
 from flexopt.study.asked import any_problem
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, deciding, faster, ranked
-from flexopt.study.gain_search import best_gains
+from flexopt.study.gain_search import best_gains, tried_gains
 from flexopt.study.place_loops import (
     Chosen,
     Configurations,
@@ -161,7 +161,7 @@ def verdict(
     known = {name: Place(name, decays[name], slowest[name].decay, drives[name][0]) for name in told}
     stay, rest = known.get(STAY), [known[name] for name in told if name != STAY]
     unconfirmed = [name for name, run in shown.items() if run.confirming < MOST]
-    tried = _tries(asked, known, unconfirmed)
+    tried = tried_gains(asked) if _tries(asked, known, unconfirmed) else ""
     changed, gains = _changed(asked, known, loops, slowest, points) if tried else (None, {})
     refuted: Place | None = None
     if changed is not None and runs:

@@ -107,16 +107,16 @@ def test_reasons_say_what_is_so() -> None:
     assert "gains" not in found.reason
     nowhere = decide(place("stay", -GROUNDS), [place("near", -GROUNDS)])
     assert nowhere.reason.endswith("with these gains")
-    assert "nor with others that were tried" in decide(place("stay", -GROUNDS), [], tried=True).reason
+    assert decide(place("stay", -GROUNDS), [], tried="others").reason.endswith("with these gains, nor with others")
 
 
 def test_gains_that_runs_do_not_confirm_are_not_said_to_grow() -> None:
     grows = place("stay", -GROUNDS)
-    refuted = decide(grows, [], tried=True, refuted=place("stay", GROUNDS))
+    refuted = decide(grows, [], tried="others", refuted=place("stay", GROUNDS))
     assert refuted.reason.endswith("with others stay is, but nonlinear runs do not confirm that")
-    assert "nor with others that were tried" in decide(grows, [], tried=True, refuted=grows).reason
+    assert "nor with others" in decide(grows, [], tried="others", refuted=grows).reason
     named = decide(
-        grows, [], tried=True, refuted=place("stay", GROUNDS), gains={"kp": [0.4, 0.4], "kv": [0.015, 0.015]}
+        grows, [], tried="others", refuted=place("stay", GROUNDS), gains={"kp": [0.4, 0.4], "kv": [0.015, 0.015]}
     )
     assert "; with others (kp 0.4, kv 0.015) stay is, but" in named.reason
 

@@ -120,6 +120,16 @@ def test_gains_are_changed_where_no_place_bears_them() -> None:
         assert found.gains["kp"][0] < 1e5
 
 
+def test_where_no_gains_are_found_it_says_which_were_tried_and_how_others_are() -> None:
+    """With so little Kv for its Kp no multiple of the gains is stable; ranges, which are named, have some that are."""
+    loop = {"kp": 1e7, "kv": 1e2, "dead_time": 0.02}
+    found = judged("article", loop=loop, runs=0, members=4)
+    assert found.word == "cannot tell"
+    assert "nor with 0.01 to 10 times these; kp_range and kv_range of the loop have others tried" in found.sentence
+    ranges = {"kp_range": (1.0, 1e7), "kv_range": (1.0, 1e5)}
+    assert judged("article", loop=loop | ranges, runs=0, members=4).word == "change gains"
+
+
 def test_ranges_of_gains_spare_a_drive() -> None:
     found = judged("article", loop=ARTICLE | {"kp_range": (1.0, 1e5), "kv_range": (1.0, 1e4)}, runs=0)
     assert found.word in {"move", "change gains"}
