@@ -356,4 +356,6 @@ def _text(value: float | str | None, error: float | None) -> str:
         return "–"
     if isinstance(value, str):
         return value
-    return f"{value:.5g}" + (f" ± {error:.1g}" if error else "")
+    digits = f"{value:.5g}"
+    # An error that is less than what the digits leave out would claim more of them than it holds for.
+    return digits + (f" ± {error:.1g}" if error and error >= abs(float(digits) - value) else "")

@@ -64,7 +64,12 @@ def test_evaluations_of_other_machines(command: Command, tmp_path: Path) -> None
     assert rows["bucket"] == [None, -0.5]
     assert rows["decay of the loop"] == [one.outcome.decay, None]
     assert rows["frequency 2"] == [one.frequencies_hz[1], other.frequencies_hz[1]]
-    assert "machine_sha256" in command("compare", *files).stdout
+    table = command("compare", *files).stdout
+    assert "machine_sha256" in table
+    # Its error is far below the digits that stand there, to which it would give a doubt that they have not.
+    assert 0 < one.epsilon_max_error < 1e-12
+    assert f"{one.epsilon_max:.5g}" in table
+    assert "±" not in table
 
 
 def test_units_of_gains_and_measures(command: Command, tmp_path: Path) -> None:
