@@ -128,6 +128,10 @@ def test_a_torque_says_that_the_weight_is_not_in_it(tmp_path: Path) -> None:
     for path in ("README.md", "include/truck_crane_control.h"):
         assert written(of_torques, path).count(sentence) == 3
         assert sentence not in written(of_rates, path)
+    text = (of_rates.folder / "README.md").read_text()
+    assert "without dead time from measurement to command" in text
+    assert "dead time of 0 s" not in text
+    assert "\n\n## When something is wrong\n" in text
 
 
 def test_ranges_and_units_of_every_member_stand_in_the_header(tmp_path: Path) -> None:
