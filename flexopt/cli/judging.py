@@ -38,8 +38,8 @@ from flexopt.model.loop import DEFAULT_LOOP, Loop
 LOOP = value(
     "--loop",
     "NAME=VALUE|default",
-    "Of the real controller, may be repeated: kp, kv, rate, dead_time and the other keys of a file's [loop], in place "
-    "of the file's; default: all follows from the machine.",
+    "Of the real controller, may be repeated: kp, kv, rate, dead_time and the other keys of a file's [loop], each in "
+    "place of the file's own; default: all follows from the machine.",
     multiple=True,
 )
 MEMBERS = value("--members", "N", "Points of the uncertainty that decays are computed of (64 by default).", whole)

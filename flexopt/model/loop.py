@@ -38,7 +38,8 @@ Bandwidths = Annotated[Numbers, numbers_in(BANDWIDTH)]
 class Loop(BuiltByCall):
     """The controller that a machine has: the keys of a file's `[loop]`, and the argument `loop` of calls.
 
-    What is left out follows from the machine; `flexopt.evaluate` names each value's source.
+    What is left out follows from the machine's masses, springs and drives, not from another `[loop]`;
+    `flexopt.evaluate` names each value's source.
 
     Attributes:
         control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; see `flexopt.evaluate`.

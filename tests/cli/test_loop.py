@@ -36,6 +36,9 @@ def test_options_on_top_of_a_file(command: Command) -> None:
     mixed = command(*words, "--loop", "rate=200").document["outcome"]["settings"]
     assert (mixed["rate"], mixed["kp"]) == (200.0, [1e4] * len(machine.task_rows))
     assert "as in the article" in command(*words[:-1], "--loop", "default").stdout
+    # A table in a call is the whole loop.
+    whole = flexopt.outcome(flexopt.load(command.folder / "own.toml"), (0.0448, -2.0499), loop={"rate": 200.0})
+    assert {"kp", "kv"} <= set(whole.settings.sources)
 
 
 def test_what_is_no_option(command: Command) -> None:
