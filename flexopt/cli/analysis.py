@@ -306,9 +306,7 @@ def _selection_text(result: Selection, *, judged: bool) -> str:
     angles = ", ".join(f"{name} {a:z.4f} {unit}" for name, a, unit in held)
     stand = f"Stand at {base} and hold" if base else "Hold"
     if judged:
-        stand = (
-            f"Best by {result.measure or problem.name}, whether it pays is told below: {stand[0].lower()}{stand[1:]}"
-        )
+        stand = f"Best by {result.objective}, whether it pays is told below: {stand[0].lower()}{stand[1:]}"
     lines = [repr(result), "", f"{stand} {angles}.", repr(best)]
     if result.initial is not None and result.measure is None:
         from flexopt.selection.result import shown_measures  # noqa: PLC0415  (`evaluate` does not need it)

@@ -232,7 +232,9 @@ class Selection(Pictured, Result):
     @property
     def objective(self) -> str:
         """Names of what was maximised, in order."""
-        return self.measure or self.problem.name
+        if self.measure is None:
+            return self.problem.name
+        return ",".join((*(before.objective for before in self.kept), self.measure))
 
     @property
     def status(self) -> str:

@@ -40,6 +40,7 @@ def test_no_point_of_a_scan_keeps_the_first_and_has_more_of_the_second(objective
     assert best > -math.inf
     assert found.best.objective >= best - 1e-6 * abs(best)
     assert f"{first} kept: at least" in repr(found)
+    assert f"objective {objective}:" in repr(found)
     assert found.to_dict()["kept"][0]["at_least"] == kept.at_least
 
 

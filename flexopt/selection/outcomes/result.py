@@ -104,7 +104,7 @@ class OutcomeSelection(Selection):
         over = f", worst over {', '.join(each.name for each in self.uncertainty)}" if self.uncertainty else ""
         lines = [
             f"{best.machine}: end-point at ({', '.join(f'{x:g}' for x in self.problem.target)}) m, Jacobian "
-            f"{best.control} control, objective {self.measure}{over}: {self.status}",
+            f"{best.control} control, objective {self.objective}{over}: {self.status}",
             "  rank " + " ".join(f"{name:>9}" for name in names) + f" {measure:>16} {'radius':>7}"
             + "".join(f" {name:>10}" for name in self.gains[0]),
         ]  # fmt: skip
