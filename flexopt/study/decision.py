@@ -18,10 +18,10 @@ Word = Literal["move", "stay", "change gains", "cannot tell"]
 # By which share of its decay one is faster than the other, and in which share of the members it must be.
 FASTER, MOST = 0.1, 0.95
 # What "better" is, in every sentence.
-BETTER = f"decays {100 * FASTER:.0f} % faster"
+BETTER = f"decays at least {100 * FASTER:.0f} % faster"
 
 RULE = (
-    f"One place is better than another on a ground where it {BETTER.replace('decays', 'decays by')}. "
+    f"One place is better than another on a ground where it {BETTER}, or decays and the other grows. "
     "MOVE: a place is stable on every ground looked at, better than the present one on "
     f"{100 * MOST:.0f} % of them and in its worst case, and {100 * MOST:.0f} % of the nonlinear runs confirm it: the "
     "base's oscillation decays, and the end-point comes nearer to its target. CHANGE GAINS: other gains that were "
@@ -97,8 +97,10 @@ def decide(
     if best is not None:
         reason = "from the present placement the arm does not reach the target within its limits"
         if stay is not None:
-            reason = f"{BETTER} on {100 * best.better_than(stay):.0f} % of the grounds; "
-            reason += f"slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
+            reason = f"{BETTER} on {100 * best.better_than(stay):.0f} % of the grounds"
+            if not stay.holds:
+                reason = "stable on every ground, which the present place is not"
+            reason += f"; slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
         return Decision("move", best.name, f"{reason}, for a drive of {best.drive:.3g} m")
     if stay is not None and stay.holds and stay.name not in unconfirmed:
         share, rival = max(

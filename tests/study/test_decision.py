@@ -20,7 +20,13 @@ STAY = place("stay", GROUNDS)
 def test_a_place_that_is_better_everywhere_is_moved_to() -> None:
     word = decide(STAY, [place("far", 3 * GROUNDS, 9.0), place("near", 2.8 * GROUNDS, 2.0)])
     assert (word.word, word.place) == ("move", "near")
+    assert word.reason.startswith("decays at least 10 % faster on 100 % of the grounds; ")
     assert "2 m" in word.reason
+
+
+def test_what_decays_is_not_told_to_decay_so_much_faster_than_what_grows() -> None:
+    found = decide(place("stay", -GROUNDS), [place("near", 0.1 * GROUNDS, 2.0)])
+    assert found.reason.startswith("stable on every ground, which the present place is not; slowest decay ")
 
 
 def test_a_tenth_is_not_enough_when_it_is_not_a_tenth() -> None:
@@ -38,7 +44,7 @@ def test_better_on_some_grounds_only() -> None:
     mixed = np.where(np.arange(40) < 20, 2.0, 0.7) * GROUNDS
     found = decide(STAY, [place("near", mixed)])
     assert (found.word, found.place) == ("cannot tell", "near")
-    assert found.reason == "near decays 10 % faster on 50 % of the grounds only"
+    assert found.reason == "near decays at least 10 % faster on 50 % of the grounds only"
 
 
 def test_nothing_is_said_that_runs_do_not_confirm() -> None:
@@ -72,7 +78,8 @@ def test_other_gains_are_not_praised_by_what_is_not_so() -> None:
     told = decide(partly, [place("far", GROUNDS), mostly], place("near", 3 * GROUNDS))
     assert told.word == "change gains"
     assert told.reason.endswith(
-        "with these near is stable on every ground, too, but decays 10 % faster than the present place on 90 % of them only"
+        "with these near is stable on every ground, too, but decays at least 10 % faster than the present place on 90 % "
+        "of them only"
     )
     nowhere = decide(grows, [place("near", -GROUNDS)], changed)
     assert nowhere.reason.endswith("with these no place found is stable on every ground")
@@ -90,19 +97,20 @@ def test_reasons_say_what_is_so() -> None:
     found = decide(STAY, [grows])
     assert (found.word, found.reason) == (
         "cannot tell",
-        "near decays 10 % faster on 98 % of the grounds, but not stable on every one",
+        "near decays at least 10 % faster on 98 % of the grounds, but not stable on every one",
     )
     worst = Place("near", 2 * GROUNDS, 0.5, 1.0)
     assert "not in its worst case" in decide(STAY, [worst]).reason
     partly = place("stay", np.where(np.arange(40) < 4, -1.0, 1.0) * GROUNDS)
     found = decide(partly, [place("near", 0.1 * GROUNDS)])
-    assert (
-        found.reason
-        == "near is stable on every ground, and the present place is not, but decays 10 % faster on 10 % of the grounds only"
+    assert found.reason == (
+        "near is stable on every ground, and the present place is not, but decays at least 10 % faster on 10 % of the "
+        "grounds only"
     )
     doubted = decide(STAY, [place("near", GROUNDS)], unconfirmed=["stay"])
     assert doubted.reason == (
-        "nonlinear runs do not confirm the present place, and near, which they confirm, decays 10 % faster on no ground"
+        "nonlinear runs do not confirm the present place, and near, which they confirm, decays at least 10 % faster on "
+        "no ground"
     )
     assert "gains" not in found.reason
     nowhere = decide(place("stay", -GROUNDS), [place("near", -GROUNDS)])
