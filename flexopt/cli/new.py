@@ -294,7 +294,7 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
         known = answers(_of_plane(stem or "machine"), options, ask=not yes)
         path = target or _file_name(known["name"])
         _refuse_existing(path, force)
-        ground = _ground(Ground, known)
+        ground = _ground(Ground, known, _of_plane(""))
         given = {word: known[word] for word in ("lengths", "masses", "limits", "base_length", "base_mass")}
         # A proposal that was not touched is called one in the file.
         for word in ("inertias", "base_inertia"):
@@ -322,7 +322,8 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
         known = answers(questions, options, ask=not yes)
         path = target or _file_name(known["name"])
         _refuse_existing(path, force)
-        made = overlay_file(chain, known["name"], Path(path).parent, _ground(Ground, known, alone=chain.sprung))
+        ground = _ground(Ground, known, questions, alone=chain.sprung)
+        made = overlay_file(chain, known["name"], Path(path).parent, ground)
     write_output("FILE", path, lambda: write_file(path, made.text))
     posture = ",".join(f"{x:g}" for x in made.posture)
     shown = shlex.quote(path)
@@ -338,9 +339,14 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
     say("\n".join(f"  {step}" for step in steps))
 
 
-def _ground(kind: Callable[..., Any], known: Mapping[str, Any], *, alone: bool = False) -> Any:
+def _ground(
+    kind: Callable[..., Any], known: Mapping[str, Any], questions: list[Question], *, alone: bool = False
+) -> Any:
     words = ("gives", "stiffness", "damping", "frequency", "ratio")
-    return kind(alone=alone, **{word: known[word] for word in words if known[word] is not None})
+    given = {word: known[word] for word in words if known[word] is not None}
+    of_swing = [q for q in questions if q.name in given and q.name in {"frequency", "ratio"}]
+    proposed = tuple(q.name for q in of_swing if _same(known[q.name], q.proposal(known)))
+    return kind(alone=alone, proposed=proposed, **given)
 
 
 def _same(answer: Any, proposal: str) -> bool:

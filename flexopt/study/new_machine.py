@@ -73,6 +73,7 @@ class Ground:
 
     `gives` names the directions; `stiffness` and `damping` are of each of them, None where they follow from the mode.
     `alone`: the machine has other springs, too, and frequency and ratio are of each direction with all else held.
+    `proposed`: which of frequency and ratio nobody gave.
     """
 
     gives: tuple[str, ...]
@@ -81,6 +82,7 @@ class Ground:
     frequency: float = USUAL
     ratio: float = 0.02
     alone: bool = False
+    proposed: tuple[str, ...] = ()
 
     def springs(self, build: Build) -> Springs:
         """What follows for the machine that `build` makes of springs.
@@ -99,6 +101,9 @@ class Ground:
         which = "each direction alone, all else held," if self.alone else "the machine, its arm held,"
         notes = ["", ""]
 
+        def note(word: str, what: str) -> str:
+            return f" ({'proposed: ' if word in self.proposed else ''}so that {which} {what} at posture {held})"
+
         def first(stiffness: tuple[float, ...]) -> float:
             return _first_mode(build_plant(build(Springs(stiffness, nothing))), posture)
 
@@ -106,14 +111,15 @@ class Ground:
         if stiffness is None:
             scale = 1.0 if self.alone else (omega / first(tuple(each.tolist()))) ** 2
             stiffness = tuple(rounded(k) for k in each * (omega**2 if self.alone else scale))
-            notes[0] = f" (so that {which} swings at {self.frequency:g} Hz at posture {held})"
+            notes[0] = note("frequency", f"swings at {self.frequency:g} Hz")
         damping = self.damping
-        if damping is None and self.alone:
-            damping = tuple(rounded(2 * self.ratio * math.sqrt(k * m)) for k, m in zip(stiffness, each, strict=True))
-            notes[1] = f" (so that {which} has the damping ratio {self.ratio:g} at posture {held})"
-        elif damping is None:
-            damping = tuple(rounded(2 * self.ratio / first(stiffness) * k) for k in stiffness)
-            notes[1] = f" (so that {which} has the damping ratio {self.ratio:g} at posture {held})"
+        if damping is None:
+            notes[1] = note("ratio", f"has the damping ratio {self.ratio:g}")
+            if self.alone:
+                critical = (2 * math.sqrt(k * m) for k, m in zip(stiffness, each, strict=True))
+            else:
+                critical = (2 * k / first(stiffness) for k in stiffness)
+            damping = tuple(rounded(self.ratio * d) for d in critical)
         return Springs(stiffness, damping, posture, (notes[0], notes[1]))
 
 

@@ -51,6 +51,7 @@ class RobotChain:
         actuated: joints between them that can be driven.
         sprung: whether the robot has springs of its own;  floats: whether its root is free, and needs a base.
         hand: joints behind the end, as of a gripper; none where the end was asked for.
+        asked: which of "end" and "actuated" the call names.
         site: of an MJCF file, which is the end-point; empty where the link's own origin is.
     """
 
@@ -64,6 +65,7 @@ class RobotChain:
     floats: bool
     hand: tuple[str, ...] = ()
     site: str = ""
+    asked: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -119,7 +121,10 @@ def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> R
     sprung = any(joint.stiffness > 0 for link in robot.links for joint in link.joints)
     behind = (x for x in robot.links if end is None and x.name != at and links[at] in _way(links, x.name))
     hand = tuple(joint.name for link in behind for joint in link.joints)
-    return RobotChain(path, robot, tuple(ignore), at, root, tuple(driven), sprung, free is not None, hand, site)
+    asked_for = tuple(word for word, given in (("end", end), ("actuated", actuated)) if given is not None)
+    return RobotChain(
+        path, robot, tuple(ignore), at, root, tuple(driven), sprung, free is not None, hand, site, asked_for
+    )
 
 
 def _way(links: dict[str, RobotLink], name: str) -> list[RobotLink]:
@@ -259,6 +264,7 @@ class _Text:
             "ignore": _listed(chain.ignore) if chain.ignore else "",
             "joints": [*shown, *([f"and {more} more"] if more > 0 else [])],
             "actuated": _listed(chain.actuated),
+            "actuated_note": "" if "actuated" in chain.asked else " (proposed: all on the way to the end-point)",
             "locked": f"{{ {', '.join(f'{quoted(name)} = {x!r}' for name, x in locked.items())} }}" if locked else "",
             "root_told": self._root(),
             "stiffness": by_direction(springs.stiffness),
@@ -266,9 +272,9 @@ class _Text:
             "stiffness_note": springs.notes[0],
             "damping_note": springs.notes[1],
             "site": chain.site and quoted(chain.site),
-            "site_note": one_line(f"on {chain.end}, {self._end_told()}"),
+            "on_link": one_line(chain.end),
             "link": quoted(chain.end),
-            "link_note": self._end_told(),
+            "end_note": "" if "end" in chain.asked else f" (proposed: {self._end_told()})",
             "rows": _listed(self.rows),
             "rows_note": "" if self.rows == ROWS[0] else " (proposed: what these joints can move)",
             "first": quoted(chain.actuated[0]),

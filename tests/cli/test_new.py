@@ -149,6 +149,23 @@ def test_a_robot_file_becomes_a_machine(command: Command, robot: Path | str) -> 
     assert ("base" in data) == (path.name not in {"mobile-manipulator.xml", "arm.xml"})
 
 
+def test_what_nobody_said_is_marked_as_proposed_and_nothing_else(command: Command) -> None:
+    command.write("arm.urdf", URDF)
+
+    def marked(*options: str) -> list[str]:
+        assert command("new", "own.toml", "--from", "arm.urdf", "--yes", "--force", *options).code == 0
+        lines = Path("own.toml").read_text(encoding="utf-8").splitlines()
+        return [line.split()[0] for line in lines if "(proposed: " in line]
+
+    proposals = marked()
+    assert proposals == ["actuated", "stiffness", "damping", "link", "offset"]
+    assert marked("--frequency", "1.3", "--ratio", "0.04") == ["actuated", "link", "offset"]
+    assert marked("--actuated", "slew,boom,extend", "--tip", "stick") == ["stiffness", "damping", "offset"]
+    assert command("new", "flat.toml", "--yes").code == 0
+    flat = Path("flat.toml").read_text(encoding="utf-8")
+    assert "(proposed: so that the machine, its arm held, swings at 2 Hz" in flat
+
+
 def test_a_grippers_finger_is_no_end_point(command: Command) -> None:
     """Of `arm.urdf` a finger has the most joints before it; what the springs carry stands above them."""
     command.write("arm.urdf", URDF)
