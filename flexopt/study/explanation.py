@@ -34,6 +34,8 @@ STATIONARY = 1e-8
 NOTHING = 1e-12
 # Singular values of the end-point's motion below this share of the largest are none; limits nearer than this hold.
 DEPENDENT, AT_LIMIT = 1e-9, 1e-9
+# Modes whose frequencies are so near, as a share, trade their shapes where the posture changes by little.
+NEIGHBOURS = 0.01
 WHY: Mapping[Status, str] = {
     "stationary": "to first order no motion that keeps the end-point changes it: an optimum, or another point where "
     "its slope is nothing to rounding (`flexopt select` tells which)",
@@ -229,7 +231,19 @@ class Explanation(Pictured, Result):
         room = "" if math.isinf(move.room) else f"; a joint meets its limit after some {move.room:.3g} {move.unit}"
         return (
             f"Move {which}{move.variable} the {sign} way{keeping}: to first order this raises w{i + 1} by "
-            f"{move.rate:.4g} {self.w_unit} per {move.unit}{cost}{room}."
+            f"{move.rate:.4g} {self.w_unit} per {move.unit}{cost}{room}.{self._neighbours(i)}"
+        )
+
+    def _neighbours(self, i: int) -> str:
+        hertz = self.evaluation.frequencies_hz
+        near = [j for j in range(len(hertz)) if j != i and abs(hertz[j] - hertz[i]) <= NEIGHBOURS * hertz[i]]
+        if not near:
+            return ""
+        names = " and ".join(f"w{j + 1}" for j in sorted([i, *near]))
+        apart = max(abs(hertz[j] - hertz[i]) for j in near) / hertz[i]
+        return (
+            f" That holds for small steps only: {names} are of modes whose frequencies lie {100 * apart:.2g} % "
+            "apart and which mix as the posture changes; judge them together."
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -282,3 +283,15 @@ def test_command(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch
     assert (command.folder / "why.json").is_file()
     assert "Move boom the negative way with x -1.015 m" in command(*asked).stdout
     assert command("explain", "excavator").code == 2
+
+
+def test_of_modes_that_nearly_meet_it_is_told_how_far_a_slope_reaches() -> None:
+    found = flexopt.explain(flexopt.load("excavator"), (0.9929, -2.6306))
+    assert "which mix" not in str(found)
+    first, second, _ = found.evaluation.frequencies_hz
+    near = replace(
+        found, evaluation=replace(found.evaluation, frequencies_hz=np.array([first, second, 1.001 * second]))
+    )
+    assert "which mix" not in near.sentences[0]
+    for sentence in near.sentences[1:]:
+        assert "w2 and w3 are of modes whose frequencies lie 0.1 % apart" in sentence
