@@ -126,7 +126,7 @@ def _path_faults(path: Path, name: str, names: tuple[str, ...]) -> list[Fault]:
 
 def brought_twice(given: Mapping[str, Any]) -> list[Fault]:
     """Options of a run that its `[loop]` brings itself."""
-    sentence = "comes with the loop; give it there"
+    sentence = "a loop is given, which says this itself: give it there, or leave the loop out"
     found = [Fault(name, sentence) for name in BROUGHT if given.get(name) is not None]
     for table, names in BROUGHT_BY_TABLES.items():
         own = table_entries(given.get(table))

@@ -261,7 +261,7 @@ def test_loop(command: Command) -> None:
     assert document["loop"]["dead_time"] == 0.02
     both = command(*POSTURE, "--loop", "kp=1e4", "--kp", "1e4")
     assert both.code == 2
-    assert "--kp: comes with the loop" in both.stderr
+    assert "--kp: a loop is given, which says this itself" in both.stderr
     (command.folder / "e.toml").write_text(EXPERIMENT)
     loop = {"kp": 1e4, "kv": 1e3}
     own = flexopt.run_experiment(flexopt.load_experiment(command.folder / "e.toml"), loop=loop)

@@ -105,7 +105,7 @@ def test_what_the_loop_brings_is_given_once() -> None:
     with pytest.raises(flexopt.InputError) as error:
         flexopt.simulate(flexopt.load("excavator"), POSTURE, loop="default", **options, **tables)
     for name in (*BROUGHT, *(f"{table}.{key}" for table, keys in BROUGHT_BY_TABLES.items() for key in keys)):
-        assert f"{name}: comes with the loop" in str(error.value)
+        assert f"{name}: a loop is given, which says this itself" in str(error.value)
 
 
 def test_noise_and_dead_bands_go_with_a_loop() -> None:
@@ -171,12 +171,12 @@ def test_an_experiment_with_a_loop(tmp_path, capsys):
 def test_an_experiment_that_says_twice_what_its_loop_is(tmp_path):
     text = FILE.format(more="kp = 2e4\nsensor = { delay = 0.01 }").replace("dead_time = 0.01", "rate_limit = 1.0")
     (tmp_path / "twice.toml").write_text(text)
-    with pytest.raises(ModelError, match="comes with the loop") as caught:
+    with pytest.raises(ModelError, match="a loop is given, which says this itself") as caught:
         flexopt.load_experiment(tmp_path / "twice.toml")
     fields = [fault.field for fault in caught.value.faults]
     assert fields == ["simulation.kp", "simulation.sensor.delay", "loop.rate_limit"]
     experiment = flexopt.load_experiment("article-a")
-    with pytest.raises(InputError, match="kp: comes with the loop"):
+    with pytest.raises(InputError, match="kp: a loop is given, which says this itself"):
         flexopt.run_experiment(experiment, loop={"kp": 1e4, "kv": 1e3})
 
 
