@@ -115,8 +115,9 @@ class ArticleTable(Result):
     def __repr__(self) -> str:
         gain = self.inferred
         lines = [
-            "Table 2, inverse control: computed, printed, and the relative deviation of w_i or the difference of ε_max",
-            f"kr = {gain.kr:.4g} gives posture A ({gain.reading}) its printed ε_max = {gain.printed}; "
+            "Table 2, inverse control: computed, printed, and the deviation: of w_i, 1/(kg m2), as a share of what is "
+            "printed, of ε_max the difference",
+            f"kr = {gain.kr:.4g} N m gives posture A ({gain.reading}) its printed ε_max = {gain.printed}; "
             f"{gain.interval[0]:.4g} to {gain.interval[1]:.4g} round to it. kr = {gain.other:.4g} would, too, "
             f"but makes posture B {gain.other_epsilon_b:.4f}, printed {PRINTED_EPSILON['B']}.",
         ]

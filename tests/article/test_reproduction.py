@@ -271,6 +271,7 @@ def test_text(result):
         "Claims in words",
         "Closed loops",
         "The gap metric",
-        "kr = 4.97",
+        "kr = 4.971e+05 N m gives",
+        "of w_i, 1/(kg m2)",
     ):
         assert word in text

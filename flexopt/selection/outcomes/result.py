@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from flexopt.foundation.plain import counted
+from flexopt.loop.region import LARGEST
 from flexopt.loop.settings import LoopSettings
 from flexopt.model.choices import DECAY
 from flexopt.model.loop import Loop, gain_ranges
@@ -27,7 +28,7 @@ class OutcomeSelection(Selection):
             and `"swing"` what is least. `Candidate.objective` is its value, SI, over the uncertainty its worst.
         gains: kp and kv of each candidate, those that were chosen with the configuration.
         radii: of each candidate the stability radius: how many times softer or stiffer all springs together may be
-            before the loop grows, as far as was looked, 10 at most; the fastest loop is often the most fragile one.
+            before the loop grows, looked for up to 10; the fastest loop is often the most fragile one.
         loop: as it was given;  uncertainty: what the worst case is taken over; empty: none.
         present: the measure of the present configuration, of the machine's own numbers, where there is one that has it.
         others: as of `Selection`, `unverified` in the measure's own unit; `initial` has the gains of the best candidate
@@ -117,7 +118,10 @@ class OutcomeSelection(Selection):
             lines.append(f"  {rank:4d} {numbers} {candidate.objective:16.6g} {radius:7.3g}{chosen}{active}")
         if self.unverified is not None:
             lines.append(f"  {unverified_told(self.measure, self.unverified)}")
-        lines.append(f"  in {units_of_columns(best)}; radius: by which factor springs may be softer or stiffer")
+        lines.append(
+            f"  in {units_of_columns(best)}; radius: by which factor all springs together may be "
+            f"softer or stiffer, looked for up to {LARGEST:g}"
+        )
         lines += [f"  {sentence}" for sentence in (self.nothing_to_gain, *map(str, self.kept)) if sentence]
         if self.initial is not None and self.present is not None:
             e, now = self.initial, self.present
