@@ -359,7 +359,7 @@ def _result(
         modes=described_modes(swing, log.time, found),
         columns=columns,
         notes=log.notes,
-        doubts=(*doubts, *_doubts(columns, factors, found)),
+        doubts=(*doubts, *_doubts(columns, factors, found, _trusted(swing))),
         duration=float(np.ptp(log.time)),
         converged=found.converged,
         time=log.time,
@@ -380,14 +380,23 @@ def _either_or(swing: HeldSwing, theta: Vector, known: Confidence) -> Iterator[s
             yield f"two sets of numbers fit alike, {told} {ANOTHER}"
 
 
-def _doubts(columns: Sequence[FittedColumn], factors: Mapping[str, float | None], found: Fit) -> list[str]:
-    """What speaks against the numbers."""
+def _trusted(swing: HeldSwing) -> list[str]:
+    """Springs and dampers that are taken from the file."""
+    names = [swing.machine.parameters[k].name for k in parameters_of((SPRINGS, DAMPERS), swing.machine)]
+    return [name for name in names if name not in swing.names]
+
+
+def _doubts(
+    columns: Sequence[FittedColumn], factors: Mapping[str, float | None], found: Fit, trusted: Sequence[str]
+) -> list[str]:
+    """What speaks against the numbers; `trusted`: springs and dampers that are taken from the file."""
     told = list[str]()
     coloured = [column.name for column in columns if not column.white]
     if coloured:
         told.append(
             f"residuals of {', '.join(coloured)} are not white: something in the log is not in the model; intervals "
             "are widened by what they have in common"
+            + (f"; perhaps the file is wrong in what is not asked for, {', '.join(trusted)}" if trusted else "")
         )
     told += [
         f"{name} is {factor:.3g} times the file's: is the file, or the log, of this machine?"

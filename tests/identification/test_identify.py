@@ -212,6 +212,22 @@ def test_residuals_that_are_not_white_widen_the_intervals() -> None:
     check(found, swung, [name])
 
 
+def test_a_fit_that_trusts_a_wrong_damper_says_so() -> None:
+    machine = flexopt.load("excavator")
+    t = np.arange(0.0, 5.0, 0.01)
+    noise = 1e-5 * np.random.default_rng(1).standard_normal(t.size)
+    log = {"t": t, "gyro_z": 2e-3 * np.exp(-0.2 * t) * np.cos(12.0 * t) + noise}
+
+    def doubts(unknown: str) -> str:
+        return " ".join(flexopt.identify(machine, log, posture=[0.5, -1.2], unknown=unknown).doubts)
+
+    told = doubts("base.stiffness.rotation")
+    assert "perhaps the file is wrong in what is not asked for, " in told
+    assert "base.damping.rotation" in told
+    assert "base.stiffness.rotation" not in told
+    assert "not asked for" not in doubts("base.*.rotation")
+
+
 def test_other_numbers_that_fit_as_well_are_told() -> None:
     """One column tells poles alone, and which spring makes which of them it does not say."""
     swung = planar()
