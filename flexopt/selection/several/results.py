@@ -148,7 +148,8 @@ class ConfigurationSet(Tabled):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the choice: what it leaves out, what is as good."""
-        said = (unverified_told(self.objective, self.unverified), self.as_good, self.not_passive, self.left_out)
+        unverified = unverified_told(self.objective, self.unverified)
+        said = (unverified, self.as_good, self.not_passive, self.left_out, self.unweighted)
         return tuple(sentence for sentence in said if sentence)
 
     @property
@@ -223,6 +224,25 @@ class ConfigurationSet(Tabled):
             return ""
         return (
             f"the objective leaves ε_max out: {least:.4g} at target {k + 1}, of {RIGID_MARGIN:.4g} of a rigid machine"
+        )
+
+    @property
+    def unweighted(self) -> str:
+        """A sentence where equal gains excite a mode that the sought w_i leave out; else empty."""
+        sought = self.problems[0].sought
+        used = np.any([each.uses for each in sought], axis=0)
+        if self.unit is not None or any(each.has_kinks for each in sought) or not used.any() or used.all():
+            return ""
+        e = [place.evaluation for place in self.places]
+        # Below -|a||b| a and b point into different halves of space.
+        bad = [(x.w[i], i, k) for k, x in enumerate(e) for i in np.flatnonzero(~used) if x.w[i] < -x.scale[i]]
+        if not bad or len(e[0].end_point) == 1:
+            return ""
+        w, i, k = min(bad)
+        unit = residue_unit(e[0].control, e[0].joint_units)
+        return (
+            f"the objective leaves w{i + 1} out: {w:.4e} {'mixed units' if unit == MIXED else unit} at target {k + 1}, "
+            f"where equal gains take damping from mode {i + 1}; V with weights counts every mode"
         )
 
 

@@ -91,6 +91,24 @@ def test_one_target_is_a_selection(excavator: flexopt.Machine) -> None:
     assert stand.base == pytest.approx(single.best.evaluation.base, abs=1e-4)
 
 
+def test_a_mode_that_nobody_sought_is_told_of_where_gains_excite_it(excavator: flexopt.Machine) -> None:
+    found = flexopt.select_stand(excavator, [(0.0, 1.6), (0.2, 1.4)], starts=2, workers=1)
+
+    def told(factor: float) -> str:
+        e = found.places[1].evaluation
+        bad = replace(found.places[1], evaluation=replace(e, w=np.array([0.0, 0.0, -factor * e.scale[2]])))
+        good = replace(found.places[0], evaluation=replace(found.places[0].evaluation, w=np.zeros(3)))
+        return replace(found, places=(good, bad)).unweighted
+
+    assert told(0.9) == ""  # a and b lie less than 90° apart
+    assert told(1.1).startswith("the objective leaves w3 out: -")
+    assert "at target 2, where equal gains take damping from mode 3" in told(1.1)
+    every = flexopt.select_stand(
+        excavator, [(0.0, 1.6), (0.2, 1.4)], starts=2, workers=1, objective="V", weights=[1, 1, 1]
+    )
+    assert every.unweighted == ""
+
+
 def test_an_epsilon_that_nobody_sought_is_told_of_where_it_is_small(excavator: flexopt.Machine) -> None:
     found = flexopt.select_stand(excavator, [(0.0, 1.6), (0.2, 1.4)], starts=2, workers=1)
     assert found.left_out == ""
