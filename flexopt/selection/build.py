@@ -87,7 +87,7 @@ def build_selection(
         target: a number for each row of the task (n_task,), m, inertial frame.
         constraints: what else a configuration must keep, in the layout of a problem file's table [constraints]; or a
             list of `casadi.Function`s, every entry of which is at least 0, of `flexopt.Constraint`s, and of that table.
-        options: how to choose, see `SelectionOptions`;  keywords: its fields, which go before it: objective, weights,
+        options: how to choose, see `SelectionOptions`;  keywords: its fields, in place of its: objective, weights,
             control, gravity, gain, base, posture, base_range, elbow, singularity_margin_deg, starts, seed, assume,
             slack.
 

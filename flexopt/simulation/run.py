@@ -72,7 +72,7 @@ def simulate(
             none of these is given, the machine's own `[loop]`, if it has one. What it leaves out
             follows from the machine, `Trajectory.loop` names it. Its dead time is rounded up to whole samples, which a
             warning tells. Drives that serve rates brake their joints, whose damping is so much more in the run.
-        options: the loop and its run, see `flexopt.SimulationOptions`;  keywords: its fields, which go before it:
+        options: the loop and its run, see `flexopt.SimulationOptions`;  keywords: its fields, in place of its:
             end_point, elbow, base, control, feedback, kp, kv, ki, integral_limit, gain, offset, duration, rate, hold,
             integrator, substeps, gravity, gravity_compensation, nullspace_damping, sensor, actuator, base_path,
             target_path, seed, baked. None is left out.

@@ -77,7 +77,7 @@ def select_stand(
         machine: from `flexopt.load`.
         targets: of the end-point, (K, n_task), m, inertial frame.
         constraints: as in `flexopt.build_selection`, at every target.
-        options: how to choose, see `SelectionOptions`;  keywords: its fields, which go before it: objective, weights,
+        options: how to choose, see `SelectionOptions`;  keywords: its fields, in place of its: objective, weights,
             control, gravity, base, posture, base_range, singularity_margin_deg, starts, seed, combine, shares.
         loop, ranges: as of `flexopt.select`, whose objectives of the loop these are, too: at every target the loop is
             the same, and the worst target counts.
