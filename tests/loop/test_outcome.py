@@ -308,3 +308,18 @@ def test_dead_times_beside_whole_samples():
     parts = outcome(EXCAVATOR, POSTURE_B).parts
     assert OneSample(parts, 0.005, 0.015 + 1e-12).waiting == (3, 0.0)
     assert OneSample(parts, 0.005, 0.0151).waiting == (4, pytest.approx(1e-4))
+
+
+def test_a_loop_that_alternates_from_sample_to_sample_is_told_why() -> None:
+    """Gains and dampers that a rate is too slow for; growth of a mode of the base is none of these."""
+
+    def told(loop: dict[str, float]) -> str:
+        return str(flexopt.outcome(EXCAVATOR, POSTURE_B, loop=loop))
+
+    assert "100 Hz, half the sampling rate: the velocity gain is too much for 200 Hz" in told({"kp": 1e4, "kv": 5e5})
+    assert "half the sampling rate" not in told({"kp": 1e6, "kv": 1e3})
+    assert "half the sampling rate" not in told({"kp": 1e4, "kv": 1e3})
+    arm = flexopt.load("mobile-manipulator")
+    damper = {"kp": 10.0, "kv": 1.0, "drive": "torque", "nullspace_damping": 1e4}
+    grows = str(flexopt.outcome(arm, (0.0, -1.2, 1.5, -0.5, 0.6, 0.0), loop=damper))
+    assert "the velocity gain, or the damper of the self-motion, is too much for" in grows
