@@ -276,10 +276,10 @@ class Stand(Pictured, ConfigurationSet):
         """A sentence where other placements found are as good, to 1e-4 of the objective's scale; else empty."""
         size = abs(self.worth) if self.unit is not None else self.problems[0].objective_scale
         near = NOTHING * float(size)
-        alike = [
+        equal = [
             base for worth, base in self.alternatives if math.isclose(worth, self.worth, rel_tol=0.0, abs_tol=near)
         ]
-        away = [np.abs(base - self.base) for base in alike]
+        away = [np.abs(base - self.base) for base in equal]
         if not away:
             return ""
         units = np.array(self.places[0].evaluation.base_units)
@@ -289,7 +289,8 @@ class Stand(Pictured, ConfigurationSet):
             least, most = f"{far.min():.3g}", f"{far.max():.3g}"
             lengths.append(f"{least} {unit}" if least == most else f"{least} to {most} {unit}")
         found = f"{counted(len(away), 'other placement')} found {'is' if len(away) == 1 else 'are'} as good"
-        return f"a choice among equals: {found}, to {NOTHING:g} of the objective's scale, {' and '.join(lengths)} away"
+        alike = f"{found}, to {NOTHING:g} of the objective's scale, {' and '.join(lengths)} from this one"
+        return f"a choice among equals: {alike}"
 
     @property
     def status(self) -> str:

@@ -126,8 +126,9 @@ def test_an_epsilon_that_nobody_sought_is_told_of_where_it_is_small(excavator: f
     active = repr(replace(found, places=(found.places[0], rigid)))
     assert "λmin(R0 + R0ᵀ) is negative at target 2, -5.00000e-01 1/(kg m2): equal gains" in active
     others = ((found.worth, found.base + 1.0), (found.worth, found.base - 2.0), (found.worth - 1.0, found.base + 9.0))
-    assert "equals: 2 other placements found are as good, to 0.0001 of the objective's scale, 1 to 2 m away" in repr(
-        replace(found, alternatives=others)
+    assert (
+        "equals: 2 other placements found are as good, to 0.0001 of the objective's scale, 1 to 2 m from this one"
+        in repr(replace(found, alternatives=others))
     )
     assert "among equals" not in repr(replace(found, alternatives=others[2:]))
     # Bars that are 0 are said to be.
