@@ -38,7 +38,21 @@ def polished(program: Program, x: Vector, proof: Proof) -> tuple[Vector, Proof]:
     left = set(proof.violations) - ({FIRST_ORDER, SECOND_ORDER} if rounded else {FIRST_ORDER})
     if left or proof.holds or not proof.stationarity <= STATIONARY_NEARLY * proof.pull:
         return x, proof
-    exact, there = replace(program, exact=True), x
+    exact = replace(program, exact=True)
+    for held in (False, True) if rounded else (False,):
+        found = _newton(exact, x, held=held)
+        if found is not None:
+            return found
+    return x, proof
+
+
+def _newton(exact: Program, x: Vector, *, held: bool) -> tuple[Vector, Proof] | None:
+    """The optimum that Newton's steps lead to, and its proof; None where they lead to none.
+
+    `held`: whether kinks of ε_max are kept as far away as they are: near one that is no point of the optimum, steps
+    onto it lead away.
+    """
+    there = x
     for _ in range(STEPS):
         local = linearised(exact, there)
         multipliers, kept = multipliers_of(local)
@@ -47,13 +61,13 @@ def polished(program: Program, x: Vector, proof: Proof) -> tuple[Vector, Proof]:
             break
         if np.linalg.norm(off) <= STATIONARITY_TOLERANCE / 10:
             found = prove_program(exact, there)
-            return (there, found) if found.holds else (x, proof)
+            return (there, found) if found.holds else None
         bend = _Bend.at(exact, there, local, multipliers, kept)
-        step = None if bend is None else bend.step(exact, there, local, kept, off)
+        step = None if bend is None else bend.step(exact, there, local, kept, off, held=held)
         if step is None:
             break
         there = np.clip(there + step[: x.size] * exact.scale, *exact.bounds())
-    return x, proof
+    return None
 
 
 def settled(program: Program, x: Vector, proof: Proof) -> tuple[Vector, Proof]:
@@ -103,9 +117,18 @@ class _Bend:
             return None
         return _Bend(free, bent)
 
-    def step(self, program: Program, x: Vector, local: FirstOrderModel, kept: list[int], off: Vector) -> Vector | None:
-        """Onto the active rows and, along them, to where the Lagrangian's quadratic model is largest."""
-        onto = -np.linalg.pinv(local.rows(kept)) @ _beyond(program, x, local, kept)
+    def step(
+        self, program: Program, x: Vector, local: FirstOrderModel, kept: list[int], off: Vector, *, held: bool = False
+    ) -> Vector | None:
+        """Onto the active rows and, along them, to where the Lagrangian's quadratic model is largest.
+
+        `held`: kinks of ε_max are not stepped onto.
+        """
+        beyond = _beyond(program, x, local, kept)
+        for kink in local.kinks if held else ():
+            if kink.number is None:
+                beyond[kink.rows] = 0.0
+        onto = -np.linalg.pinv(local.rows(kept)) @ beyond
         step = onto - self.free.T @ np.linalg.solve(self.hessian, self.free @ off)
         return step if np.abs(step).max() <= LONGEST else None
 

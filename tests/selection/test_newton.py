@@ -84,6 +84,23 @@ def test_an_optimum_whose_curvature_doubles_do_not_tell_is_found() -> None:
     assert max(float(np.abs(end - best / problem.scale).max()) for end in ends) < 1e-5
 
 
+def test_an_optimum_near_a_kink_of_what_is_kept_is_found() -> None:
+    """The branches of ε_max meet 3e-3 away; what lies between it and the optimum gains less than ε_max's rounding."""
+    machine, targets = next((machine, targets) for _, machine, targets, _ in machines([32]))
+    options: Any = {"objective": "epsilon_max,w1", "control": "transpose", "gain": GAIN}
+    problem = replace(flexopt.build_selection(machine, targets[0], **options), kept=(0.3829650072507612,))
+    # Where ascents ended; none of further ones led on from there.
+    stuck = np.array(
+        [-1.7067482274787, 1.6445071333212, 0.1695954923781, 1.0725747747272, -1.0071281049306, 3.0365844714858]
+    )
+    proof = prove(problem, stuck)
+    assert set(proof.violations) == {FIRST_ORDER}
+    found, proof = polished(single(problem), stuck, proof)
+    assert proof.holds
+    assert proof.stationarity <= 1e-7
+    assert np.abs((found - stuck) / problem.scale).max() < 1e-4
+
+
 def test_where_a_solve_stops_near_a_flat_optimum_decides_nothing() -> None:
     _, machine = random_machine(np.random.default_rng(8), Structure(4, ("x", "y", "rotation"), (1,)))
     target = arm_at_rest(machine, np.array([0.7, -1.1, 0.6]))[1]
