@@ -28,7 +28,7 @@ from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.robustness.posture_margin import evaluate_margin, prepare_margin
-from flexopt.robustness.residues import MIXED, residue_unit
+from flexopt.robustness.residues import MIXED, residue_unit, unit_in_words
 
 if TYPE_CHECKING:
     from flexopt.robustness.damped import DampedModes
@@ -217,7 +217,7 @@ class Evaluation(Result):
             lines.append(f"{start} {w:13.5e} {w / self.scale[i]:13.5e}   {phase}")
         if hidden.any():
             lines.append("    –: the end-point does not move in that mode, or no feedback excites it")
-        rigid = f"{self.rigid:.5e} {'mixed units' if unit == MIXED else unit}"
+        rigid = f"{self.rigid:.5e} {unit_in_words(unit)}"
         lines.append(f"  rigid part: λmin(R0 + R0ᵀ) = {rigid}; cond Jv = {self.condition:.4g}")
         if excites_rigid(self):
             lines.append(f"    negative: {EXCITES}")

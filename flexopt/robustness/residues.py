@@ -87,6 +87,11 @@ def residue_unit(control: str, joint_units: tuple[str, ...]) -> str:
     return RESIDUE_UNITS.get(control, RESIDUE_UNITS["inverse"])
 
 
+def unit_in_words(unit: str) -> str:
+    """A unit as texts print it, that of `residue_unit` say."""
+    return "mixed units" if unit == MIXED else unit
+
+
 def written_unit(unit: str) -> str:
     """A unit as pages and pictures print it."""
-    return "mixed units" if unit == MIXED else unit.replace("m2", "m²").replace("^2", "²").replace("^3", "³")
+    return unit_in_words(unit).replace("m2", "m²").replace("^2", "²").replace("^3", "³")

@@ -17,7 +17,7 @@ from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Result, Tabled
 from flexopt.foundation.turns import TURN
 from flexopt.robustness.evaluation import Evaluation, without_rounding
-from flexopt.robustness.residues import MIXED, residue_unit
+from flexopt.robustness.residues import residue_unit, unit_in_words
 from flexopt.selection.continua import way_to
 from flexopt.selection.exchanged import at_edge
 from flexopt.selection.problem import SelectionProblem, beyond_bounds, elsewhere
@@ -370,8 +370,7 @@ class Selection(Pictured, Result):
 
 def units_told(e: Evaluation) -> str:
     """What the columns of a table are in."""
-    residue = residue_unit(e.control, e.joint_units)
-    return f"in {units_of_columns(e)}; w_i in {'mixed units' if residue == MIXED else residue}"
+    return f"in {units_of_columns(e)}; w_i in {unit_in_words(residue_unit(e.control, e.joint_units))}"
 
 
 def units_of_columns(e: Evaluation) -> str:

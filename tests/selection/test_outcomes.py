@@ -57,6 +57,10 @@ def test_the_best_decay_of_given_gains_is_that_of_a_scan() -> None:
     outcome = found.best.evaluation.outcome
     assert isinstance(outcome, flexopt.Outcome)
     assert outcome.decay == pytest.approx(found.best.objective)
+    # What is said of the choice, on a report's page too, is said of the loop's measure.
+    doubted = replace(found, unverified=1.5)
+    assert doubted.remarks[0].startswith("a climb that could not be verified came to decay 1.5;")
+    assert f"  {doubted.remarks[0]}\n" in f"{doubted!r}\n"
 
 
 def test_gains_are_chosen_with_the_configuration() -> None:

@@ -99,6 +99,12 @@ class OutcomeSelection(Selection):
         how = "as much" if self.criterion.sign > 0 else "as little"
         return f"nothing to gain: the present configuration has {how} {self.measure}"
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences on the choice, those of the loop's measure."""
+        unverified = unverified_told(self.measure, self.unverified)
+        return tuple(sentence for sentence in (unverified, self.nothing_to_gain) if sentence)
+
     def __repr__(self) -> str:
         best = self.best.evaluation
         names, measure = (*best.base_coordinates, *best.joints), f"{self.measure} {self._unit}".strip()
@@ -116,13 +122,11 @@ class OutcomeSelection(Selection):
             active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
             chosen = "".join(f" {gain:10.4g}" for gain in gains.values())
             lines.append(f"  {rank:4d} {numbers} {candidate.objective:16.6g} {radius:7.3g}{chosen}{active}")
-        if self.unverified is not None:
-            lines.append(f"  {unverified_told(self.measure, self.unverified)}")
         lines.append(
             f"  in {units_of_columns(best)}; radius: by which factor all springs together may be "
             f"softer or stiffer, looked for up to {LARGEST:g}"
         )
-        lines += [f"  {sentence}" for sentence in (self.nothing_to_gain, *map(str, self.kept)) if sentence]
+        lines += [f"  {sentence}" for sentence in (*self.remarks, *map(str, self.kept))]
         if self.initial is not None and self.present is not None:
             e, now = self.initial, self.present
             off = self.present_told

@@ -17,7 +17,7 @@ from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Tabled
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import EXCITES, Evaluation, excites_rigid
-from flexopt.robustness.residues import MIXED, residue_unit
+from flexopt.robustness.residues import residue_unit, unit_in_words
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import (
     NOTHING,
@@ -137,7 +137,7 @@ class ConfigurationSet(Tabled):
         e, least = self.places[0].evaluation, min(found.values())
         unit = residue_unit(e.control, e.joint_units)
         where = "every target" if len(found) == len(self.places) > 1 else _numbered(list(found))
-        least_told = f"{'' if len(found) == 1 else 'down to '}{least:.5e} {'mixed units' if unit == MIXED else unit}"
+        least_told = f"{'' if len(found) == 1 else 'down to '}{least:.5e} {unit_in_words(unit)}"
         return f"rigid part: λmin(R0 + R0ᵀ) is negative at {where}, {least_told}: {EXCITES}"
 
     @property
@@ -241,7 +241,7 @@ class ConfigurationSet(Tabled):
         w, i, k = min(bad)
         unit = residue_unit(e[0].control, e[0].joint_units)
         return (
-            f"the objective leaves w{i + 1} out: {w:.4e} {'mixed units' if unit == MIXED else unit} at target {k + 1}, "
+            f"the objective leaves w{i + 1} out: {w:.4e} {unit_in_words(unit)} at target {k + 1}, "
             f"where equal gains take damping from mode {i + 1}; V with weights counts every mode"
         )
 
