@@ -16,7 +16,7 @@ from typing import TypeVar
 
 import casadi as ca
 
-from flexopt.algebra.dense import solve_general
+from flexopt.algebra.dense import DENSE_PRODUCT, SYMMETRIC_SUM, solve_general
 from flexopt.algebra.eigen import symmetric_eigen
 
 Graph = TypeVar("Graph", ca.SX, ca.MX)
@@ -24,7 +24,7 @@ Graph = TypeVar("Graph", ca.SX, ca.MX)
 # axis, relative to the scaled time.
 DOUBLINGS = 22
 # Where no element of A_k is larger, another doubling would change the results by its square, far below rounding.
-SETTLED = 1e-11
+SETTLED = 1e-9
 # The power 2⁸ of X Z leaves of the third eigenvalue, at 0.9 of the first, 2e-12.
 SQUARINGS = 8
 GAMMA = 3.0
@@ -97,9 +97,16 @@ def _product(size: int) -> ca.Function:
     """(A, B) -> A B; of large matrices as a loop."""
     if size > WRITTEN_OUT:
         matrices = [ca.MX.sym("A", size, size), ca.MX.sym("B", size, size)]
-        return ca.Function("product", matrices, [matrices[0] @ matrices[1]])
+        return ca.Function(DENSE_PRODUCT, matrices, [matrices[0] @ matrices[1]])
     a, b = ca.SX.sym("A", size, size), ca.SX.sym("B", size, size)
-    return ca.Function("product", [a, b], [a @ b])
+    return ca.Function(DENSE_PRODUCT, [a, b], [a @ b])
+
+
+@lru_cache(maxsize=8)
+def _symmetric_sum(size: int) -> ca.Function:
+    """(A, B) -> (S + Sᵀ) / 2 of S = A + B."""
+    a, b = ca.MX.sym("A", size, size), ca.MX.sym("B", size, size)
+    return ca.Function(SYMMETRIC_SUM, [a, b], [_symmetric(a + b)])
 
 
 @lru_cache(maxsize=8)
@@ -122,9 +129,10 @@ def _high_power(size: int) -> ca.Function:
     """S -> a multiple of S^(2^SQUARINGS)."""
     s = ca.MX.sym("S", size, size)
     power = s / ca.trace(s)
-    for _ in range(SQUARINGS):
-        square = _product(size)(power, power)
-        power = square / ca.trace(square)
+    for k in range(SQUARINGS):
+        power = _product(size)(power, power)
+        if k == SQUARINGS // 2:
+            power = power / ca.trace(power)
     return ca.Function("high_power", [s], [power])
 
 
@@ -153,13 +161,14 @@ def _across(vector: Graph, vectors: Sequence[Graph], z: Graph) -> Graph:
 
 def _doubling(size: int) -> ca.Function:
     """One doubling of (A, G, H), with V = (I + G H)⁻¹."""
-    times = _product(size)
+    times, symmetric = _product(size), _symmetric_sum(size)
     a, g, h = (ca.MX.sym(name, size, size) for name in ("A", "G", "H"))
-    v = _inverse(size)(ca.MX.eye(size) + times(g, h))
+    across = a.T
+    v = _inverse(size)(ca.mac(g, h, ca.densify(ca.MX.eye(size))))
     va = times(v, a)
     # Averaging both triangles, rather than computing one, keeps two digits more on badly conditioned plants.
-    next_g = _symmetric(g + times(times(a, times(v, g)), a.T))
-    next_h = _symmetric(h + times(a.T, times(h, va)))
+    next_g = symmetric(g, times(times(a, times(v, g)), across))
+    next_h = symmetric(h, times(across, times(h, va)))
     return ca.Function("doubling", [a, g, h], [times(a, va), next_g, next_h])
 
 
@@ -169,7 +178,7 @@ def _repeated(step: ca.Function, state: list[ca.MX], times: int, *, fixed: bool)
         for _ in range(times):
             state = step.call(state)
         return state
-    symbols = [ca.SX.sym(f"s{k}", *step.size_in(k)) for k in range(step.n_in())]
+    symbols = [ca.MX.sym(f"s{k}", *step.size_in(k)) for k in range(step.n_in())]
     settled = ca.Function("settled", symbols[:1], [ca.norm_inf(ca.vec(symbols[0])) <= SETTLED])
     as_it_is = ca.Function("as_it_is", symbols, symbols)
     unless_settled = ca.Function.if_else(f"{step.name()}_unless_settled", as_it_is, step)

@@ -143,6 +143,89 @@ INLINE vec shared_quotient(vec x, vec y) {
 #endif
 }
 
+// A block of C = A B, or of C + A B, in registers; A and C have `rows` rows.
+#if LANES == 8
+#define BLOCK 5
+#else
+#define BLOCK 3
+#endif
+template <int ROWS, int COLUMNS>
+static __attribute__((noinline)) void product_block(const lane *a, long long rows, const lane *b, long long inner,
+                                                    lane *c, bool adds) {
+  vec sums[COLUMNS][ROWS];
+#pragma GCC unroll 8
+  for (int j = 0; j < COLUMNS; ++j)
+#pragma GCC unroll 8
+    for (int i = 0; i < ROWS; ++i) {
+      const vec x = a[i].v, y = b[j * inner].v;
+      sums[j][i] = adds ? fma(x, y, c[i + j * rows].v) : x * y;
+    }
+  for (long long k = 1; k < inner; ++k) {
+    a += rows;
+#pragma GCC unroll 8
+    for (int j = 0; j < COLUMNS; ++j) {
+      const vec y = b[k + j * inner].v;
+#pragma GCC unroll 8
+      for (int i = 0; i < ROWS; ++i) sums[j][i] = fma(a[i].v, y, sums[j][i]);
+    }
+  }
+#pragma GCC unroll 8
+  for (int j = 0; j < COLUMNS; ++j)
+#pragma GCC unroll 8
+    for (int i = 0; i < ROWS; ++i) c[i + j * rows] = sums[j][i];
+}
+
+template <int ROWS, int COLUMNS, typename... Rest>
+static void product_of_size(long long high, long long wide, Rest... rest) {
+  if constexpr (ROWS > 1) if (high < ROWS) return product_of_size<ROWS - 1, COLUMNS>(high, wide, rest...);
+  if constexpr (COLUMNS > 1) if (wide < COLUMNS) return product_of_size<ROWS, COLUMNS - 1>(high, wide, rest...);
+  product_block<ROWS, COLUMNS>(rest...);
+}
+
+// C = A B of dense columns, or C + A B, in blocks of nearly equal size; `inner` is at least 1.
+static __attribute__((noinline)) void product_in_blocks(const lane *a, long long rows, long long inner, const lane *b,
+                                                        long long columns, lane *c, bool adds) {
+  const long long down = (rows + BLOCK - 1) / BLOCK, across = (columns + BLOCK - 1) / BLOCK;
+  for (long long q = 0; q < across; ++q)
+    for (long long p = 0; p < down; ++p) {
+      const long long i = p * rows / down, j = q * columns / across;
+      product_of_size<BLOCK, BLOCK>((p + 1) * rows / down - i, (q + 1) * columns / across - j, a + i, rows,
+                                    b + j * inner, inner, c + i + j * rows, adds);
+    }
+}
+
+INLINE void dense_product(const lane *a, long long rows, long long inner, const lane *b, long long columns, lane *c) {
+  product_in_blocks(a, rows, inner, b, columns, c, false);
+}
+
+// C = (S + Sᵀ) / 2 of S = A + B, square.
+static __attribute__((noinline)) void symmetric_sum(const lane *a, long long n, long long, const lane *b, long long,
+                                                    lane *c) {
+  for (long long j = 0; j < n; ++j)
+    for (long long i = 0; i <= j; ++i) {
+      const long long above = i + j * n, below = j + i * n;
+      c[above] = c[below] = splat(0.5) * ((a[above].v + b[above].v) + (a[below].v + b[below].v));
+    }
+}
+
+// The largest size of n numbers, at least zero; none that is NaN counts.
+static __attribute__((noinline)) lane largest(long long n, const lane *x) {
+  lane sizes[4] = {0, 0, 0, 0};
+  for (long long k = 0; k < n; k += 4)
+#pragma GCC unroll 4
+    for (int j = 0; j < 4; ++j) sizes[j] = fmax(sizes[j], fabs(x[k + j < n ? k + j : k]));
+  return fmax(fmax(sizes[0], sizes[1]), fmax(sizes[2], sizes[3]));
+}
+
+// CasADi's z += x y, or xᵀ y.
+INLINE void add_product(const lane *x, long long rows, long long inner, const lane *y, long long columns, lane *z,
+                        long long transposed) {
+  if (!transposed) return product_in_blocks(x, rows, inner, y, columns, z, true);
+  for (long long j = 0; j < columns; ++j)
+    for (long long i = 0; i < inner; ++i)
+      for (long long k = 0; k < rows; ++k) z[i + j * inner] = fma(x[k + i * rows].v, y[k + j * rows].v, z[i + j * inner].v);
+}
+
 // Below 2^52 the sum with 2^52 has no fraction bits left; above, every double is whole already.
 INLINE vec whole(vec x) {
   vec big = splat(4503599627370496.0), size = absolute(x);

@@ -15,6 +15,7 @@ from importlib.resources import files
 
 import casadi as ca
 
+from flexopt.algebra.dense import DENSE_PRODUCT, SYMMETRIC_SUM
 from flexopt.compiled.fused import fused, straight
 from flexopt.compiled.pieces import LONG, in_pieces
 
@@ -22,6 +23,7 @@ from flexopt.compiled.pieces import LONG, in_pieces
 _OWN = {
     "casadi_sq": "sq", "casadi_fabs": "fabs", "casadi_fmin": "fmin", "casadi_fmax": "fmax", "casadi_sign": "sign",
     "casadi_expm1": "expm1", "casadi_log1p": "log1p", "casadi_hypot": "hypot", "casadi_if_else": "select",
+    "casadi_mtimes_dense": "add_product", "casadi_norm_inf": "largest",
 }  # fmt: skip
 _VALUE = r"\(\*\w+(?:\+\+)?\)|\*\w+|\w+(?:\[\w+\])?"
 _CHOICE = re.compile(rf"\(({_VALUE})\?({_VALUE}):0\)")
@@ -93,6 +95,16 @@ extern "C" EXPORT int flexopt_kernel(const double *const *rows, const unsigned c
 """
 
 
+# A Function of two dense matrices by the comment before it, and the call of `lane.hpp` that its definition becomes.
+_OF_MATRICES = re.compile(
+    rf"(/\* ({DENSE_PRODUCT}|{SYMMETRIC_SUM}):\(i0\[(\d+)x(\d+)\],i1\[\d+x(\d+)\]\)->\(o0\[\d+x\d+\]\) \*/\n[^\n]*\n).*?\n\}}\n",
+    re.DOTALL,
+)
+_BY_KERNEL = r"""\1  if (res[0]) \2(arg[0], \3, \4, arg[1], \5, res[0]);
+  return 0;
+}
+"""
+
 # A chosen call for points that choose differently: their results are put together from one call for each choice.
 _BY_LANE = """static int @NAME@(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
   if (!arg[0] || unanimous(*arg[0])) return @NAME@_one(arg, res, iw, w, arg[0] ? first_choice(*arg[0]) : 0);
@@ -161,7 +173,7 @@ def _generated(function: ca.Function) -> tuple[str, str]:
     """The definitions that the Function's evaluation reaches, and the name of that evaluation."""
     generator = ca.CodeGenerator("flexopt_generated", {"with_export": False, "include_math": False})
     generator.add(function)
-    text = by_lane(generator.dump(), function.sz_res())
+    text = by_lane(by_kernel(generator.dump()), function.sz_res())
     pieces = definitions(_CHOICE.sub(r"select(\1,\2,0)", text))
     exported = pieces[function.name()]
     match = re.search(r"return (casadi_\w+)\(", exported)
@@ -174,6 +186,11 @@ def _written(text: str) -> str:
     """A function as it is compiled."""
     function = straight(text)
     return text if function is None else in_pieces(fused(function))
+
+
+def by_kernel(text: str) -> str:
+    """The text with the Functions of dense matrices that `lane.hpp` has by name done there: in blocks, in one pass."""
+    return _OF_MATRICES.sub(_BY_KERNEL, text)
 
 
 def by_lane(text: str, sz_res: int) -> str:
