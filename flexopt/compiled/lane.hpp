@@ -19,6 +19,7 @@
 typedef double vec __attribute__((vector_size(8 * LANES)));
 typedef long long mask __attribute__((vector_size(8 * LANES)));
 typedef double loose __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
+typedef double number __attribute__((may_alias));
 
 INLINE constexpr vec splat(double x) { return vec{} + x; }
 

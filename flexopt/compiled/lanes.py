@@ -17,7 +17,7 @@ import casadi as ca
 
 from flexopt.algebra.dense import DENSE_PRODUCT, SYMMETRIC_SUM
 from flexopt.compiled.fused import fused, straight
-from flexopt.compiled.pieces import LONG, in_pieces
+from flexopt.compiled.pieces import LONG, beforehand, in_pieces
 
 # Helpers of the generated code that `lane.hpp` has under another name.
 _OWN = {
@@ -37,6 +37,9 @@ _OUTPUT = re.compile(r"o\d+(?:\[(\d+)(?:x(\d+))?(?:,(\d+)nz)?\])?")
 # Straight-line functions longer than the first come in pieces.
 LEVELS = ((LONG, ("-O2",)), (20_000, ("-O2", "-fno-tree-sra")), (40_000, ("-O1", "-fno-tree-sra")))
 LINES_MAX = 200_000
+# Functions of no more statements than this take two groups of points side by side: a third faster, where a longer one
+# would only keep more in memory.
+SHORT = 1000
 
 # CasADi writes a graph depth first. Scheduling it before registers are assigned, which gcc leaves out on x86, makes the
 # code 5 to 15 % faster and changes no result.
@@ -48,6 +51,8 @@ _NOT_FUSED = """#if defined(__clang__)
 #else
 #pragma GCC optimize("fp-contract=off")
 #endif"""
+
+_TYPES = "typedef lane casadi_real;\ntypedef long long casadi_int;"
 
 _EXPORT = """
 #if defined(_WIN32)
@@ -63,37 +68,37 @@ _KERNEL = """
 // results[k]: where output nonzero k goes, one a point. Returns 0, or what the generated function returned.
 extern "C" EXPORT int flexopt_kernel(const double *const *rows, const unsigned char *fixed, double *const *results,
                                      long long begin, long long end) {
-  enum { IN = @IN@, OUT = @OUT@, WORK = @WORK@ };
+  enum { IN = @IN@, OUT = @OUT@, WORK = @WORK@, TOGETHER = sizeof(lane) / sizeof(double) };
   void *memory = __builtin_malloc(sizeof(lane) * (IN + OUT + WORK + 1));
   if (!memory) return -1;
-  lane *x = (lane *)(((unsigned long long)memory + sizeof(lane) - 1) & ~(unsigned long long)(sizeof(lane) - 1));
+  lane *x = (lane *)(((unsigned long long)memory + sizeof(::vec) - 1) & ~(unsigned long long)(sizeof(::vec) - 1));
   lane *y = x + IN, *w = y + OUT;
   int status = 0, n_moving = 0, moving[IN + 1];
   for (int k = 0; k < IN; ++k) {
     if (fixed[k]) x[k] = lane(rows[k][0]);
     else moving[n_moving++] = k;
   }
-  for (long long i = begin; i < end && !status; i += LANES) {
-    bool full = end - i >= LANES;
+@ONCE@
+  for (long long i = begin; i < end && !status; i += TOGETHER) {
+    const long long here = end - i < TOGETHER ? end - i : TOGETHER;
     for (int j = 0; j < n_moving; ++j) {
-      const double *row = rows[moving[j]];
-      if (full) x[moving[j]] = vec(*(const loose *)(row + i));
-      else for (int l = 0; l < LANES; ++l) x[moving[j]].v[l] = row[i + l < end ? i + l : end - 1];
+      const double *row = rows[moving[j]] + i;
+      if (here == TOGETHER) __builtin_memcpy(&x[moving[j]], row, sizeof(lane));
+      else for (int l = 0; l < TOGETHER; ++l) ((number *)&x[moving[j]])[l] = row[l < here ? l : here - 1];
     }
     const lane *arg[@SZ_ARG@ + 1] = {@ARG@};
     lane *res[@SZ_RES@ + 1] = {@RES@};
     casadi_int iw[@SZ_IW@ + 1];
-    status = @NAME@(arg, res, iw, w, 0);
+    @EACH@status = @NAME@(arg, res, iw, w, 0);
     for (int k = 0; k < OUT; ++k) {
-      if (full) *(loose *)(results[k] + i) = y[k].v;
-      else for (int l = 0; i + l < end; ++l) results[k][i + l] = y[k].v[l];
+      if (here == TOGETHER) __builtin_memcpy(results[k] + i, &y[k], sizeof(lane));
+      else for (int l = 0; l < here; ++l) results[k][i + l] = ((const number *)&y[k])[l];
     }
   }
   __builtin_free(memory);
   return status;
 }
 """
-
 
 # A Function of two dense matrices by the comment before it, and the call of `lane.hpp` that its definition becomes.
 _OF_MATRICES = re.compile(
@@ -117,8 +122,14 @@ _BY_LANE = """static int @NAME@(const casadi_real** arg, casadi_real** res, casa
 
 def kernel_source(function: ca.Function) -> str:
     """The translation unit; whether it compiles decides whether the Function can be batched."""
-    body, name = _generated(function)
-    return "\n".join([_head(), body, _kernel(function, name)])
+    texts, name = _generated(function)
+    alone = straight(texts[0]) if len(texts) == 1 else None
+    if alone is None or len(alone.texts) > SHORT:
+        return "\n".join([_head(), _TYPES, *map(_written, texts), _kernel(function, name)])
+    given = max(range(function.n_in()), key=function.nnz_in, default=0)
+    before, rest, size = beforehand(fused(alone), given)
+    paired = ["namespace paired {", _TYPES, before, rest, _kernel(function, name, given, size), "}"]
+    return "\n".join([_head(), _resource("lane_pair.hpp"), *paired])
 
 
 def recurrence_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, int], *, narrow: bool) -> str:
@@ -131,7 +142,7 @@ def recurrence_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, 
     """
     work = max(function.sz_w() for function in functions.values())
     constants = dict(sizes) | {"WORK": work}
-    lines = [_NOT_FUSED, *(["#define NARROW"] if narrow else []), _head(), f"#define FAST {int('fast' in functions)}"]
+    lines = [_NOT_FUSED, *(["#define NARROW"] if narrow else []), _head(), _TYPES, f"#define FAST {int('fast' in functions)}"]
     lines.append("enum { " + ", ".join(f"{name} = {value}" for name, value in constants.items()) + " };")
     lines += [_call(name, function) for name, function in functions.items()]
     return "\n".join([*lines, _resource("recurrence.hpp")])
@@ -139,7 +150,6 @@ def recurrence_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, 
 
 def _head() -> str:
     lines = [_SCHEDULED, _resource("lane.hpp"), _resource("lane_math.hpp"), _EXPORT]
-    lines += ["typedef lane casadi_real;", "typedef long long casadi_int;"]
     lines += [f"#define {theirs} {ours}" for theirs, ours in _OWN.items()]
     lines += ["#define casadi_inf __builtin_inf()", '#define casadi_nan __builtin_nan("")']
     lines.append("#define CASADI_CAST(type, x) ((type)(x))")
@@ -148,7 +158,8 @@ def _head() -> str:
 
 def _call(name: str, function: ca.Function) -> str:
     """The Function in a namespace of its own, and `call_name(inputs…, outputs…, w)`."""
-    body, generated = _generated(function)
+    texts, generated = _generated(function)
+    body = "\n".join(map(_written, texts))
     inputs, outputs = [
         [f"{kind}{k}" for k in range(n)] for kind, n in (("i", function.n_in()), ("o", function.n_out()))
     ]
@@ -169,7 +180,7 @@ def _resource(name: str) -> str:
     return files("flexopt.compiled").joinpath(name).read_text(encoding="utf-8")
 
 
-def _generated(function: ca.Function) -> tuple[str, str]:
+def _generated(function: ca.Function) -> tuple[list[str], str]:
     """The definitions that the Function's evaluation reaches, and the name of that evaluation."""
     generator = ca.CodeGenerator("flexopt_generated", {"with_export": False, "include_math": False})
     generator.add(function)
@@ -179,7 +190,7 @@ def _generated(function: ca.Function) -> tuple[str, str]:
     match = re.search(r"return (casadi_\w+)\(", exported)
     assert match is not None, exported
     reached = reached_from(pieces, match[1], _OWN)
-    return "\n".join(_written(text) for name, text in pieces.items() if name in reached), match[1]
+    return [text for name, text in pieces.items() if name in reached], match[1]
 
 
 def _written(text: str) -> str:
@@ -260,19 +271,24 @@ def reached_from(pieces: dict[str, str], root: str, without: Container[str] = ()
     return reached
 
 
-def _kernel(function: ca.Function, name: str) -> str:
-    """The exported loop over the points."""
-    arg, offset = list[str](), 0
+def _kernel(function: ca.Function, name: str, given: int = 0, kept: int = 0) -> str:
+    """The exported loop over the points; `kept`: what is known beforehand of input `given`, once if it does not move."""
+    arg, offsets = list[str](), [0]
     for k in range(function.n_in()):
-        arg.append(f"x + {offset}")
-        offset += function.nnz_in(k)
-    n_in = offset
+        arg.append(f"x + {offsets[-1]}")
+        offsets.append(offsets[-1] + function.nnz_in(k))
     res, offset = list[str](), 0
     for k in range(function.n_out()):
         res.append(f"y + {offset}")
         offset += function.nnz_out(k)
+    once = each = ""
+    if kept:
+        once = f"  bool still = true;\n  for (int k = {offsets[given]}; k < {offsets[given + 1]}; ++k) still &= fixed[k] != 0;"
+        once += f"\n  const lane *given[] = {{{', '.join(arg)}}};\n  if (still) {name}_before(given, w);"
+        each = f"if (!still) {name}_before(arg, w);\n    "
     values = {
-        "IN": n_in, "OUT": offset, "WORK": function.sz_w(), "SZ_ARG": function.sz_arg(), "SZ_RES": function.sz_res(),
-        "SZ_IW": function.sz_iw(), "ARG": ", ".join(arg), "RES": ", ".join(res), "NAME": name,
+        "IN": offsets[-1], "OUT": offset, "WORK": max(function.sz_w(), kept), "SZ_ARG": function.sz_arg(),
+        "SZ_RES": function.sz_res(), "SZ_IW": function.sz_iw(), "ARG": ", ".join(arg), "RES": ", ".join(res),
+        "NAME": name, "ONCE": once, "EACH": each,
     }  # fmt: skip
     return re.sub(r"@(\w+)@", lambda match: str(values[match[1]]), _KERNEL)

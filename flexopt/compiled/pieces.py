@@ -1,11 +1,13 @@
-"""Long straight-line functions of generated code cut into pieces, so that compilation takes a time linear in length.
+"""Straight-line functions of generated code cut into pieces.
 
-In: a function's statements. Out: its text, of a long one as a series of calls; what one piece computes and a later one
-needs travels through an array on the stack.
+In: a function's statements. Out: its text; of a long one as a series of calls, so that compilation takes a time linear
+in length, or with what depends on one input alone apart, which is then computed once for many points. What one piece
+computes and a later one needs travels through an array.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -15,6 +17,8 @@ from flexopt.compiled.fused import HEAD, Straight
 LONG = 12_000
 # Of shorter pieces more values travel through memory; longer ones compile no faster and run no faster.
 PIECE = 1500
+
+_INPUT = re.compile(r"\barg\[(\d+)\]\[")
 
 
 def in_pieces(function: Straight, *, long: int = LONG, piece: int = PIECE) -> str:
@@ -46,6 +50,31 @@ def in_pieces(function: Straight, *, long: int = LONG, piece: int = PIECE) -> st
         texts += [opening, *read, *(function.line(i) for i in range(start, end)), *kept, "}"]
     calls = [f"  {name}_{k}(arg, res, s);" for k in range(len(edges) - 1)]
     return "\n".join([*texts, function.head, f"  casadi_real s[{size} + 1];", *calls, "  return 0;", "}"])
+
+
+def beforehand(function: Straight, given: int) -> tuple[str, str, int]:
+    """What depends on input `given` alone as a function NAME_before(arg, w) that fills w; the rest; how much is in w."""
+    moving, computed = set[str](), set[str]()
+    early, late, read = list[int](), list[int](), set[str]()
+    for k, (target, text) in enumerate(zip(function.targets, function.texts, strict=True)):
+        used = function.uses(k)
+        if target is None or not moving.isdisjoint(used) or any(int(i) != given for i in _INPUT.findall(text)):
+            late.append(k)
+            moving.update([target] if target else [])
+            read.update(used)
+        else:
+            early.append(k)
+            computed.update([target] if used else [])
+    kept = [v for k in early if (v := function.targets[k]) in read and v in computed]
+    match = HEAD.fullmatch(function.head)
+    assert match is not None
+    # What is merely read, numbers and inputs, is read again.
+    again = [k for k in early if function.targets[k] in read and function.targets[k] not in computed]
+    before = [f"static void {match[1]}_before(const casadi_real** arg, casadi_real* w) {{", *map(function.line, early)]
+    before += [*(f"  w[{place}]={value};" for place, value in enumerate(kept)), "}"]
+    rest = [function.head, *(f"  const vec {value}=w[{place}].v;" for place, value in enumerate(kept))]
+    rest += [*map(function.line, sorted([*again, *late])), "  return 0;", "}"]
+    return "\n".join(before), "\n".join(rest), len(kept)
 
 
 def _needed(function: Straight, edges: Sequence[int]) -> list[set[str]]:

@@ -30,6 +30,7 @@ def test_pieces_compute_what_the_whole_does(monkeypatch, piece):
         pytest.skip("no compiler")
     steps = 3 if piece == 1 else 60
     function = long_function(steps)
+    monkeypatch.setattr(lanes, "SHORT", 0)
     monkeypatch.setattr(lanes, "in_pieces", lambda given: pieces.in_pieces(given, long=10, piece=piece))
     monkeypatch.setattr("flexopt.compiled.libraries.key_of", lambda f, c, p: f"pieces-{piece}-{c.identity}-{p}")
     cut = batch(function)
