@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any, Literal
 
+from flexopt.foundation.nearest import nearest
 from flexopt.foundation.quantities import Quantity, a_list, accepting, each_named, entries, whole_number
 
 Elbow = Literal["up", "down"]
@@ -24,6 +24,8 @@ TARGETS_MAX = 1000
 DECAY, ALLOWED_GAIN, DELAY_MARGIN = "decay", "allowed_gain", "delay_margin"
 ALLOWANCE, RADIUS, SETTLING, SWING = "allowance", "radius", "settling", "swing"
 OUTCOMES = (DECAY, ALLOWED_GAIN, DELAY_MARGIN, ALLOWANCE, RADIUS, SETTLING, SWING)
+MODES_MAX = 99
+OBJECTIVE_WORDS = (*(f"w{mode}" for mode in range(1, MODES_MAX + 1)), "V", "epsilon_max", *OUTCOMES)
 WEIGHT = Quantity("", low=0.0, high=1e6)
 BASE_RATE, BASE_ACCELERATION = Quantity("m/s", above=0.0, high=1e3), Quantity("m/s²", above=0.0, high=1e4)
 
@@ -32,10 +34,13 @@ BASE_RATE, BASE_ACCELERATION = Quantity("m/s", above=0.0, high=1e3), Quantity("m
 def check_objective(value: Any) -> str:
     """`w1`, `w2`, …, `V`, `epsilon_max`, one of `OUTCOMES`, or several of them in order, separated by commas."""
     words = value.replace(" ", "").split(",") if isinstance(value, str) else []
-    if not words or not all(word in OUTCOMES or re.fullmatch(r"V|epsilon_max|w[1-9][0-9]?", word) for word in words):
+    unknown = [word for word in words if word not in OBJECTIVE_WORDS]
+    if not words or unknown:
+        near = [nearest(word, OBJECTIVE_WORDS) for word in unknown]
         raise ValueError(
             f"must be w1, w2, … (one mode), V (a weighted sum) or epsilon_max, of a loop {', '.join(OUTCOMES)}, or "
             "several of them in order of importance, separated by commas"
+            + "".join(f"; did you mean {word!r}?" for word in dict.fromkeys(near) if word is not None)
         )
     if len(set(words)) < len(words):
         raise ValueError("names the same objective twice")

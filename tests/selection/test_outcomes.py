@@ -155,6 +155,8 @@ def test_what_does_not_go_together() -> None:
         ({"objective": "decay", "weights": [1, 0, 0]}, "weights"),
         ({"objective": "w1", "loop": FIXED}, "goes with an objective of the loop"),
         ({"objective": "decay,speed"}, "must be w1"),
+        ({"objective": "w_1, decy"}, "did you mean 'w1'.; did you mean 'decay'.$"),
+        ({"objective": "nothing at all"}, "separated by commas$"),
         ({"objective": "decay", "loop": {"control": "transpose"}}, "control that is asked for"),
     ):
         with pytest.raises(flexopt.InputError, match=sentence):
