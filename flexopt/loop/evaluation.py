@@ -18,6 +18,7 @@ from flexopt.foundation.results import Result
 from flexopt.loop.lag import LaggedModes, lagged_modes
 from flexopt.loop.outcome import HIGH, LOW, MEASURES, LoopPoint
 from flexopt.loop.settings import LoopSettings, loop_settings
+from flexopt.loop.spectrum import from_sample_to_sample
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.robustness import Evaluation, build_measures, evaluate
@@ -26,8 +27,6 @@ from flexopt.robustness.evaluation import evaluate_checked, without_rounding
 # Derivatives by measure, then by what: "base", "posture", "parameters", gains, dead time and drives.
 Slopes = Mapping[str, Mapping[str, Vector]]
 SCALARS = tuple(MEASURES)
-# From this share of the sampling rate on a motion has another sign at every sample.
-ALTERNATES = 0.499
 
 
 @dataclass(frozen=True)
@@ -124,15 +123,6 @@ class Outcome(Result):
             return f"neither decays nor grows to rounding (decay {self.decay:+.2g}/s)"
         return f"{'decays' if self.decay > 0 else 'grows'} at {abs(self.decay):.4g}/s"
 
-    @property
-    def _from_sample_to_sample(self) -> str:
-        """What makes a loop grow that changes its sign at every sample."""
-        rate = self.settings.rate
-        if self.decay >= -self.decay_rounding or self.frequency_hz < ALTERNATES * rate:
-            return ""
-        damper = ", or the damper of the self-motion," if self.settings.nullspace_damping else ""
-        return f", half the sampling rate: the velocity gain{damper} is too much for {rate:g} Hz"
-
     def __repr__(self) -> str:
         first, *sources = repr(self.settings).splitlines()
         unit = self.settings.force_units[1]
@@ -149,7 +139,10 @@ class Outcome(Result):
         if fed := [str(i + 1) for i in np.flatnonzero((self.lag_reserve < 0) & (self.first_order_decay > 0)).tolist()]:
             modes = f"mode {fed[0]}" if len(fed) == 1 else f"modes {', '.join(fed[:-1])} and {fed[-1]}"
             lines.append(f"  {modes}, reserve below 0: {self.despite_reserve}")
-        lines.append(f"  sampled loop: {self._word}, {self.frequency_hz:.4g} Hz{self._from_sample_to_sample}")
+        why = from_sample_to_sample(
+            -self.decay, self.decay_rounding, self.frequency_hz, self.settings.rate, self.settings.nullspace_damping
+        )
+        lines.append(f"  sampled loop: {self._word}, {self.frequency_hz:.4g} Hz{why}")
         lines += [f"  the arm's self-motion drifts, decay {-rate:+.3g}/s" for rate in self.drift if rate > 0]
         stable = ", ".join(self._stable) or "nowhere"
         unit = self.settings.gain_units[0] if math.isfinite(self.allowed_gain) else ""

@@ -24,10 +24,23 @@ INVARIANT = 1e-10
 OWN = 0.9
 # Of unit eigenvectors, |yᴴx| below which two eigenvalues meet: there is no derivative.
 MEETING = 1e-7
+# From this share of the sampling rate on a motion has another sign at every sample.
+ALTERNATES = 0.499
 # Steps of inverse iteration: next to an eigenvalue one or two do.
 ITERATIONS = 3
 
 Complex = NDArray[np.complex128]
+
+
+def from_sample_to_sample(growth_rate: float, rounding: float, frequency_hz: float, rate: float, damper: float) -> str:
+    """What makes a loop grow that changes its sign at every sample; empty where it does not. `rate`: of samples, Hz.
+
+    `damper`: of the arm's self-motion.
+    """
+    if growth_rate <= rounding or frequency_hz < ALTERNATES * rate:
+        return ""
+    also = ", or the damper of the self-motion," if damper else ""
+    return f", half the sampling rate: the velocity gain{also} is too much for {rate:g} Hz"
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from flexopt.model import AnyMachine
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Shown
 from flexopt.simulation.linear import SampledLoop
-from flexopt.simulation.verdict import Ended, Judgement, LoopVerdict, judge
+from flexopt.simulation.verdict import Ended, Judgement, LoopVerdict, alternating, judge
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -297,6 +297,8 @@ class Trajectory(Pictured, Result):
         spread = "" if self.growth_rate_error is None else f" ± {self.growth_rate_error:.1g}"
         shown = "–" if own is None else f"{-own:+z.4g}{spread}/s"
         exact = "–" if linear is None else f"{-linear:+z.4g}/s"
+        why = "" if self.linear is None else alternating(self.linear, self.ended)
+        at = f" at {self.linear.frequency_hz:.4g} Hz{why}" if self.linear is not None and why else ""
         beyond = "" if self.overshoot is None else f"overshoot {100 * self.overshoot:.1f} %, "
         settles = f"does not settle in {self.time[-1]:g} s"
         if self.settling_time is not None:
@@ -304,7 +306,7 @@ class Trajectory(Pictured, Result):
         verdict = "may grow or not, undecided" if self.verdict == "undecided" else self.verdict
         lines = [
             f"{self.machine}, Jacobian {self.control} control, {self.time[-1]:g} s: the oscillation {verdict} "
-            f"(decay {shown} of the base in the run, {exact} of the linear loop)",
+            f"(decay {shown} of the base in the run, {exact} of the linear loop{at})",
             f"  end-point: {settles}, {beyond}{number(self.end_error, '{:.3e} m')} off at the end",
             f"  base: turns by up to {rotation}; left in its modes: {modes}",
         ]

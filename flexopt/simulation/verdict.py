@@ -16,6 +16,7 @@ import numpy as np
 
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
+from flexopt.loop.spectrum import from_sample_to_sample
 from flexopt.loop.tangent import at_rest
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import SimulationOptions
@@ -110,7 +111,7 @@ def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> 
     rate, known = linear.growth_rate, abs(linear.growth_rate) > linear.rounding
     eigenvalues: LoopVerdict = ("grows" if rate > 0 else "converges") if known else "undecided"
     verb = {"grows": "grows", "converges": "decays", "undecided": "neither grows nor decays"}[eigenvalues]
-    other = f"the linear loop {verb} (decay {-rate:+z.4g}/s at {linear.frequency_hz:.4g} Hz)"
+    other = f"the linear loop {verb} (decay {-rate:+z.4g}/s at {linear.frequency_hz:.4g} Hz{alternating(linear, ended)})"
     other += "".join(f", the arm's self-motion drifts (decay {-own:+.3g}/s)" for own in linear.drift[:1] if own > 0)
     if run.short and not (run.ended < run.duration and eigenvalues == "grows"):
         needed = f"four periods of the slowest mode, {run.slowest_hz:.4g} Hz, undisturbed"
@@ -120,6 +121,14 @@ def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> 
     if eigenvalues == "undecided":
         return Judgement("undecided", f"{said}, but {other}, to rounding")
     return Judgement("undecided", f"{said}, but {other}: {_why(linear, ended)}")
+
+
+def alternating(linear: SampledLoop, ended: Ended | None) -> str:
+    """What makes the loop grow where it changes its sign at every sample; empty where it does not."""
+    if ended is None or ended.options.feedback == "robust":
+        return ""
+    rate, damper = 1 / linear.period, ended.options.nullspace_damping
+    return from_sample_to_sample(linear.growth_rate, linear.rounding, linear.frequency_hz, rate, damper)
 
 
 def _why(linear: SampledLoop, ended: Ended | None) -> str:

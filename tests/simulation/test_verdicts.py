@@ -35,6 +35,16 @@ def loop(rate: float, rounding: float = 1e-10) -> SampledLoop:
     return SampledLoop(np.array([np.exp(0.005 * (rate + 20j))]), 0.005, rounding=rounding)
 
 
+def test_a_run_that_alternates_from_sample_to_sample_is_told_why() -> None:
+    """In the words of `flexopt.outcome`; a mode of the base that grows has other causes."""
+    cause = "at 100 Hz, half the sampling rate: the velocity gain is too much for 200 Hz"
+    steep = flexopt.simulate(EXCAVATOR, POSTURE_B, kp=1e4, kv=5e5, duration=1.0)
+    assert cause in str(steep).splitlines()[0]
+    assert cause in steep.verdict_reason
+    grows = flexopt.simulate(EXCAVATOR, POSTURE_B, kp=1e6, kv=1e3, duration=1.0)
+    assert "half the sampling rate" not in str(grows) + grows.verdict_reason
+
+
 GROWN = {"word": "grows", "rate": 0.5}
 
 
