@@ -227,7 +227,7 @@ class SimulationOptions(BuiltByCall):
 
 
 class LoopKeywords(TypedDict, total=False):
-    """Fields of `SimulationOptions` as keywords of a call, for type checkers; None is left out."""
+    """Fields of `SimulationOptions` as keywords of a call, for type checkers; one that is None counts as not given."""
 
     end_point: TargetLike | None
     elbow: Elbow | None

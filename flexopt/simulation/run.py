@@ -75,7 +75,7 @@ def simulate(
         options: the loop and its run, see `flexopt.SimulationOptions`;  keywords: its fields, in place of its:
             end_point, elbow, base, control, feedback, kp, kv, ki, integral_limit, gain, offset, duration, rate, hold,
             integrator, substeps, gravity, gravity_compensation, nullspace_damping, sensor, actuator, base_path,
-            target_path, seed, baked. None is left out.
+            target_path, seed, baked. One that is None counts as not given.
 
     Raises:
         InputError: arguments are not usable (all faults in one message), or RK4's step is too long for the fastest

@@ -111,7 +111,8 @@ def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> 
     rate, known = linear.growth_rate, abs(linear.growth_rate) > linear.rounding
     eigenvalues: LoopVerdict = ("grows" if rate > 0 else "converges") if known else "undecided"
     verb = {"grows": "grows", "converges": "decays", "undecided": "neither grows nor decays"}[eigenvalues]
-    other = f"the linear loop {verb} (decay {-rate:+z.4g}/s at {linear.frequency_hz:.4g} Hz{alternating(linear, ended)})"
+    why = alternating(linear, ended)
+    other = f"the linear loop {verb} (decay {-rate:+z.4g}/s at {linear.frequency_hz:.4g} Hz{why})"
     other += "".join(f", the arm's self-motion drifts (decay {-own:+.3g}/s)" for own in linear.drift[:1] if own > 0)
     if run.short and not (run.ended < run.duration and eigenvalues == "grows"):
         needed = f"four periods of the slowest mode, {run.slowest_hz:.4g} Hz, undisturbed"
