@@ -17,6 +17,12 @@ if TYPE_CHECKING:
     from jinja2.nodes import EvalContext
 
 
+class Numbers(str):
+    """Name of a column of a page's table that holds numbers: they stand right, and so do words in place of one."""
+
+    __slots__ = ()
+
+
 def render(path: str, /, **values: object) -> str:
     """The template at `path` (`"export/templates/header.h"`) with its places filled.
 
@@ -41,11 +47,18 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
     )
     cast(dict[str, Any], environment.filters).update(c_text=c_text)
+    cast(dict[str, Any], environment.tests).update(of_numbers=_of_numbers)
     return environment
+
+
+def _of_numbers(name: object) -> bool:
+    return isinstance(name, Numbers)
 
 
 def _escaped(context: EvalContext, value: object) -> object:
     """Text on its way into HTML, unless it is markup already."""
     from markupsafe import Markup  # noqa: PLC0415
 
-    return Markup(markup(value)) if context.autoescape and type(value) is str else value
+    if not context.autoescape or not isinstance(value, str) or isinstance(value, Markup):
+        return value
+    return Markup(markup(value))

@@ -9,6 +9,7 @@ import base64
 import io
 import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
 
     from flexopt.simulation import Trajectory
 
-# Names of columns and rows of text, as `pieces.html` draws them; None where there is nothing to show.
+# Names of columns, `Numbers` where they hold these, and rows of text, as `pieces.html` draws them; None where there is
+# nothing to show.
 Table = tuple[Sequence[str], Sequence[Sequence[str]]] | None
 
 
@@ -36,6 +38,8 @@ COLOURS = 256
 DOTS = 110  # per inch
 # Of zlib: the greatest takes three times as long and saves 1 to 2 %.
 COMPRESSION = 8
+# A hyphen that stands for a minus: before a number, of no word and no other number before it; or in an exponent.
+MINUS = re.compile(r"(?<![\w.)\]-])-(?=\.?\d)|(?<=\de)-(?=\d)")
 # Coordinates below it are where a search came to rest beside 0, m or rad.
 NEAR_ZERO = 1e-7
 
@@ -103,11 +107,21 @@ def begun(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
+def with_minus(text: str) -> str:
+    """Text with the minus sign before its negative numbers and exponents, in place of the hyphen."""
+    return MINUS.sub("−", text)
+
+
+def sentence(text: str) -> str:
+    """A clause as a sentence of a page; empty where there is none."""
+    return text and f"{begun(with_minus(text))}."
+
+
 def number(value: float | None, digits: int = 5) -> str:
     """A number in a page; – where there is none."""
     if value is None or not math.isfinite(value):
         return "–"
-    return f"{value + 0.0:.{digits}g}".replace("-", "−")  # −0.0 is 0
+    return with_minus(f"{value + 0.0:.{digits}g}")  # −0.0 is 0
 
 
 def coordinate(value: float, digits: int = 5) -> str:

@@ -9,13 +9,24 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.rendering import render
+from flexopt.foundation.rendering import Numbers, render
 from flexopt.robustness import Evaluation
 from flexopt.robustness.evaluation import without_rounding
 from flexopt.selection import Selection
 from flexopt.selection.result import shown_measures
 from flexopt.selection.several import BasePlan, Stand
-from flexopt.study.page import Picture, Table, begun, coordinate, number, picture, pictures, run_figures
+from flexopt.study.page import (
+    Picture,
+    Table,
+    begun,
+    coordinate,
+    number,
+    picture,
+    pictures,
+    run_figures,
+    sentence,
+    with_minus,
+)
 from flexopt.study.places import FIRST, STAY
 from flexopt.study.problem_tables import SHOWN, constraints, coordinates, modes, parameters, some, written_residue
 from flexopt.study.surroundings import CHOSEN, PRESENT
@@ -58,14 +69,16 @@ def report_html(report: Report) -> str:
                 lambda theme: report.selection.plot(theme=theme), CAPTIONS["several" if several else "selection"]
             )
         },
+        notes=[with_minus(note) for note in report.notes],
+        missing=with_minus(report.no_verdict),
         sentence=_sentence(report),
         placed=placed,
         placed_note=note,
         measured=_measured(report),
-        said=" ".join(f"{begun(str(each))}." for each in (*report.selection.remarks, *report.problem.assumed)),
+        said=" ".join(sentence(str(each)) for each in (*report.selection.remarks, *report.problem.assumed)),
         constraints=constraints(report),
         panels=_panels(report),
-        frame="" if report.map is None else begun(str(report.map.dataset.attrs["frame"])),
+        frame="" if report.map is None else sentence(str(report.map.dataset.attrs["frame"])),
         map_caption=_map_caption(report),
         around="at the worst target" if several else "of the chosen configuration",
         loops=_loops(report),
@@ -181,15 +194,15 @@ def _placed(report: Report) -> tuple[Table, str]:
         wide = [f"{k} ({len(c.continuum)} more)" for k, c in enumerate(selection.candidates[:SHOWN], 1) if c.continuum]
     notes = [f"And {more} more."] * (more > 0)
     if not isinstance(selection, Selection):
-        told = begun(selection.unused_posture)
+        told = selection.unused_posture
     else:
-        told = selection.present_told and f"Present: {selection.present_told}"
-    notes += [f"{told}."] * bool(told)
+        told = selection.present_told and f"present: {selection.present_told}"
+    notes += [sentence(told)] * bool(told)
     if wide:
         notes.append(
             f"Placements that change nothing else, as when the machine turns about the target: {', '.join(wide)}."
         )
-    return (["", *names, *[last] * said], rows), " ".join(notes)
+    return (["", *map(Numbers, names), *[last] * said], rows), " ".join(notes)
 
 
 def _measured(report: Report) -> Table:
@@ -203,8 +216,8 @@ def _measured(report: Report) -> Table:
             shown_measures(selection.problem, e) if isinstance(selection, Selection) else without_rounding(e.w, e.scale)
         )
 
-    header = ["", *(f"w{i}, {unit}" for i in modes), "ε_max", *(f"f{i}, Hz" for i in modes)]
-    return header, [
+    numbers = (*(f"w{i}, {unit}" for i in modes), "ε_max", *(f"f{i}, Hz" for i in modes))
+    return ["", *map(Numbers, numbers)], [
         [
             name,
             *(number(w, 4) for w in shown(e)),
@@ -233,7 +246,7 @@ def _options(report: Report) -> str:
     given = report.simulation
     told = ", ".join(f"{name} = {_told(value)}" for name, value in given.items())
     real = next((loop.run.loop for loop in report.loops.values() if loop.run.loop is not None), None)
-    controller = "" if real is None else f"Controller: {repr(real).splitlines()[0]}. "
+    controller = "" if real is None else f"Controller: {with_minus(repr(real).splitlines()[0])}. "
     others = "all others" if real is None else "all that the controller does not say"
     return (
         f"{controller}Options of flexopt.simulate: {told}; {others} are its defaults." if told else controller.strip()
@@ -264,8 +277,8 @@ def _loops(report: Report) -> Table:
             ]
         )  # fmt: skip
     header = [
-        "configuration", "verdict", "decay of the base in the run, 1/s", "decay of the linear loop, 1/s",
-        "settles in, s", "largest base rotation, mrad", "end-point at the end, mm off", "duration, s",
+        "configuration", "verdict", Numbers("decay of the base in the run, 1/s"), "decay of the linear loop, 1/s",
+        *map(Numbers, ("settles in, s", "largest base rotation, mrad", "end-point at the end, mm off", "duration, s")),
     ]  # fmt: skip
     return (header, rows) if rows else None
 
@@ -281,5 +294,5 @@ def _borders(report: Report) -> Table:
         ]
         for row in report.borders
     ]
-    header = ["configuration", "held", "integrator", f"stable Kp, {report.gain_unit}", "then grows, Hz"]
+    header = ["configuration", "held", "integrator", f"stable Kp, {report.gain_unit}", Numbers("then grows, Hz")]
     return (header, rows) if rows else None

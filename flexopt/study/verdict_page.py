@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from flexopt.foundation.rendering import render
+from flexopt.foundation.rendering import Numbers, render
 from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
 from flexopt.study.decision import BETTER
-from flexopt.study.page import Picture, Table, begun, coordinate, number, picture
+from flexopt.study.page import Picture, Table, begun, coordinate, number, picture, sentence, with_minus
 from flexopt.study.places import MOVE, STAY, told
 
 if TYPE_CHECKING:
@@ -82,20 +82,20 @@ def judged(verdict: Verdict) -> dict[str, Any]:
     return {
         "verdict": verdict,
         "head": _head(verdict),
-        "reason": f"{begun(verdict.reason)}.",
-        "measure": verdict.measure and f"{begun(verdict.measure)}.",
+        "reason": sentence(verdict.reason),
+        "measure": sentence(verdict.measure),
         "stand": _stand(verdict),
         "numbers": _numbers(verdict),
         "bands": _pictures(verdict),
         "places": _places(verdict),
-        "left_out": verdict.left_out and f"{begun(verdict.left_out)}.",
-        "drifts": verdict.drifts and f"{begun(verdict.drifts)}.",
-        "taken": verdict.taken and f"Staying is judged in {verdict.taken}.",
+        "left_out": sentence(verdict.left_out),
+        "drifts": sentence(verdict.drifts),
+        "taken": verdict.taken and sentence(f"staying is judged in {verdict.taken}"),
         "where": _where(verdict),
-        "loop": verdict.controller,
-        "handed_on": verdict.handed_on and f"{begun(verdict.handed_on)}.",
+        "loop": with_minus(verdict.controller),
+        "handed_on": sentence(verdict.handed_on),
         "sources": (("number", "where it is from"), list(verdict.settings.sources.items())),
-        "over": f"{begun(verdict.over)}.",
+        "over": sentence(verdict.over),
     }
 
 
@@ -177,7 +177,7 @@ def _worst(place: PlaceVerdict, m: Compared) -> BoxNumber:
     value = getattr(getattr(place, m.attribute), m.worst)
     unit = f" {m.unit}" if m.unit else ""
     none = "grows" if m.attribute == "settling" and place.decay.least <= 0 else m.none
-    return BoxNumber(none if math.isnan(value) else told(value, m.factor, unit).replace("-", "−"), value)
+    return BoxNumber(none if math.isnan(value) else with_minus(told(value, m.factor, unit)), value)
 
 
 def _pictures(verdict: Verdict) -> list[Picture]:
@@ -194,7 +194,8 @@ def _pictures(verdict: Verdict) -> list[Picture]:
 def _places(verdict: Verdict) -> Table:
     """Every place's worst over what is uncertain."""
     shown = measures(verdict)
-    header = ["place", "drive", *map(_title, shown), "stable on", f"{BETTER} on", "nonlinear runs"]
+    numbers = ("drive", *map(_title, shown), "stable on", f"{BETTER} on")
+    header = ["place", *map(Numbers, numbers), "nonlinear runs"]
     rows = [
         [
             place.name, "" if place.name == STAY else told(place.drive, 1.0, " m"),
@@ -208,7 +209,7 @@ def _places(verdict: Verdict) -> Table:
 
 def _where(verdict: Verdict) -> Table:
     """Placement and posture of each."""
-    header = ["place", *(f"{name}, {unit}" for name, unit in _names(verdict))]
+    header = ["place", *(Numbers(f"{name}, {unit}") for name, unit in _names(verdict))]
     return header, [
         [f"{place.name}{f', {at}' if at else ''}", *map(coordinate, values)]
         for place in verdict.places

@@ -18,7 +18,7 @@ from playwright.sync_api import Browser
 
 import flexopt
 from flexopt.foundation import printing
-from flexopt.foundation.rendering import render
+from flexopt.foundation.rendering import Numbers, _environment, render
 from flexopt.selection import Selection
 from flexopt.study import page as study_page
 from flexopt.study import problem_page
@@ -114,7 +114,7 @@ def test_the_box_says_the_verdicts_own_numbers(judged: flexopt.Report) -> None:
     assert attributes["class"] == "box move"
     stay, place = (next(p for p in verdict.places if p.name == name) for name in (STAY, verdict.place))
     assert f"Move to {verdict.place}" in text
-    assert verdict.reason[1:] in text
+    assert study_page.with_minus(verdict.reason)[1:] in text
     told = [float(number["value"] or "") for number, _ in page.all("data", "section")]
     expected = [*place.base, *place.posture, place.drive]
     for band, end in (("decay", "least"), ("settling", "greatest"), ("allowed_gain", "least"), ("delay_margin", "least"),
@@ -136,8 +136,10 @@ def test_every_place_is_beside_the_others(judged: flexopt.Report) -> None:
     assert all(place.name in words for place in verdict.places)
     assert "stiffness times 0.5 to 2" in words
     assert verdict.rule in words
-    # Numbers with their unit are right-aligned, on one line.
-    assert set(re.findall(r"<td([^>]*)>[^< ]+ N m</td>", page_text(judged))) == {' class="number"'}
+    # Numbers with their unit are right-aligned, on one line, and so is what stands for one that there is not.
+    for told in ("[^< ]+ N m", "grows", "none"):
+        assert set(re.findall(rf"<td([^>]*)>{told}</td>", page_text(judged))) == {' class="number"'}
+    assert not re.search(r"(?<![\w(])-\d", words)
     figure = verdict.plot()
     assert [axes.get_xlabel().split(" (")[0] for axes in figure.axes] == [
         "decay", "settling time", "allowed Kp", "delay margin", "base swing, move of 0.1 m",
@@ -239,12 +241,32 @@ def test_what_the_command_says_of_a_choice_is_on_the_page(name: str, request: py
     left = dataclasses.replace(report.selection, unverified=worth + 1.0)
     words = Parsed(report_html(dataclasses.replace(report, selection=left))).all("main")[0][1]
     assert left.remarks
-    assert all(study_page.begun(sentence) in words for sentence in left.remarks)
+    assert all(study_page.sentence(remark) in words for remark in left.remarks)
     assert all(f"\n  {sentence}\n" in f"{left!r}\n" for sentence in left.remarks)
 
 
 def test_nothing_is_minus_zero() -> None:
     assert [study_page.number(value) for value in (-0.0, 0.0, -1.5)] == ["0", "0", "−1.5"]
+
+
+def test_negative_numbers_have_a_minus_sign() -> None:
+    """In sentences, too; hyphens of names, ranges and dates stay."""
+    told = "decay -0.07/s at (-1, -.5), 2e-05 of it; truck-crane, tip-over, arm-2, 2024-01-02, 3-4"
+    assert study_page.sentence(told) == (
+        "Decay −0.07/s at (−1, −.5), 2e−05 of it; truck-crane, tip-over, arm-2, 2024-01-02, 3-4."
+    )
+    assert study_page.sentence("") == ""
+
+
+def test_columns_say_what_they_hold() -> None:
+    """Words in place of a number stand right as numbers do; words that begin with a digit stay words."""
+    source = '{% from "foundation/templates/pieces.html" import table %}{{ table(given) }}'
+    given = (["a", Numbers("b"), "c <"], [["1", "grows", "2 of 3"], ["2", "−1.5 N m", "4"]])
+    found = Parsed(_environment().from_string(source).render(given=given))
+    assert [(dict(each)["class"], text) for each, text in found.all("td") if each] == [
+        ("number", "grows"), ("number", "−1.5 N m"),
+    ]  # fmt: skip
+    assert [text for each, text in found.all("th") if each.get("class") == "number"] == ["b"]
 
 
 @pytest.mark.needs("chromium")

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from flexopt.export.verify.tools import StepFailed, ToolMissing
 from flexopt.foundation.arrays import Document
+from flexopt.foundation.rendering import Numbers
 from flexopt.foundation.results import Result
 
 Target = Literal["host", "cortex-m4f", "cortex-m7"]
@@ -22,6 +23,12 @@ class Table:
     title: str
     header: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the columns as a page shows them: `Numbers` where their values are."""
+        numeric = [any(isinstance(row[k], int | float) for row in self.rows) for k in range(len(self.header))]
+        return [Numbers(name) if each else name for name, each in zip(self.header, numeric, strict=True)]
 
     @property
     def texts(self) -> list[list[str]]:
