@@ -23,6 +23,7 @@ from flexopt.robustness.evaluation import Evaluation, evaluate_checked
 from flexopt.robustness.margin import Margin, build_margin
 from flexopt.robustness.measures import Measures, build_measures
 from flexopt.robustness.posture_margin import evaluate_margin
+from flexopt.robustness.residues import MIXED, residue_unit
 from flexopt.selection.own import OwnGraphs, OwnTerm, own_faults, own_graphs, weights_of
 
 # Two eigenvalues of XZ this close, in ε, both count where stationarity is checked.
@@ -68,6 +69,11 @@ class Objective:
     def weights(self) -> Vector:
         """α and, where ε_max takes part, β after it."""
         return np.array([*self.alpha, self.beta] if self.has_kinks else self.alpha)
+
+    def unit(self, control: Control, joint_units: tuple[str, ...]) -> str:
+        """Of V: that of the w_i where they alone take part; empty where it has none, or no one."""
+        unit = residue_unit(control, joint_units)
+        return "" if self.has_kinks or self.own is not None or unit == MIXED else unit
 
     def value(self, w: Vector, epsilon: float | None) -> float:
         """V from the measures (m,) and ε_max, without what is the user's own."""

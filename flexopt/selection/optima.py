@@ -429,7 +429,8 @@ def next_stage(
     """The problem of the next objective, with the best value of the present one to be kept; and what that is."""
     values = [value_at(problem, z) for z, _, _ in found]
     best = max(values)
-    kept = Kept(problem.objective.name, best, best - problem.given_up(best), unverified=unverified)
+    unit = problem.objective.unit(problem.control, problem.machine.joint_units)
+    kept = Kept(problem.objective.name, best, best - problem.given_up(best), unverified=unverified, unit=unit)
     found[:] = [item for item, value in zip(found, values, strict=True) if value >= kept.at_least]
     return replace(problem, kept=(*problem.kept, kept.at_least)), kept
 

@@ -151,7 +151,7 @@ class Kept:
     """An objective that the next ones keep: its name, the best V found, and what V must be at least.
 
     Of what shall be small, `"settling"` and `"swing"`, what it may be at most. A bound that is none is infinite (JSON:
-    null). `unverified`: as of `Selection`.
+    null). `unverified`: as of `Selection`;  `unit`: of the numbers, empty where they have none.
     """
 
     objective: str
@@ -159,15 +159,16 @@ class Kept:
     at_least: float
     at_most: float = math.inf
     unverified: float | None = None
+    unit: str = ""
 
     def __str__(self) -> str:
         told = unverified_told(self.objective, self.unverified)
-        further = f"; {told}" if told else ""
+        further, unit = f"; {told}" if told else "", self.unit and f" {self.unit}"
         if math.isfinite(self.at_most):
             above = f"{self.at_most - self.best:.1e} above its best"
-            return f"{self.objective} kept: at most {self.at_most:.6g}, {above}{further}"
+            return f"{self.objective} kept: at most {self.at_most:.6g}{unit}, {above}{further}"
         below = f"{self.best - self.at_least:.1e} below its best"
-        return f"{self.objective} kept: at least {self.at_least:.6g}, {below}{further}"
+        return f"{self.objective} kept: at least {self.at_least:.6g}{unit}, {below}{further}"
 
 
 def unverified_told(objective: str, value: float | None) -> str:
@@ -206,7 +207,7 @@ class Selection(Pictured, Result):
 
     DOCUMENT = (
         "status converged best edges decided_by nothing_to_gain left_out candidates initial attempts missed_chance "
-        "unverified kept problem provenance"
+        "unverified kept objective_unit problem provenance"
     )
 
     best: Candidate
@@ -281,6 +282,11 @@ class Selection(Pictured, Result):
             told.append(f"ε_max {best.evaluation.epsilon_max:.6g}")
         told.append(way_there(self.problem, best))
         return f"among those as good, in this order: {', '.join(told)}"
+
+    @property
+    def objective_unit(self) -> str:
+        """Of `Candidate.objective`; empty where it has none."""
+        return self.problem.sought[0].unit(self.problem.control, self.problem.machine.joint_units)
 
     @property
     def nothing_to_gain(self) -> str:

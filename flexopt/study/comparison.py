@@ -85,7 +85,7 @@ def within(prefix: str, quantities: Sequence[SavedQuantity]) -> tuple[SavedQuant
 
 CHOICE = (
     SavedQuantity("status", "status"),
-    SavedQuantity("best.objective", "objective", more=True, scale="problem.objective_scale"),
+    SavedQuantity("best.objective", "objective", more=True, units="objective_unit", scale="problem.objective_scale"),
     *within("best", POSTURE),
 )
 # Of a place that a verdict tells of the worst over what is uncertain, as in its table.
@@ -288,14 +288,15 @@ def _rows(quantity: SavedQuantity, documents: Sequence[Any]) -> list[ComparedRow
 def _units(quantity: SavedQuantity, documents: Sequence[Any]) -> str:
     """The unit of a number, or of every w_i; where documents have different ones all of them."""
     found = [_unit(quantity, document) for document in documents if _at(document, quantity.key) is not None]
-    return " or ".join(dict.fromkeys(filter(None, found))) or quantity.unit
+    return " or ".join(unit or "no unit" for unit in dict.fromkeys(found)) if any(found) else quantity.unit
 
 
 def _unit(quantity: SavedQuantity, document: Any) -> str:
     control, joints = _at(document, quantity.control), _listed(document, _beside(quantity.control, "joint_units"))
     if isinstance(control, str) and joints:
         return residue_unit(control, tuple(map(str, joints)))
-    listed = _listed(document, quantity.units)
+    told = _at(document, quantity.units)
+    listed = cast(list[Any], told) if isinstance(told, list) else [told or ""]
     return str(listed[0]) if listed else ""
 
 

@@ -39,7 +39,8 @@ def test_no_point_of_a_scan_keeps_the_first_and_has_more_of_the_second(objective
     assert kept.best >= best_first - 1e-12
     assert best > -math.inf
     assert found.best.objective >= best - 1e-6 * abs(best)
-    assert f"{first} kept: at least" in repr(found)
+    unit = {"decay": "1/s", "delay_margin": "s", "w1": "1/(kg m2)"}[first]
+    assert f"{first} kept: at least {kept.at_least:.6g} {unit}, " in repr(found)
     assert f"objective {objective}:" in repr(found)
     assert found.to_dict()["kept"][0]["at_least"] == kept.at_least
 

@@ -115,7 +115,8 @@ def test_the_slack_is_a_share_of_the_value_and_stated(machine, objective, slack)
     first, size = selection.problem.objectives[0], selection.problem.objective_scales[0]
     allowed = (slack or 1e-5) * max(abs(kept.best), size - first.beta)
     assert math.isclose(kept.best - kept.at_least, allowed, rel_tol=1e-9)
-    assert f"{kept.objective} kept: at least" in repr(selection)
+    unit = " 1/(kg m2)" if kept.objective == "w1" else ""
+    assert f"{kept.objective} kept: at least {kept.at_least:.6g}{unit}, " in repr(selection)
     assert selection.to_dict()["kept"] == [vars(kept) | {"at_most": None}]
     for candidate in selection.candidates:
         value = first.value(candidate.w, candidate.evaluation.epsilon_max)

@@ -97,6 +97,14 @@ def test_selections_and_verdicts(command: Command, tmp_path: Path) -> None:
     # 1e-28 is rounding, not a difference between two places that are both perfect.
     assert rows["w1"] == [pytest.approx(0.0, abs=1e-30)] * 2
     assert ["control", ["inverse", "transpose"]] in document["differences"]
+    # What is chosen by has a unit, as ε_max has none.
+    units = {row["label"]: row["unit"] for row in document["rows"]}
+    assert units["objective"] == "1/(kg m2) or 1/kg"
+    margin = save(
+        tmp_path, "margin", flexopt.select(found[0].problem.machine, (0.0, 1.6), objective="epsilon_max", starts=4)
+    )
+    assert "objective, 1/(kg m2) or no unit " in command("compare", files[0], margin).stdout
+    assert "objective  " in command("compare", margin, margin).stdout
     verdicts = [flexopt.verdict(found[0], loop={"kp": kp, "kv": kp / 10}, members=2, runs=0) for kp in (1e4, 3e4)]
     files = [save(tmp_path, name, each) for name, each in zip("ab", verdicts, strict=True)]
     document = command("compare", *files, "--json", "--plot", "beside.png").document

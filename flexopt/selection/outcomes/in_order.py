@@ -58,7 +58,7 @@ def outcome_selection_in_order(
         at_least = best - (problem.given_up(best) if measure.of_modes else problem.slack * abs(best))
         ends = (at_least, math.inf) if measure.sign > 0 else (-math.inf, -at_least)
         bounds = (*bounds, (measure, at_least))
-        kept.append(Kept(name, found.best.objective, *ends, found.unverified))
+        kept.append(Kept(name, found.best.objective, *ends, found.unverified, found.objective_unit))
     last = problems[names[-1]]
     seeds += _of_modes(last, workers) if measure_of(names[-1], last).of_modes else []
     return outcome_selection(last, loop, uncertainty, initial, workers, progress, names[-1], least,

@@ -97,6 +97,10 @@ class OfModes(Measure):
         """See the class."""
         return self.problem.name
 
+    def unit_of(self, settings: LoopSettings) -> str:  # noqa: ARG002
+        """See the class."""
+        return self.problem.objective.unit(self.problem.control, self.problem.machine.joint_units)
+
     def value(self, loop: UncertainLoop, point: LoopPoint) -> float:  # noqa: ARG002
         """See the class."""
         z = np.concatenate([loop.base, loop.posture])

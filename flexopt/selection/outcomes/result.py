@@ -56,7 +56,8 @@ class OutcomeSelection(Selection):
         return self.criterion.told
 
     @property
-    def _unit(self) -> str:
+    def objective_unit(self) -> str:
+        """Of the measure."""
         return self.criterion.unit_of(self.settings[0])
 
     @property
@@ -107,7 +108,7 @@ class OutcomeSelection(Selection):
 
     def __repr__(self) -> str:
         best = self.best.evaluation
-        names, measure = (*best.base_coordinates, *best.joints), f"{self.measure} {self._unit}".strip()
+        names, measure = (*best.base_coordinates, *best.joints), f"{self.measure} {self.objective_unit}".strip()
         over = f", worst over {', '.join(each.name for each in self.uncertainty)}" if self.uncertainty else ""
         lines = [
             f"{best.machine}: end-point at ({', '.join(f'{x:g}' for x in self.problem.target)}) m, Jacobian "
