@@ -90,7 +90,7 @@ def _loop(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> 
         if isinstance(given, Loop):
             found = given
         else:
-            found = validated(Loop, read_table(given, field, "[loop]", InputError), field, (), InputError)
+            found = validated(Loop, read_table(given, field, "[loop]", InputError), field, kind=InputError)
         raise_if_any(InputError, field, loop_faults(found, machine))
         return found
 
@@ -118,7 +118,7 @@ def _ranges(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -
 def _uncertain(given: Any) -> Uncertainty:
     if isinstance(given, Uncertainty):
         return given
-    return validated(Uncertainty, read_table(given, "an entry", "[[uncertainty]]", InputError), "", (), InputError)
+    return validated(Uncertainty, read_table(given, "an entry", "[[uncertainty]]", InputError), "", kind=InputError)
 
 
 TABLE.update(

@@ -178,7 +178,7 @@ def _check_obstacle(value: Any) -> Obstacle:
     if not isinstance(kind, str) or kind not in OBSTACLES:
         meant = hint(kind, OBSTACLES) if isinstance(kind, str) else ""
         raise _sentence(f"kind must be {' or '.join(OBSTACLES)}{meant}")
-    return validated(OBSTACLES[kind], table, "obstacle", ())
+    return validated(OBSTACLES[kind], table, "obstacle")
 
 
 def _sentence(sentence: str) -> PydanticCustomError:
@@ -317,7 +317,7 @@ def read_constraints(value: Any, *, origin: str = "constraints") -> Constraints:
         listed = plain_table(value)
         value = listed if isinstance(listed, Unreadable) else _with_own(listed)
     table = {} if value is None else read_table(value, origin, "[constraints]")
-    return validated(Constraints, table, origin, ())
+    return validated(Constraints, table, origin)
 
 
 def _with_own(value: Any) -> dict[str, Any]:

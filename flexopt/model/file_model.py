@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
-from flexopt.foundation.nearest import hint_or_list
+from flexopt.foundation.nearest import hint_or_list, nearest
 from flexopt.foundation.offered import PLUMBING
 from flexopt.foundation.plain import Unreadable, plain_table, shown
 from flexopt.foundation.quantities import Schema, entries
@@ -82,7 +82,7 @@ class BuiltByCall(FileModel):
         try:
             super().__init__(**table)
         except ValidationError as error:
-            raise_if_any(InputError, type(self).__name__, model_faults(type(self), table, error))
+            raise_if_any(InputError, type(self).__name__, faults_as_meant(type(self), table, error)[0])
             raise
         raise_if_any(InputError, type(self).__name__, self.structural_faults())
 
@@ -109,25 +109,79 @@ def read_table(data: Any, origin: str, layout: str, kind: type[InputError] = Mod
 
 def validated(
     model: type[Model],
-    data: Table,
+    data: dict[str, Any],
     origin: str,
-    structural: Iterable[Fault],
+    structural: Callable[[dict[str, Any]], Iterable[Fault]] = lambda _: (),
     kind: type[InputError] = ModelError,
+    completed: Callable[[dict[str, Any]], dict[str, Any]] = lambda data: data,
 ) -> Model:
-    """The model of `data`, or an error of that kind with the faults of single keys and the `structural` ones."""
+    """The model of `data`, or an error of that kind with the faults of single keys and the `structural` ones.
+
+    `completed` puts to a table what users may leave out.
+    """
     check_extent(data, origin, kind)
+    meant, result, faults = completed(data), None, list[Fault]()
     try:
-        result = model.model_validate(data)
+        result = model.model_validate(meant)
     except ValidationError as error:
-        result = None
-        faults = model_faults(model, data, error)
-    else:
-        faults = []
+        faults, meant = faults_as_meant(model, meant, error, completed)
     seen = {fault.field for fault in faults}
-    faults += [fault for fault in structural if fault.field not in seen]
+    faults += [fault for fault in structural(meant) if fault.field not in seen]
     raise_if_any(kind, origin, faults)
     assert result is not None
     return result
+
+
+def faults_as_meant(
+    model: type[FileModel],
+    data: dict[str, Any],
+    error: ValidationError,
+    completed: Callable[[dict[str, Any]], dict[str, Any]] = lambda data: data,
+) -> tuple[list[Fault], dict[str, Any]]:
+    """The faults of single keys, and the table with unknown ones taken for those that were probably meant.
+
+    What would be missing, or wrong, for want of these alone is no fault of its own.
+    """
+    unknown, meant = list[Fault](), data
+    for entry in error.errors():
+        if entry["type"] == "extra_forbidden":
+            near = nearest(str(entry["loc"][-1]), _valid_keys(model, entry["loc"][:-1]))
+            renamed = None if near is None else _renamed(meant, entry["loc"], near)
+            if renamed is not None:
+                meant = renamed
+                unknown.append(_fault(model, data, cast(dict[str, Any], entry)))
+    if not unknown:
+        return model_faults(model, data, error), data
+    meant = completed(meant)
+    try:
+        model.model_validate(meant)
+    except ValidationError as further:
+        faults, meant = faults_as_meant(model, meant, further, completed)
+        return unknown + faults, meant
+    return unknown, meant
+
+
+def _renamed(data: Any, location: Sequence[str | int], key: str) -> Any:
+    """The table with another key for that at `location`; None where it has both, and they are no parts of one table."""
+    here, *rest = location
+    if rest:
+        inner = data[here] if isinstance(here, int) else table_of(data).get(here)
+        changed = None if inner is None else _renamed(inner, rest, key)
+        if changed is None:
+            return None
+        if isinstance(here, int):
+            return (*data[:here], changed, *data[here + 1 :])
+        return data | {here: changed}
+    table = table_of(data)
+    if here not in table:
+        return None
+    value: Any = table[here]
+    if key in table:
+        one, other = table_of(value), table_of(table[key])
+        if not one or not other or one.keys() & other.keys():
+            return None
+        value = other | one
+    return {word: part for word, part in table.items() if word != here} | {key: value}
 
 
 def check_extent(data: Table, origin: str, kind: type[InputError] = ModelError) -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from flexopt.errors import Fault, ModelError, raise_if_any
 from flexopt.foundation.arrays import TableLike
 from flexopt.foundation.boundary import public
 from flexopt.foundation.coordinates import check_placement, check_task
 from flexopt.foundation.quantities import entries
-from flexopt.model.file_model import Table, check_extent, read_table, table_of, validated
+from flexopt.model.file_model import Table, check_extent, quoted, read_table, table_of, validated
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.loop import loop_faults
 from flexopt.model.planar import Machine
@@ -131,8 +131,8 @@ def machine_from_dict(data: TableLike, *, origin: str = "machine") -> Machine:
         >>> flexopt.machine_from_dict(data).payload.mass
         250.0
     """
-    named = _with_link_names(read_table(data, origin, "a machine file"))
-    machine = validated(Machine, named, origin, machine_faults(named))
+    table = read_table(data, origin, "a machine file")
+    machine = validated(Machine, table, origin, machine_faults, completed=_with_link_names)
     raise_if_any(ModelError, origin, machine.part_faults())
     return machine
 
@@ -154,7 +154,7 @@ def _experiment(source: Source) -> Experiment:
         raise ModelError(f"{source.name}: is a study, not an experiment; `flexopt study run` takes it")
     if "simulation" not in source.data:
         raise ModelError(f"{source.name}: is a configuration problem, not an experiment: it has no table [simulation]")
-    experiment = validated(Experiment, read_table(source.data, source.name, "an experiment file"), source.name, ())
+    experiment = validated(Experiment, read_table(source.data, source.name, "an experiment file"), source.name)
     machine = _machine_of(source, experiment.machine)
     raise_if_any(ModelError, source.name, experiment_faults(experiment, machine))
     return experiment.with_machine(machine)
@@ -169,7 +169,6 @@ def _problem(source: Source) -> Problem:
     if "compute" in source.data:
         raise ModelError(f"{source.name}: is a study, not a configuration problem; `flexopt study run` takes it")
     check_extent(source.data, source.name)
-    faults = problem_faults(source.data)
     table = read_table(source.data, source.name, "a problem file")
     name = source.data.get("machine")
     machine: Machine | Tree | None = None
@@ -177,11 +176,13 @@ def _problem(source: Source) -> Problem:
         machine = _machine_of(source, name) if isinstance(name, str) and name else None
     except ModelError as error:
         # What is wrong with the problem itself comes first.
-        validated(Problem, table, source.name, faults)
+        validated(Problem, table, source.name, problem_faults)
         raise error from None
-    if machine is not None:
-        faults += _size_faults(source.data, machine)
-    problem = validated(Problem, table, source.name, faults)
+
+    def structural(table: Table) -> list[Fault]:
+        return problem_faults(table) + ([] if machine is None else _size_faults(table, machine))
+
+    problem = validated(Problem, table, source.name, structural)
     assert machine is not None
     own = uncertainty_faults(problem.uncertainty, machine)
     if problem.loop is not None:
@@ -207,11 +208,11 @@ def _size_faults(data: Table, machine: Machine | Tree) -> list[Fault]:
     faults: list[Fault] = []
     for table, key, check in checks:
         value = table_of(data.get(table)).get(key)
-        if isinstance(value, list | int | float) and not isinstance(value, bool):
+        if isinstance(value, tuple | int | float) and not isinstance(value, bool):
             try:
                 check(value)
             except ValueError as error:
-                faults.append(Fault(f"{table}.{key}", str(error), str(cast(Any, value))))
+                faults.append(Fault(f"{table}.{key}", str(error), quoted(value)))
     return faults
 
 

@@ -44,7 +44,7 @@ def study_from(source: Source) -> Study:
     """The study of a file that was read."""
     if "compute" not in source.data:
         raise ModelError(f"{source.name}: is no study: it has no key compute")
-    study = validated(Study, read_table(source.data, source.name, "a study file"), source.name, ())
+    study = validated(Study, read_table(source.data, source.name, "a study file"), source.name)
     word = next(word for word in SUBJECTS if getattr(study, word) is not None)
     name = getattr(study, word)
     beside = source.folder / name

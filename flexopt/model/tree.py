@@ -171,6 +171,6 @@ def tree_from_dict(data: TableLike, *, origin: str = "tree") -> Tree:
         500.0
     """
     frozen = read_table(data, origin, "flexopt.Tree")
-    tree = validated(Tree, frozen, origin, tree_faults(frozen))
+    tree = validated(Tree, frozen, origin, tree_faults)
     raise_if_any(ModelError, origin, tree.part_faults())
     return tree

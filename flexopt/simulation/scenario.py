@@ -164,7 +164,7 @@ def checked_options(
     `any_delay`: dead times need be no whole samples.
     """
     table = {name: value for name, value in given.items() if value is not None}
-    options = validated(SimulationOptions, read_table(table, call, "[simulation]", InputError), call, (), InputError)
+    options = validated(SimulationOptions, read_table(table, call, "[simulation]", InputError), call, kind=InputError)
     if machine is not None:
         faults = simulation_faults(options, machine, any_delay=any_delay)
         raise_if_any(InputError, call, faults + path_faults(machine, options))

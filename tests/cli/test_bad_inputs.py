@@ -52,9 +52,7 @@ MACHINE_ROWS = [
     machine("key-top-level-misspelt", {"bsae.mass": "5.0"}, "bsae: unknown key", "'base'"),
     machine("key-stiffness-misspelt", {"base.stifness.x": "1e7"}, "base.stifness: unknown key", "'stiffness'"),
     machine("key-direction-unknown", {"base.stiffness.z": "1e7"}, "base.stiffness.z", "x, y, rotation"),
-    machine(
-        "key-name-misspelt", {"name": None, "nmae": '"digger"'}, "name: is required", "nmae: unknown key", "'name'"
-    ),
+    machine("key-name-misspelt", {"name": None, "nmae": '"digger"'}, "nmae: unknown key; did you mean 'name'"),
     machine("mass-text", {"base.mass": '"heavy"'}, "base.mass = 'heavy'", "number, not text", "kg"),
     machine("mass-bool", {"base.mass": "true"}, "base.mass", "number, not true/false", "kg"),
     machine("mass-list", {"base.mass": "[1.0]"}, "base.mass = [1.0]", "number, not a list", "kg"),

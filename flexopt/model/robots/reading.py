@@ -145,7 +145,7 @@ def _read(data: Table, folder: Path, origin: str) -> Tree:
     if from_collisions:
         del frozen["capsules"]
     try:
-        overlay = validated(Overlay, frozen, origin, ())
+        overlay = validated(Overlay, frozen, origin)
         faults += overlay.faults()
     except ModelError as error:
         faults += error.faults
