@@ -73,7 +73,7 @@ def sampled_loop(
 ) -> SampledLoop:
     """Multipliers of the loop that `simulate` runs with the same options, at its equilibrium.
 
-    Of a real controller, a machine's `[loop]`, `flexopt.outcome` tells.
+    Of the options that are given alone: the machine's own `[loop]` is not taken. What that does is `flexopt.outcome`.
 
     Between the samples x(t + h) = e^{Ah} x(t) + ∫₀ʰ e^{As} ds B τ, exactly. Limits, dead bands and rounding of
     measurements are left out: they do not exist for vanishing motions. Paths are left out: the base stands, and the
@@ -106,6 +106,9 @@ def stability_border(
     **keywords: Unpack[LinearKeywords],
 ) -> StabilityBorder:
     """Gains Kp for which the sampled linear loop is stable.
+
+    Of the options that are given alone: the machine's own `[loop]` is not taken. What that bears is
+    `flexopt.outcome(…).gain_intervals`.
 
     Args:
         machine, posture, options, keywords: as for `flexopt.sampled_loop`; `kp` is ignored.
