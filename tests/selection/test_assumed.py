@@ -17,6 +17,7 @@ from flexopt.plant import build_plant
 from flexopt.plant.reach import outer_reach
 from flexopt.selection.assumed import assumed
 from flexopt.selection.constraints import build_constraints
+from flexopt.selection.constraints.ground import _joints
 from tests.oracles.spatial import grounded, random_tree
 from tests.selection.constraints.scenes import at_rest, mujoco_scene, random_capsules
 
@@ -131,7 +132,7 @@ def test_an_excavator_of_others_keeps_its_boom_out_of_the_ground():
     assert lowest(free) < -0.1
     names = [each["name"] for each in found.to_dict()["problem"]["assumed"]]
     assert names == ["ground", "limits", "reach", "capsules"]
-    assert "assumed (ground): the joints of stick, bucket stay above the ground" in repr(found)
+    assert "assumed (ground): the joints stick, bucket stay above the ground" in repr(found)
     assert [each.name for each in free.problem.assumed] == ["limits", "capsules"]
 
 
@@ -260,3 +261,13 @@ def test_what_may_be_in_the_way_is_told():
         flexopt.NoSolutionFound, match=r"assumed \(ground\): boom, stick stay above .* `assume` leaves it"
     ):
         flexopt.select(machine, (7.0, 0.1), constraints={"tool_angle": math.pi / 2}, starts=2, workers=1)
+
+
+def test_the_ground_names_joints_by_their_own_names() -> None:
+    """A telescope's slide is no joint `telescope`."""
+    crane = flexopt.load("truck-crane")
+    tree = crane.kinematic_tree
+    named = _joints(build_plant(crane), [body.name for body in tree.bodies])
+    assert named == [body.joint.name for body in tree.bodies]
+    assert "extend" in named
+    assert "telescope" not in named

@@ -7,6 +7,7 @@ Of every body that actuated joints raise and lower, but the end-point's and thos
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -33,7 +34,7 @@ def ground_groups(plant: Plant, height: float) -> list[Group]:
     """The rows, for a ground at this height, m."""
     capsules, carried = _above(plant.machine)
     groups = [clearance.group(plant.machine.capsules, "ground", list(capsules), (height,), NAME, 0.0)]
-    labels = [f"height of the joint of {body} above {NAME}" for body in carried]
+    labels = [f"height of the joint {joint} above {NAME}" for joint in _joints(plant, carried)]
     groups.append(Group("ground", carried, (height,), tuple(ConstraintRow(x, "m", 0.0, math.inf) for x in labels)))
     return [group for group in groups if group.rows]
 
@@ -42,9 +43,15 @@ def kept_above(plant: Plant) -> str:
     """What `ground_groups` has rows of, and that it stays above; empty where there is nothing."""
     capsules, carried = _above(plant.machine)
     bodies = list(dict.fromkeys(plant.machine.capsules[k].body for k in capsules))
-    joints = [f"the joint{'s' * (len(carried) > 1)} of {', '.join(carried)}"] if carried else []
+    joints = [f"the joint{'s' * (len(carried) > 1)} {', '.join(_joints(plant, carried))}"] if carried else []
     verb = "stays" if len(bodies) + len(carried) == 1 else "stay"
     return f"{', '.join([*bodies, *joints])} {verb} above" if bodies or joints else ""
+
+
+def _joints(plant: Plant, carried: Sequence[str]) -> list[str]:
+    """Of these bodies, by name: a slide's joint is rarely called as what slides."""
+    named = {body.name: body.joint.name for body in plant.machine.kinematic_tree.bodies}
+    return [named[body] for body in carried]
 
 
 def above_ground(plant: Plant) -> float:
