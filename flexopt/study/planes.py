@@ -19,6 +19,7 @@ from flexopt.foundation.quantities import COORDINATE, Quantity, coordinate_max, 
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.plant import build_plant
+from flexopt.robustness.evaluation import in_words
 from flexopt.study.grid import (
     Grid,
     Over,
@@ -58,7 +59,7 @@ class Plane:
         end_point: (n_task,), m, where it is held or partly held.
         base: placement (n_b,).
         ranges: along x and y.
-        rows: names of the task rows.
+        rows: names of the task rows;  placed: names and units of the placement's coordinates.
     """
 
     over: Over
@@ -70,6 +71,7 @@ class Plane:
     base: Vector = field(default_factory=lambda: np.zeros(0))
     ranges: tuple[Range, Range] = ((0.0, 1.0), (0.0, 1.0))
     rows: tuple[str, ...] = ()
+    placed: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
 
     def grid(
         self, machine: AnyMachine, points: tuple[int, int], elbow: Elbow, told: Callable[[int], None] = lambda _: None
@@ -112,8 +114,8 @@ class Plane:
         if self.over == "base":
             return f"placement in the inertial frame, end-point held at {_listed(self.end_point)} m"
         if self.followed:
-            units = "m" if self.base.size < 2 else "m and rad"
-            return f"inertial, with the base at {_listed(self.base)} {units}"
+            names, units = self.placed
+            return f"inertial, with the base at {in_words(names, self.base, units)}"
         return "workspace: axes of the inertial frame, origin at the first joint at rest, base at 0"
 
 
@@ -129,6 +131,7 @@ def read_plane(arguments: Arguments, machine: AnyMachine, over: Over | None, giv
     direct = over == "end_point" and given["posture"] is None and closed_form(machine)
     followed = over != "posture" and over is not None and not direct
     plane = Plane(over or "end_point", followed, base=np.zeros(len(machine.base_coordinates)), rows=machine.task_rows)
+    plane.placed = machine.base_coordinates, machine.base_units
     if over is None:
         return plane
     for name, maps in BELONGS.items():

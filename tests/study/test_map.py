@@ -11,6 +11,7 @@ import xarray as xr
 
 import flexopt
 from flexopt.study import points
+from flexopt.study.planes import Plane
 from tests.study.machines import limited, three_links
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
@@ -244,3 +245,11 @@ def test_no_machine():
 def test_import_stays_light():
     code = "import sys, flexopt; assert not {'xarray', 'pandas', 'matplotlib', 'flexopt.study'} & set(sys.modules), 'slow import'"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_where_the_base_stands_is_said_by_name() -> None:
+    """One coordinate or several, each with its unit."""
+    plane = Plane("end_point", True, base=np.array([-0.443, 0.0, 0.1]), placed=(("x", "y", "yaw"), ("m", "m", "rad")))
+    assert plane.frame == "inertial, with the base at x -0.4430, y 0.0000 m, yaw 0.1000 rad"
+    one = Plane("end_point", True, base=np.array([-0.443]), placed=(("x",), ("m",)))
+    assert one.frame == "inertial, with the base at x -0.4430 m"
