@@ -250,7 +250,10 @@ def _inertia(part: BodyNumbers, reach: float, planar: bool) -> Iterator[Implausi
     if not part.link:
         size = max(size, 0.25 * reach)
     if part.link and part.length > 0 and part.across < part.variance / 3 and part.variance > _most_variance(part):
-        words = f"the radius of gyration, {radius:.3g} m, is beyond what a link of {part.length:.3g} m has"
+        words = (
+            f"the radius of gyration, {radius:.3g} m, is beyond what a link of {part.length:.3g} m has, unless it is "
+            "wider than it is long"
+        )
         pivot = part.variance - part.along**2 - (part.aside**2 if part.across == 0 else 0.0)
         if pivot > (0.02 * part.length) ** 2 and radius < WIDE * size:
             about_centre = part.inertia * pivot / part.variance
