@@ -24,6 +24,8 @@ LOG_FROM = 20.0
 # Of what is neither the present choice nor the one that is told of.
 PALE = 0.45
 WIDTH = 3.9  # inches
+# Panels of a verdict beside each other: below each other, or in rows on a sheet that is wider than high.
+COLUMNS = (1, 2, 3)
 VEIL = 0.16  # of the colour of what grows, over where it does
 
 
@@ -71,10 +73,10 @@ def plot_band(bands: Bands) -> Figure:
     return figure
 
 
-@picture("Verdict", size=lambda answer: _size(answer, 1), panels=lambda answer: len(answer.bands))
+@picture("Verdict", size=lambda answer: [_size(answer, n) for n in COLUMNS], panels=lambda answer: len(answer.bands))
 def plot_verdict(sheet: Sheet, answer: Any) -> None:
     """Decay, settling, allowed gain, delay margin and base swing of every place, as bands over what is uncertain."""
-    _draw_all(sheet, answer, 1)
+    _draw_all(sheet, answer, COLUMNS[sheet.way])
 
 
 @picture("", size=lambda comparison: _size(comparison, 2))

@@ -52,13 +52,14 @@ class Sheet:
     Attributes:
         figure: the figure or the part of one; axes: the caller's own, in place of all of it.
         palette: its colours.
-        size: width and height, in.
+        size: width and height, in;  way: which of the picture's arrangements it has most room for.
     """
 
     figure: Figure | SubFigure
     axes: Axes | None
     palette: Palette
     size: Inches
+    way: int = 0
 
     def only(self) -> Axes:
         """The axes of a picture that has one panel."""
@@ -75,7 +76,7 @@ class Sheet:
 def picture(
     kind: str,
     *,
-    size: Callable[[Any], Inches],
+    size: Callable[[Any], Inches | list[Inches]],
     panels: Callable[[Any], int] = lambda _: 2,
     check: Check = anything,
 ) -> Callable[[Draw], Callable[..., Figure]]:
@@ -83,7 +84,8 @@ def picture(
 
     Args:
         kind: name of the class whose results are drawn; empty: of none alone.
-        size: width and height that a result asks for, in.
+        size: width and height that a result asks for, in; of a picture that can be arranged in several ways those of
+            each, its usual one first.
         panels: how many pairs of axes the picture of a result has.
         check: of the result.
     """
@@ -109,9 +111,11 @@ def picture(
             **options: Any,
         ) -> Figure:
             asked = natural(result)
-            inches = _inches(size, asked) if ax is None else _given(ax)
-            with styled(theme, _letters(inches, asked)) as palette:
-                sheet = _sheet(ax, inches, palette)
+            ways = asked if isinstance(asked, list) else [asked]
+            inches = _inches(size, ways[0]) if ax is None else _given(ax)
+            way = max(range(len(ways)), key=lambda k: _share(inches, ways[k]))
+            with styled(theme, _letters(inches, ways[way])) as palette:
+                sheet = _sheet(ax, inches, palette, way)
                 draw(sheet, result, **options)
                 _finish(sheet)
                 whole = sheet.figure.figure
@@ -271,18 +275,21 @@ def _given(ax: Axes | Figure | SubFigure) -> Inches:
 
 def _letters(inches: Inches, asked: Inches) -> float:
     """So large that a picture has room on another sheet as it has on its own."""
-    share = min(inches[0] / asked[0], inches[1] / asked[1])
-    return min(LARGEST, max(SMALLEST, LETTERS * share))
+    return min(LARGEST, max(SMALLEST, LETTERS * _share(inches, asked)))
 
 
-def _sheet(ax: Axes | Figure | SubFigure | None, inches: Inches, palette: Palette) -> Sheet:
+def _share(inches: Inches, asked: Inches) -> float:
+    return min(inches[0] / asked[0], inches[1] / asked[1])
+
+
+def _sheet(ax: Axes | Figure | SubFigure | None, inches: Inches, palette: Palette, way: int = 0) -> Sheet:
     if isinstance(ax, Axes):
         ax.set_facecolor(palette.page)
-        return Sheet(cast(Any, ax.get_figure()), ax, palette, inches)
+        return Sheet(cast(Any, ax.get_figure()), ax, palette, inches, way)
     if ax is not None:
         ax.set_facecolor(palette.page)
-        return Sheet(ax, None, palette, inches)
-    return Sheet(ShownFigure(figsize=inches, layout="constrained"), None, palette, inches)
+        return Sheet(ax, None, palette, inches, way)
+    return Sheet(ShownFigure(figsize=inches, layout="constrained"), None, palette, inches, way)
 
 
 def _settings(palette: Palette, letters: float) -> dict[str, Any]:
