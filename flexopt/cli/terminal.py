@@ -88,8 +88,10 @@ def _columns(table: list[str], width: int) -> list[str]:
     start = 0
     while longest - start > (room := width - (first or 4 if parts else 0)):
         ends = [k for k in gutters if start < k <= start + room and any(line[start:k].strip() for line in padded)]
-        if not ends:
+        if not ends and not parts:
             return [part for line in table for part in _sentence(line, width)]
+        if not ends:
+            break  # words behind the numbers, which no gap goes through: they go on in lines of their own
         parts.append([line[start : ends[-1]] for line in padded])
         start = ends[-1]
     parts.append([line[start:] for line in padded])
@@ -97,5 +99,7 @@ def _columns(table: list[str], width: int) -> list[str]:
     for part in parts[1:]:
         for line, rest in zip(padded, part, strict=True):
             if rest.strip() or not first:
-                lines.append((line[:first] or "    ") + rest)
+                before = line[:first] or "    "
+                told = [rest] if len(before + rest.rstrip()) <= width else textwrap.wrap(rest, width - len(before))
+                lines += [(before if k == 0 else " " * len(before)) + words for k, words in enumerate(told)]
     return [line.rstrip() for line in lines]

@@ -269,3 +269,14 @@ def test_help_of_the_article_names_every_figure() -> None:
     told = CliRunner().invoke(cli, ["reproduce", "--help"]).output
     for name in ("figure5", "figures11and12", "gains", "gaps"):
         assert name in told
+
+
+def test_words_behind_a_wide_table_leave_its_columns_whole() -> None:
+    """No gap goes through what is said of each row: it goes on below, with what the row is about."""
+    remarks = ("rests on lift upper bound, kink of w1, and one placement alike", "one of a set of dimension 2")
+    rows = [f"  {k}  {k}.0000e+00  {k}.0000e-08  {words}" for k, words in enumerate(remarks, start=1)]
+    parts = folded("\n".join(["  k          w1          w2", *rows]), 40).split("\n")
+    assert parts[:3] == ["  k          w1          w2", "  1  1.0000e+00  1.0000e-08", "  2  2.0000e+00  2.0000e-08"]
+    assert " ".join(" ".join(parts[3:]).split()) == f"1 {remarks[0]} 2 {remarks[1]}"
+    assert parts[4].startswith("     ")
+    assert max(map(len, parts)) <= 40
