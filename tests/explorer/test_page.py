@@ -282,3 +282,14 @@ def test_a_notebook_shows_it(chromium: Browser, pages: Path) -> None:
     assert "at" in frame.locator("#verdict").inner_text()
     page.close()
     assert html.unescape(explorer._repr_html_().split('srcdoc="')[1].split('" style=')[0]) == explorer.page
+
+
+def test_a_gain_is_read_in_one_format(chromium: Browser, pages: Path) -> None:
+    """Beside its slider and in the sentence on the loop."""
+    explorer = flexopt.explore(flexopt.load("excavator"), POSTURE, loop={"kp": 1e4, "kv": 2e6})
+    with opened(chromium, explorer, pages) as page:
+        sentence = page.locator("#loop").inner_text()
+        assert "Kp 10000 N m, Kv 2·10⁶ N m s" in sentence
+        sliders = page.locator("#sliders").inner_text()
+        assert "10000 N m" in sliders
+        assert "2·10⁶ N m s" in sliders

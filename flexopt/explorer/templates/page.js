@@ -231,7 +231,7 @@ class Explorer extends Pictures {
       show: (x) => `× ${digits(10 ** x)}`, set: (x) => { this.factors.soil = 10 ** x; parameters(); },
     });
     const sources = Object.entries(data.loop.sources).map(([name, why]) => `${name}: ${why}`).join("; ");
-    $("loop").textContent = `Loop at the start: ${data.loop.description}.${sources ? ` Not given: ${sources}.` : ""}`;
+    $("loop").textContent = `Loop at the start: ${inDigits(data.loop.description)}.${sources ? ` Not given: ${sources}.` : ""}`;
     this.makeConfiguration();
     this.makeMapControls();
     this.makeModes();

@@ -11,6 +11,8 @@ function digits(x, n = 3) {
   }
   return String(Number(x.toPrecision(n))).replace("-", "−");
 }
+// A text with its numbers as the page writes them: one gain is not to be read in two formats.
+function inDigits(text) { return text.replace(/\d+(\.\d+)?e[+-]\d+/g, (x) => digits(Number(x), 4)); }
 // How a mode is shown: displacement as a share of the machine's size, and how often, Hz.
 const SHOWN_SIZE = 0.035, SHOWN_HZ = 0.7;
 
