@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexopt.foundation.rendering import Numbers, render
+from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.study.gains import BorderRow
 from flexopt.study.page import Table, pictures, write_files
 
@@ -80,7 +80,7 @@ def _table2(result: Reproduction) -> Table:
             )
         difference = row.epsilon_inferred - row.printed_epsilon
         rows.append(("", "ε_max", f"{row.printed_epsilon:.4f}", f"{row.epsilon_inferred:.5f}", f"{difference:+.1e}"))
-    numbers = map(Numbers, ("printed", "computed", "deviation (ε_max: difference)"))
+    numbers = map(OfNumbers, ("printed", "computed", "deviation (ε_max: difference)"))
     header = ("posture and its input", "measure", *numbers)
     return header, rows
 
@@ -90,7 +90,7 @@ def _frequencies(result: Reproduction) -> Table:
     rows: list[tuple[str, ...]] = [("printed", *(f"{v:.4f}" for v in f.printed))]
     for name, values in f.means.items():
         rows.append((name, *(f"{v:.4f} ({d:+.2%})" for v, d in zip(values, f.deviation[name], strict=True))))
-    return ("mean, Hz", *(Numbers(f"mode {i + 1}") for i in range(len(f.printed)))), rows
+    return ("mean, Hz", *(OfNumbers(f"mode {i + 1}") for i in range(len(f.printed)))), rows
 
 
 def _loops(result: Reproduction) -> Table:
@@ -105,9 +105,9 @@ def _loops(result: Reproduction) -> Table:
         words = f"{run.verdict}{rate}, {run.time[-1]:g} s"
         rows.append((row.stand, f"{row.kp:g}", f"{row.kv:g}", stated, accurate, words, turn, off))
     header = (
-        "posture", Numbers("Kp, N m"), Numbers("Kv, N m s"), "decay, RK4, 1/s", "decay, exact, 1/s",
-        "nonlinear run, decay, 1/s", Numbers("largest base rotation, mrad"),
-        Numbers("end-point at the end, mm off"),
+        "posture", OfNumbers("Kp, N m"), OfNumbers("Kv, N m s"), "decay, RK4, 1/s", "decay, exact, 1/s",
+        "nonlinear run, decay, 1/s", OfNumbers("largest base rotation, mrad"),
+        OfNumbers("end-point at the end, mm off"),
     )  # fmt: skip
     return header, rows
 
@@ -139,4 +139,4 @@ def _gaps(result: Reproduction) -> Table:
         rows.append((name, f"{g.w1[k]:.3e}", *cells))
     rows.append(("nearer than sin(π/8)", "", *(f"{n} of {len(g.names)}" for n in g.within)))
     rows.append(("rank correlation, ν-gap with ε_max", "", *(f"{c:+.2f}" for c in g.correlation_epsilon)))
-    return ("ν-gap / gap / ε_max", Numbers("w1"), *(f"damping × {f:g}" for f in g.factors)), rows
+    return ("ν-gap / gap / ε_max", OfNumbers("w1"), *(f"damping × {f:g}" for f in g.factors)), rows

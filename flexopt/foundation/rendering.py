@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from jinja2.nodes import EvalContext
 
 
-class Numbers(str):
+class OfNumbers(str):
     """Name of a column of a page's table that holds numbers: they stand right, and so do words in place of one."""
 
     __slots__ = ()
@@ -52,7 +52,7 @@ def _environment() -> Environment:
 
 
 def _of_numbers(name: object) -> bool:
-    return isinstance(name, Numbers)
+    return isinstance(name, OfNumbers)
 
 
 def _escaped(context: EvalContext, value: object) -> object:

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from flexopt.simulation import Trajectory
 
-# Names of columns, `Numbers` where they hold these, and rows of text, as `pieces.html` draws them; None where there is
-# nothing to show.
+# Names of columns, `OfNumbers` where they hold these, and rows of text, as `pieces.html` draws them; None where there
+# is nothing to show.
 Table = tuple[Sequence[str], Sequence[Sequence[str]]] | None
 
 

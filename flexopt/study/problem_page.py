@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.rendering import Numbers, render
+from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.robustness import Evaluation
 from flexopt.robustness.evaluation import without_rounding
 from flexopt.selection import Selection
@@ -202,7 +202,7 @@ def _placed(report: Report) -> tuple[Table, str]:
         notes.append(
             f"Placements that change nothing else, as when the machine turns about the target: {', '.join(wide)}."
         )
-    return (["", *map(Numbers, names), *[last] * said], rows), " ".join(notes)
+    return (["", *map(OfNumbers, names), *[last] * said], rows), " ".join(notes)
 
 
 def _measured(report: Report) -> Table:
@@ -217,7 +217,7 @@ def _measured(report: Report) -> Table:
         )
 
     numbers = (*(f"w{i}, {unit}" for i in modes), "ε_max", *(f"f{i}, Hz" for i in modes))
-    return ["", *map(Numbers, numbers)], [
+    return ["", *map(OfNumbers, numbers)], [
         [
             name,
             *(number(w, 4) for w in shown(e)),
@@ -277,8 +277,9 @@ def _loops(report: Report) -> Table:
             ]
         )  # fmt: skip
     header = [
-        "configuration", "verdict", Numbers("decay of the base in the run, 1/s"), "decay of the linear loop, 1/s",
-        *map(Numbers, ("settles in, s", "largest base rotation, mrad", "end-point at the end, mm off", "duration, s")),
+        "configuration", "verdict", OfNumbers("decay of the base in the run, 1/s"), "decay of the linear loop, 1/s",
+        OfNumbers("settles in, s"), OfNumbers("largest base rotation, mrad"),
+        OfNumbers("end-point at the end, mm off"), OfNumbers("duration, s"),
     ]  # fmt: skip
     return (header, rows) if rows else None
 
@@ -294,5 +295,5 @@ def _borders(report: Report) -> Table:
         ]
         for row in report.borders
     ]
-    header = ["configuration", "held", "integrator", f"stable Kp, {report.gain_unit}", Numbers("then grows, Hz")]
+    header = ["configuration", "held", "integrator", f"stable Kp, {report.gain_unit}", OfNumbers("then grows, Hz")]
     return (header, rows) if rows else None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from flexopt.foundation.rendering import Numbers
+from flexopt.foundation.rendering import OfNumbers
 from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import Evaluation, unreached, without_rounding
 from flexopt.robustness.residues import residue_unit, written_unit
@@ -65,7 +65,8 @@ def constraints(report: Report) -> ConstraintTables | None:
             near, far = near + names[:NEAREST], far + names[NEAREST:]
         else:
             near += names
-    header = ["constraint", "allowed", *(Numbers(f"{'candidate' if one else 'target'} {k + 1}") for k, _ in numbered)]
+    kind = "candidate" if one else "target"
+    header = ["constraint", "allowed", *(OfNumbers(f"{kind} {k + 1}") for k, _ in numbered)]
     several = [name for name, names in kinds.items() if len(names) > MANY]
     told = f"{len(far)} more of {' and '.join(several)}, farther from their bounds"
 
@@ -113,7 +114,7 @@ def coordinates(report: Report) -> Table:
                 "" if effort == "–" else f"{effort} {'N m' if unit == 'rad' else 'N'}",
             ]
         )  # fmt: skip
-    return ["coordinate", "unit", "kind", "limits", Numbers("effort")], rows
+    return ["coordinate", "unit", "kind", "limits", OfNumbers("effort")], rows
 
 
 def parameters(report: Report, units: tuple[str, ...], what: str) -> Table:
@@ -126,7 +127,7 @@ def parameters(report: Report, units: tuple[str, ...], what: str) -> Table:
     if what == "mass":
         total = sum(p.value for p in report.machine.parameters if p.unit in units)
         rows.append(["total", number(total, 6), "kg"])
-    return ([what, Numbers("value"), "unit"], rows) if rows else None
+    return ([what, OfNumbers("value"), "unit"], rows) if rows else None
 
 
 def written_residue(evaluation: Evaluation) -> str:
@@ -153,4 +154,4 @@ def modes(report: Report, name: str) -> Table:
             ]
         )  # fmt: skip
     numbers = ("frequency, Hz", "damping ratio", f"w, {written_residue(stand)}", "w/|a||b|")
-    return [f"mode, {name}", *map(Numbers, numbers), "in phase", "strain energy in"], rows
+    return [f"mode, {name}", *map(OfNumbers, numbers), "in phase", "strain energy in"], rows

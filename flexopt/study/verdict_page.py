@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from flexopt.foundation.rendering import Numbers, render
+from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
 from flexopt.study.decision import BETTER
@@ -195,7 +195,7 @@ def _places(verdict: Verdict) -> Table:
     """Every place's worst over what is uncertain."""
     shown = measures(verdict)
     numbers = ("drive", *map(_title, shown), "stable on", f"{BETTER} on")
-    header = ["place", *map(Numbers, numbers), "nonlinear runs"]
+    header = ["place", *map(OfNumbers, numbers), "nonlinear runs"]
     rows = [
         [
             place.name, "" if place.name == STAY else told(place.drive, 1.0, " m"),
@@ -209,7 +209,7 @@ def _places(verdict: Verdict) -> Table:
 
 def _where(verdict: Verdict) -> Table:
     """Placement and posture of each."""
-    header = ["place", *(Numbers(f"{name}, {unit}") for name, unit in _names(verdict))]
+    header = ["place", *(OfNumbers(f"{name}, {unit}") for name, unit in _names(verdict))]
     return header, [
         [f"{place.name}{f', {at}' if at else ''}", *map(coordinate, values)]
         for place in verdict.places

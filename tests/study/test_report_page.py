@@ -18,7 +18,7 @@ from playwright.sync_api import Browser
 
 import flexopt
 from flexopt.foundation import printing
-from flexopt.foundation.rendering import Numbers, _environment, render
+from flexopt.foundation.rendering import OfNumbers, _environment, render
 from flexopt.selection import Selection
 from flexopt.study import page as study_page
 from flexopt.study import problem_page
@@ -261,7 +261,7 @@ def test_negative_numbers_have_a_minus_sign() -> None:
 def test_columns_say_what_they_hold() -> None:
     """Words in place of a number stand right as numbers do; words that begin with a digit stay words."""
     source = '{% from "foundation/templates/pieces.html" import table %}{{ table(given) }}'
-    given = (["a", Numbers("b"), "c <"], [["1", "grows", "2 of 3"], ["2", "−1.5 N m", "4"]])
+    given = (["a", OfNumbers("b"), "c <"], [["1", "grows", "2 of 3"], ["2", "−1.5 N m", "4"]])
     found = Parsed(_environment().from_string(source).render(given=given))
     assert [(dict(each)["class"], text) for each, text in found.all("td") if each] == [
         ("number", "grows"), ("number", "−1.5 N m"),

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from flexopt.export.verify.tools import StepFailed, ToolMissing
 from flexopt.foundation.arrays import Document
-from flexopt.foundation.rendering import Numbers
+from flexopt.foundation.rendering import OfNumbers
 from flexopt.foundation.results import Result
 
 Target = Literal["host", "cortex-m4f", "cortex-m7"]
@@ -26,9 +26,9 @@ class Table:
 
     @property
     def columns(self) -> list[str]:
-        """Names of the columns as a page shows them: `Numbers` where their values are."""
+        """Names of the columns as a page shows them: `OfNumbers` where their values are."""
         numeric = [any(isinstance(row[k], int | float) for row in self.rows) for k in range(len(self.header))]
-        return [Numbers(name) if each else name for name, each in zip(self.header, numeric, strict=True)]
+        return [OfNumbers(name) if each else name for name, each in zip(self.header, numeric, strict=True)]
 
     @property
     def texts(self) -> list[list[str]]:
