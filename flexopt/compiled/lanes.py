@@ -100,11 +100,16 @@ extern "C" EXPORT int flexopt_kernel(const double *const *rows, const unsigned c
 }
 """
 
+_ONCE = """  bool still = true;
+  for (int k = {first}; k < {last}; ++k) still &= fixed[k] != 0;
+  const lane *given[] = {{{arg}}};
+  if (still) {name}_before(given, w);"""
+
 # A Function of two dense matrices by the comment before it, and the call of `lane.hpp` that its definition becomes.
 _OF_MATRICES = re.compile(
-    rf"(/\* ({DENSE_PRODUCT}|{SYMMETRIC_SUM}):\(i0\[(\d+)x(\d+)\],i1\[\d+x(\d+)\]\)->\(o0\[\d+x\d+\]\) \*/\n[^\n]*\n).*?\n\}}\n",
-    re.DOTALL,
-)
+    rf"(/\* ({DENSE_PRODUCT}|{SYMMETRIC_SUM}):\(i0\[(\d+)x(\d+)\],i1\[\d+x(\d+)\]\)->"
+    r"\(o0\[\d+x\d+\]\) \*/\n[^\n]*\n).*?\n\}\n", re.DOTALL
+)  # fmt: skip
 _BY_KERNEL = r"""\1  if (res[0]) \2(arg[0], \3, \4, arg[1], \5, res[0]);
   return 0;
 }
@@ -142,7 +147,8 @@ def recurrence_source(functions: Mapping[str, ca.Function], sizes: Mapping[str, 
     """
     work = max(function.sz_w() for function in functions.values())
     constants = dict(sizes) | {"WORK": work}
-    lines = [_NOT_FUSED, *(["#define NARROW"] if narrow else []), _head(), _TYPES, f"#define FAST {int('fast' in functions)}"]
+    lines = [_NOT_FUSED, *(["#define NARROW"] if narrow else []), _head(), _TYPES]
+    lines.append(f"#define FAST {int('fast' in functions)}")
     lines.append("enum { " + ", ".join(f"{name} = {value}" for name, value in constants.items()) + " };")
     lines += [_call(name, function) for name, function in functions.items()]
     return "\n".join([*lines, _resource("recurrence.hpp")])
@@ -272,7 +278,7 @@ def reached_from(pieces: dict[str, str], root: str, without: Container[str] = ()
 
 
 def _kernel(function: ca.Function, name: str, given: int = 0, kept: int = 0) -> str:
-    """The exported loop over the points; `kept`: what is known beforehand of input `given`, once if it does not move."""
+    """The exported loop over the points; `kept`: how many values are computed of input `given`, once if it is fixed."""
     arg, offsets = list[str](), [0]
     for k in range(function.n_in()):
         arg.append(f"x + {offsets[-1]}")
@@ -283,8 +289,7 @@ def _kernel(function: ca.Function, name: str, given: int = 0, kept: int = 0) -> 
         offset += function.nnz_out(k)
     once = each = ""
     if kept:
-        once = f"  bool still = true;\n  for (int k = {offsets[given]}; k < {offsets[given + 1]}; ++k) still &= fixed[k] != 0;"
-        once += f"\n  const lane *given[] = {{{', '.join(arg)}}};\n  if (still) {name}_before(given, w);"
+        once = _ONCE.format(first=offsets[given], last=offsets[given + 1], arg=", ".join(arg), name=name)
         each = f"if (!still) {name}_before(arg, w);\n    "
     values = {
         "IN": offsets[-1], "OUT": offset, "WORK": max(function.sz_w(), kept), "SZ_ARG": function.sz_arg(),

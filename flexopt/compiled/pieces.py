@@ -53,7 +53,7 @@ def in_pieces(function: Straight, *, long: int = LONG, piece: int = PIECE) -> st
 
 
 def beforehand(function: Straight, given: int) -> tuple[str, str, int]:
-    """What depends on input `given` alone as a function NAME_before(arg, w) that fills w; the rest; how much is in w."""
+    """What depends on input `given` alone, as a function NAME_before(arg, w); the rest; how many values w has."""
     moving, computed = set[str](), set[str]()
     early, late, read = list[int](), list[int](), set[str]()
     for k, (target, text) in enumerate(zip(function.targets, function.texts, strict=True)):

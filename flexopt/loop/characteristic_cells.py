@@ -86,7 +86,7 @@ class Cells:
         parts = list[Complex]()
         for axis, at in splits.items():
             lines, degree = self._ends(axis), self.points.shape[2 + axis] - 1
-            middle = np.tensordot(lines, splitting(degree, at)[0][-1], axes=(2 + axis, 0))
+            middle = np.moveaxis(lines, 2 + axis, -1) @ splitting(degree, at)[0][-1]
             parts += [np.stack([middle, lines.take(end, axis=2 + axis)], axis=1) for end in (0, -1)]
         ends = np.concatenate([part.reshape(len(part), -1) for part in parts])
         parted = _parted(ends, np.tile(self.error, len(parts))).reshape(len(splits), -1)
@@ -117,10 +117,9 @@ def _parted(points: Complex, error: Vector) -> NDArray[np.bool_]:
     found: NDArray[np.bool_] = ahead.min(axis=1, initial=np.inf) > error
     left = np.flatnonzero(~found)
     if len(left):
-        found[left] = (
-            _ahead(points[left], _between(points[left], mean[left], error[left]))[0].min(axis=1, initial=np.inf)
-            > error[left]
-        )
+        between, open_angle = _between(points[left], mean[left], error[left])
+        left, between = left[open_angle], between[open_angle]
+        found[left] = _ahead(points[left], between)[0].min(axis=1, initial=np.inf) > error[left]
     return found
 
 
@@ -130,25 +129,15 @@ def _ahead(points: Complex, direction: Complex) -> tuple[Vector, Complex]:
     return points.real * direction.real[:, None] + points.imag * direction.imag[:, None], direction
 
 
-def _between(points: Complex, mean: Complex, error: Vector) -> Complex:
-    """The direction (K,) halfway between the outermost of discs about points (K, …), on either side of a direction."""
+def _between(points: Complex, mean: Complex, error: Vector) -> tuple[Complex, NDArray[np.bool_]]:
+    """The direction (K,) halfway between the outermost of discs about points (K, …), and whether it can part them."""
     turned = points * mean.conj()[:, None]
-    # Sine and cosine of half the angle that a disc fills.
-    sine = np.minimum(error[:, None] / np.maximum(np.abs(points), TINY), 1.0)
-    cosine, rows = np.sqrt(1.0 - sine * sine), np.arange(len(points))
-    sides = turned * (cosine + 1j * sine), turned * (cosine - 1j * sine)
-    ends = (
-        sides[0][rows, np.argmax(_pseudo_angle(sides[0]), axis=1)],
-        sides[1][rows, np.argmin(_pseudo_angle(sides[1]), axis=1)],
-    )
-    found: Complex = mean * sum(end / np.maximum(np.abs(end), TINY) for end in ends)
-    return found
-
-
-def _pseudo_angle(points: Complex) -> Vector:
-    """What increases with the angle, from -2 to 2."""
-    part = points.imag / np.maximum(np.abs(points.real) + np.abs(points.imag), TINY)
-    return np.where(points.real < 0, np.copysign(2.0, points.imag) - part, part)
+    angle = np.arctan2(turned.imag, turned.real)
+    # Half the angle that a disc fills.
+    half = np.arcsin(np.minimum(error[:, None] / np.maximum(np.abs(points), TINY), 1.0))
+    first, last = (angle - half).min(axis=1, initial=0.0), (angle + half).max(axis=1, initial=0.0)
+    middle = (first + last) / 2
+    return mean * (np.cos(middle) + 1j * np.sin(middle)), last - first < np.pi
 
 
 def cells_of(of: Characteristic, low: Vector, high: Vector) -> Cells:
@@ -283,4 +272,6 @@ def _pencil(of: Characteristic, machines: Machines, ports: Ports, s: Complex, al
 
 def _along(points: Complex, matrix: Vector, axis: int) -> Complex:
     """A matrix applied to one axis."""
-    return np.moveaxis(np.tensordot(matrix, points, axes=(1, axis)), 0, axis)
+    shape = points.shape
+    rows = points.reshape(math.prod(shape[:axis]), shape[axis], math.prod(shape[axis + 1 :]))
+    return (matrix @ rows).reshape(*shape[:axis], len(matrix), *shape[axis + 1 :])

@@ -58,3 +58,27 @@ def test_how_hard_to_optimise_depends_on_the_longest_function():
     assert lanes.level(("static int f(void) {\n" + line * 5000 + "}\n") * 20) == ("-O2",)
     assert lanes.level(block * 20) is None
     assert lanes.level("static int f(void) {\n" + line * 50_000 + "}\n") is None
+
+
+def test_what_depends_on_parameters_alone_is_computed_beforehand(monkeypatch):
+    x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 4)
+    known = ca.sqrt(1 + p[0] ** 2) * ca.cos(p[1] * p[2])
+    function = ca.Function(
+        "f", [x, p], [ca.vertcat(known * x[0] + p[3], known, ca.sin(x[1]) / known)], ["x", "p"], ["y"]
+    )
+    rng = np.random.default_rng(0)
+    points, fixed, moving = rng.normal(size=(2, 37)), rng.normal(size=4), rng.normal(size=(4, 37))
+    evaluate = batch(function)
+    one, all_alike = evaluate(points, fixed)[0], evaluate(points, np.tile(fixed[:, None], 37))[0]
+    assert np.array_equal(one, all_alike)
+    for given, found in ((np.tile(fixed[:, None], 37), one), (moving, evaluate(points, moving)[0])):
+        np.testing.assert_allclose(found, function.map(37)(points, given).full(), rtol=1e-14, atol=1e-15)
+    if find_compiler() is None:
+        return
+    assert "casadi_f0_before(given, w)" in lanes.kernel_source(function)
+    # Two groups side by side, what is known beforehand, or one group after the other with all of it: the same bits.
+    monkeypatch.setattr(lanes, "SHORT", 0)
+    monkeypatch.setattr("flexopt.compiled.libraries.key_of", lambda f, c, p: f"single-{c.identity}-{p}")
+    assert "_before" not in lanes.kernel_source(function)
+    assert np.array_equal(batch(function)(points, fixed)[0], one)
+    assert np.array_equal(batch(function)(points, moving)[0], evaluate(points, moving)[0])
