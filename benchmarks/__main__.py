@@ -2,9 +2,10 @@
 
 Run: python -m benchmarks [--quick] [--record] [MODULE …]
 
-Every module runs in a process of its own, one after the other. `--record` rewrites `record.json`, which is kept with
-the sources and names the machine; nothing else does. `--quick` takes few repetitions: it shows that everything runs,
-and its numbers mean little. Ends with 1 where a module failed, and without `--quick` where a bar is missed.
+Every module runs in a process of its own, one after the other. `--record` rewrites this processor's part of
+`record.json`, which is kept with the sources; nothing else does. Where there is none of this processor, another's
+stands beside the scores, and the table says so. `--quick` takes few repetitions: it shows that everything runs, and
+its numbers mean little. Ends with 1 where a module failed, and without `--quick` where a bar is missed.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import subprocess
 import sys
 from dataclasses import asdict
 from importlib import import_module
+from typing import Any
 
 from benchmarks.score import HERE, Row, modules, this_machine
 from benchmarks.timing import table
@@ -42,6 +44,11 @@ def line(row: Row, recorded: dict[str, float]) -> tuple[str, ...]:
     return row.what, f"{row.value:.2f}", bar, "" if row.bar is None else "yes" if row.met else "NO", before, row.ran
 
 
+def _alike(one: dict[str, str], other: dict[str, str]) -> bool:
+    """Whether two machines have the same processor."""
+    return all(one[key] == other[key] for key in ("processor", "vectors"))
+
+
 def main() -> int:
     """Run, print, record."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__.splitlines()[0])
@@ -58,8 +65,11 @@ def main() -> int:
         parser.error("--quick is not for the record")
     known, others = modules()
     chosen = [name for name in known if not options.module or name.split(".")[1] in options.module]
-    kept = json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else {"rows": {}, "machine": {}}
-    recorded = {what: row["value"] for what, row in kept["rows"].items()}
+    kept: list[dict[str, Any]] = json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else []
+    machine = this_machine()
+    own = next((of for of in kept if _alike(of["machine"], machine)), None)
+    beside = own or (kept[-1] if kept else {"machine": {}, "rows": {}})
+    recorded = {what: row["value"] for what, row in beside["rows"].items()}
     lines: list[tuple[str, ...]] = [("what", "now", "bar", "met", "record", "what ran")]
     every, failed = list[Row](), False
     for name in chosen:
@@ -70,16 +80,17 @@ def main() -> int:
             continue
         every += found
         lines += [line(row, recorded) for row in found]
-    machine = this_machine()
     print(table(f"Scores on {machine['processor']}, {machine['vectors']}", lines))
-    if kept["machine"]:
-        print(f"the record is of {kept['machine']['processor']}, {kept['machine']['vectors']}", end="")
-        print("" if kept["machine"]["processor"] == machine["processor"] else ": another, whose ratios may be others")
+    if kept:
+        print(f"the record is of {beside['machine']['processor']}, {beside['machine']['vectors']}", end="")
+        print("" if own else ": another, whose ratios may be others")
     print("without rows here, each by its own command:", ", ".join(f"python -m {name}" for name in others))
     if options.record and not failed:
-        merged = kept["rows"] | {row.what: {"value": round(row.value, 3), "ran": row.ran} for row in every}
-        text = json.dumps({"machine": machine, "rows": merged}, indent=2, ensure_ascii=False)
-        RECORD.write_text(text + "\n", encoding="utf-8")
+        rows = (own or {"rows": {}})["rows"] | {
+            row.what: {"value": round(row.value, 3), "ran": row.ran} for row in every
+        }
+        merged = [of for of in kept if of is not own] + [{"machine": machine, "rows": rows}]
+        RECORD.write_text(json.dumps(merged, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     return int(failed or (not options.quick and not all(row.met for row in every)))
 
 
