@@ -234,7 +234,11 @@ def test_a_map_of_followed_postures_says_so(name: str, followed: bool, request: 
 
 
 @pytest.mark.parametrize("name", ["judged", "crowded"])
-def test_what_the_command_says_of_a_choice_is_on_the_page(name: str, request: pytest.FixtureRequest) -> None:
+def test_what_the_command_says_of_a_choice_is_on_the_page(
+    name: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Of words alone.
+    monkeypatch.setattr(study_page, "_png", lambda figure: "")
     report: flexopt.Report = request.getfixturevalue(name)
     worth = report.selection.best.objective if isinstance(report.selection, Selection) else report.selection.worth
     # One sentence at least: the better end of a climb that could not be verified.
@@ -369,7 +373,9 @@ def test_text_can_be_read_in_both_themes() -> None:
 
 
 @pytest.mark.needs("chromium")
-def test_pdf(judged: flexopt.Report, tmp_path: Path) -> None:
+def test_pdf(judged: flexopt.Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = page_text(judged)
+    monkeypatch.setattr(problem_page, "report_html", lambda _: text)
     judged.to_pdf(tmp_path / "report.pdf")
     data = (tmp_path / "report.pdf").read_bytes()
     assert data.startswith(b"%PDF")
