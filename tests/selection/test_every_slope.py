@@ -6,6 +6,7 @@ the table does not name, fails the test until it is walked, too.
 
 import ast
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import casadi as ca
@@ -90,11 +91,15 @@ ROOMS = (
 walked: set[str] = set()
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def calls_in(path: Path, names: set[str]) -> set[tuple[str, str]]:
     """Functions of a file that call one of these as an attribute (`ca.nlpsol`) or by name, with the file."""
     found: set[tuple[str, str]] = set()
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for outer in ast.walk(tree):
+    for outer in ast.walk(parsed(path)):
         if not isinstance(outer, ast.FunctionDef):
             continue
         for node in ast.walk(outer):
