@@ -32,8 +32,8 @@ LOOPS: dict[str, dict[str, float]] = {"allowed_gain": LATE, "delay_margin": LATE
 def _few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Points that are looked at first, and climbs from them: enough for these wide basins."""
     for measure in MEASURES.values():
-        monkeypatch.setattr(type(measure), "looked", 300)
-        monkeypatch.setattr(type(measure), "stages", ((32, 6), (10, 10)))
+        monkeypatch.setattr(type(measure), "looked", 150)
+        monkeypatch.setattr(type(measure), "stages", ((12, 6), (5, 10)))
 
 
 @pytest.mark.parametrize("name", LOOPS)
