@@ -28,13 +28,11 @@ from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.robustness.posture_margin import evaluate_margin, prepare_margin
-from flexopt.robustness.residues import MIXED, residue_unit, unit_in_words
+from flexopt.robustness.residues import MIXED, ROUNDING, residue_unit, unit_in_words
 
 if TYPE_CHECKING:
     from flexopt.robustness.damped import DampedModes
 
-# Below this share of |a_i||b_i| w_i is 0, and shown as such: its terms cancel.
-ROUNDING = 1e-13
 # What a rigid part that is not passive means.
 EXCITES = "equal gains in all rows damp the rigid part, some other gains excite it"
 # Below this share of the largest |a_i||b_i| a mode is not reached: what is left where a_i = 0 was sought is rounding,
@@ -100,7 +98,8 @@ class Evaluation(Result):
         scale: |a_i||b_i|, (m,), the size of R_i = a_i b_iᵀ, to compare w_i with; with `damped` that of N0 (Frobenius
             norm, without damping the same).
         rigid: λmin(R_0 + R_0ᵀ); negative values mean that the rigid part is not passive. Of the undamped plant always.
-        in_phase: trace R_i > 0;  in_phase_strict: every diagonal element of R_i ≥ 0; with `damped` of N0.
+        in_phase: trace R_i > 0;  in_phase_strict: every diagonal element of R_i ≥ 0, to rounding of |a_i||b_i|; with
+            `damped` of N0.
         rigid_residue: R_0 (r, r), undamped;  residues: R_i (m, r, r), with `damped` N0, summed over the cluster where
             frequencies (poles) repeat.
         gradient: exact derivatives of w.
@@ -402,7 +401,7 @@ def evaluate_checked(
         scale=scale,
         rigid=float(np.linalg.eigvalsh(v["rigid"] + v["rigid"].T)[0]),
         in_phase=tuple(bool(t > 0) for t in traces),
-        in_phase_strict=tuple(bool(np.all(d >= 0)) for d in diagonals),
+        in_phase_strict=tuple(bool(np.all(d >= -ROUNDING * size)) for d, size in zip(diagonals, scale, strict=True)),
         rigid_residue=v["rigid"],
         residues=residues,
         gradient=Gradient(

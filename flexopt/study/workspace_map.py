@@ -25,7 +25,7 @@ from flexopt.foundation.quantities import whole_number
 from flexopt.foundation.results import Tabled
 from flexopt.loop.many import Decays
 from flexopt.model import AnyMachine
-from flexopt.robustness.residues import posture_unit, residue_unit
+from flexopt.robustness.residues import ROUNDING, posture_unit, residue_unit
 from flexopt.study.grid import Grid
 from flexopt.study.points import PointValues
 
@@ -67,9 +67,9 @@ class WorkspaceMap(Tabled):
         machine: its name.
         options: those of the call, ranges and points included.
         dataset: variables with the dimensions (mode, y, x): `frequency_hz`, `w`, `scale` (|a_i||b_i|), `in_phase`
-            (1 where trace R_i > 0, else 0), `in_phase_strict` (1 where each diagonal element of R_i ≥ 0); (y, x):
-            `rigid` (λmin(R_0 + R_0ᵀ)), `epsilon_max`, `condition` (cond Jv), `reachable`; (joint, y, x): `posture`.
-            Over the posture the dimensions are called `angle_2` and `angle_1` in place of y and x (joint k: `angle_k`,
+            (1 where trace R_i > 0, else 0), `in_phase_strict` (1 where each diagonal element of R_i ≥ 0, to rounding);
+            (y, x): `rigid` (λmin(R_0 + R_0ᵀ)), `epsilon_max`, `condition` (cond Jv), `reachable`; (joint, y, x):
+            `posture`. Over the posture the dimensions are called `angle_2` and `angle_1` in place of y and x (joint k: `angle_k`,
             or `slide_k`), over the base `base_y` and `base_x` (or `base_yaw`), over a plane of the task by its rows.
             Where a loop was given, (y, x): `decay` of the sampled loop, 1/s, and `loop_frequency_hz`, of its slowest
             motion; of a map over the loop's own numbers these alone, the dimensions called by what varies.
@@ -326,7 +326,8 @@ def workspace_dataset(
         fields["w"] = (mode + plane, spread(values.w))
         fields["scale"] = (mode + plane, spread(values.scale))
         fields["in_phase"] = (mode + plane, spread((values.trace > 0).astype(float)))
-        fields["in_phase_strict"] = (mode + plane, spread((values.least_diagonal >= 0).astype(float)))
+        strict = values.least_diagonal >= -ROUNDING * values.scale
+        fields["in_phase_strict"] = (mode + plane, spread(strict.astype(float)))
         fields["rigid"] = (plane, spread(values.rigid))
     if margins:
         fields["epsilon_max"] = (plane, spread(values.epsilon_max))

@@ -438,3 +438,13 @@ def test_a_mode_that_no_feedback_excites_has_no_phase(tmp_path):
     assert [row.endswith("–") for row in rows] == hidden.tolist()
     assert "the end-point does not move in that mode" in repr(found)
     assert "does not move in that mode" not in repr(flexopt.evaluate(flexopt.load("excavator"), (0.5, -1.2)))
+
+
+@pytest.mark.parametrize("control", ["inverse", "transpose"])
+@pytest.mark.parametrize("ulp", range(4))
+def test_a_row_in_which_a_mode_does_nothing_does_not_make_it_out_of_phase(control, ulp):
+    # The sixth mode moves the end-point sideways alone: what its vertical row holds is rounding of either sign.
+    posture = np.array([np.pi, 0.5, -1.5, 0.1]) * (1 + ulp * 2.0**-51)
+    result = evaluate(flexopt.load("slewing-excavator"), posture, base=(4.18, -6.0, -1.954), control=control)
+    assert abs(result.w[5]) < 1e-12 * result.scale[5]
+    assert result.in_phase_strict[5]
