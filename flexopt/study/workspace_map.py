@@ -69,8 +69,9 @@ class WorkspaceMap(Tabled):
         dataset: variables with the dimensions (mode, y, x): `frequency_hz`, `w`, `scale` (|a_i||b_i|), `in_phase`
             (1 where trace R_i > 0, else 0), `in_phase_strict` (1 where each diagonal element of R_i ≥ 0, to rounding);
             (y, x): `rigid` (λmin(R_0 + R_0ᵀ)), `epsilon_max`, `condition` (cond Jv), `reachable`; (joint, y, x):
-            `posture`. Over the posture the dimensions are called `angle_2` and `angle_1` in place of y and x (joint k: `angle_k`,
-            or `slide_k`), over the base `base_y` and `base_x` (or `base_yaw`), over a plane of the task by its rows.
+            `posture`. Over the posture the dimensions are called `angle_2` and `angle_1` in place of y and x (joint k:
+            `angle_k`, or `slide_k`), over the base `base_y` and `base_x` (or `base_yaw`), over a plane of the task by
+            its rows.
             Where a loop was given, (y, x): `decay` of the sampled loop, 1/s, and `loop_frequency_hz`, of its slowest
             motion; of a map over the loop's own numbers these alone, the dimensions called by what varies.
             Each variable has `units` (of `posture`, where they differ, one for each joint), `long_name` and
