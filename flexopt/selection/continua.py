@@ -114,17 +114,25 @@ def nearest(problem: SelectionProblem, z: Vector) -> Vector:
     """
     if problem.travel is not None:
         return z
+    here, now = unwound(problem, z), _now(problem)
+    for k in idle_joints(problem, here):
+        moved = here.copy()
+        moved[k] = np.clip(now[k], problem.lower[k], problem.upper[k])
+        here = moved if _as_good(problem, z, moved) else here
+    return _turned(problem, here)
+
+
+def unwound(problem: SelectionProblem, z: Vector) -> Vector:
+    """The configuration z with its joints whole turns nearer to the present ones, where travel does not cost."""
+    if problem.travel is not None:
+        return z
     here, now = z, _now(problem)
     for k in range(len(problem.machine.base_coordinates), z.size):
         if problem.variables[k].unit == "rad" and not problem.turning[k]:
             turned = here.copy()
             turned[k] = _whole_turns(z[k], now[k], problem.lower[k], problem.upper[k])
             here = turned if _as_good(problem, z, turned) else here
-    for k in idle_joints(problem, here):
-        moved = here.copy()
-        moved[k] = np.clip(now[k], problem.lower[k], problem.upper[k])
-        here = moved if _as_good(problem, z, moved) else here
-    return _turned(problem, here)
+    return here
 
 
 def _whole_turns(angle: float, now: float, lower: float, upper: float) -> float:

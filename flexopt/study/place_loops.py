@@ -19,6 +19,7 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
+from flexopt.selection.continua import unwound
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.postures import reached_from
 from flexopt.study.confirmation import Runs, nonlinear_runs, of_all
@@ -144,7 +145,7 @@ def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bo
             found.append(reached.z[:, 0, int(off.argmin())])
         else:
             return None
-    return _evaluated(problems, found)
+    return _evaluated(problems, [unwound(problem, z) for problem, z in zip(problems, found, strict=True)])
 
 
 def _evaluated(problems: Sequence[SelectionProblem], zs: Sequence[Vector]) -> Configurations:

@@ -13,6 +13,7 @@ import numpy as np
 from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.plant.inverse_kinematics import low_discrepancy
+from flexopt.selection.continua import unwound
 from flexopt.selection.outcomes.shared import SharedProgram
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.several.by_loop import Asked, ByLoop, climbs_from, places_by_loop, values_at
@@ -62,9 +63,11 @@ def outcome_stand(
     looked = _looked(program, found, whole, workers)
     chosen, optima, unverified, attempts = climbs_from(program, looked, workers, progress)
     best, sign = optima[0], chosen.measure.sign
+    own = [(target, target.z(part), part) for target, part in chosen.parts(best.y)]
+    y = chosen.joined([np.append(unwound(t.problem, z) / t.problem.scale, part[z.size :]) for t, z, part in own])
     others = [(sign * each.value, chosen.z(each.y)[:n_base]) for each in optima]
     return OutcomeStand(
-        places=places_by_loop(chosen, best.y),
+        places=places_by_loop(chosen, y),
         worth=sign * best.value,
         alternatives=tuple(_elsewhere(others, first.scale[:n_base])),
         stationarity=best.stationarity,

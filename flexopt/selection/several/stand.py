@@ -22,6 +22,7 @@ from flexopt.model.problem import SelectionOptions, StandKeywords
 from flexopt.model.targets import SOME_SHARES
 from flexopt.model.uncertainty import RangesLike, Uncertainty
 from flexopt.robustness.plausibility import warn_implausible
+from flexopt.selection.continua import unwound
 from flexopt.selection.program import Program
 from flexopt.selection.several.by_loop import Asked
 from flexopt.selection.several.outcome_stand import outcome_stand
@@ -125,7 +126,7 @@ def select_stand(
     good, unverified, attempts = best_placements(
         program, bases, found, asked.starts or default_starts(program), asked.seed, count, progress
     )
-    best = good[0].x
+    best = program.packed([unwound(problem, program.of(good[0].x, k)) for k, problem in enumerate(problems)])
     places = places_at(program, best)
     stated = {"combine": asked.combine, "shares": share.tolist(), "targets": points.tolist()}
     return Stand(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import flexopt
 from flexopt import BasePlan, build_measures, evaluate, plan_base, select_stand
 from flexopt.selection.several import TargetConfiguration
+from flexopt.study.place_loops import held_from
 from tests.oracles.spatial import pinocchio_tree, random_tree
 
 WEIGHTS = [1.0] * 6
@@ -113,3 +116,15 @@ def test_whole_turns_do_not_stand_in_the_way(excavator: flexopt.Tree) -> None:
     plan = plan_base(excavator, path, objective="w2", base_range=fixed, duration=4.0, starts=1, workers=1)
     assert np.abs(np.diff(plan.posture[:, 0])).max() <= 1.183 * 4.0 / 3 + 1e-7
     assert np.ptp(plan.posture[:, 0]) < np.pi
+
+
+@pytest.mark.parametrize("how", [{"objective": "w1"}, {"objective": "allowance", "loop": {"kp": 50.0, "kv": 10.0}}])
+def test_a_stand_holds_no_joint_a_whole_turn_farther_than_it_needs(how: dict[str, Any]) -> None:
+    machine = flexopt.load("mobile-manipulator")
+    targets = [(0.9, -0.3, 1.0), (0.9, 0.3, 1.2)]
+    stand = select_stand(machine, targets, base=(0.0, 0.0, 0.0), starts=1, seed=2, workers=1, **how)
+    held = held_from(stand.problems, stand.base, allowed=False)  # as a verdict has it, from a placement alone
+    assert held is not None
+    for e, target in zip([*(place.evaluation for place in stand.places), *held], [*targets, *targets], strict=True):
+        assert np.abs(evaluate(machine, e.posture, base=stand.base).end_point - target).max() < 1e-7
+        assert np.abs(e.posture).max() <= np.pi + 1e-6
