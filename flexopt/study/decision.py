@@ -77,6 +77,7 @@ def decide(
     tried: str = "",
     refuted: Place | None = None,
     gains: Mapping[str, Sequence[float]] | None = None,
+    alternates: str = "",
 ) -> Decision:
     """The word by `RULE`.
 
@@ -88,6 +89,7 @@ def decide(
         tried: which other gains were; empty for none.
         refuted: the best place with other gains, where runs do not confirm it.
         gains: these other gains.
+        alternates: why the loop changes its sign at every sample, where it grows so in every place.
     """
     sound = [place for place in others if place.holds and place.name not in unconfirmed]
     best = _best([place for place in sound if stay is None or _pays(place, stay)])
@@ -128,7 +130,8 @@ def decide(
     if refuted is not None and refuted.holds:
         named = f" ({gains_in_words(gains)})" if gains else ""
         with_others = f"; with others{named} {refuted.name} is, but nonlinear runs do not confirm that"
-    return Decision("cannot tell", "", f"no place found is stable on every ground with these gains{with_others}")
+    reason = f"no place found is stable on every ground with these gains{with_others}"
+    return Decision("cannot tell", "", reason + (f"; it grows at {alternates}" if alternates else ""))
 
 
 def gains_in_words(gains: Mapping[str, Sequence[float]]) -> str:

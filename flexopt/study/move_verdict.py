@@ -21,6 +21,7 @@ from flexopt.foundation.plain import shown
 from flexopt.foundation.stages import Stages
 from flexopt.loop.evaluation import swing_unit
 from flexopt.loop.settings import loop_settings
+from flexopt.loop.spectrum import from_sample_to_sample
 from flexopt.loop.uncertain import UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.constraints import AnyConstraints
@@ -169,7 +170,10 @@ def verdict(
         if of_few.confirming < MOST:
             changed, refuted = None, changed[0]
     stages.next()
-    decision = decide(stay, rest, changed and changed[0], unconfirmed, tried=tried, refuted=refuted, gains=gains)
+    decision = decide(
+        stay, rest, changed and changed[0], unconfirmed, tried=tried, refuted=refuted, gains=gains,
+        alternates=_alternates(loops, slowest) if tried else "",
+    )  # fmt: skip
     places = tuple(
         _place(name, stands[name], loops[name], decays, slowest[name], drives[name], shown.get(name)) for name in told
     )
@@ -225,6 +229,19 @@ def _tries(asked: Loop, known: Mapping[str, Place], unconfirmed: Sequence[str]) 
     return bool(gain_ranges(asked)) or not any(
         place.holds and place.name not in unconfirmed for place in known.values()
     )
+
+
+def _alternates(loops: Mapping[str, PlaceLoops], slowest: Mapping[str, Slowest]) -> str:
+    """Why the slowest member of every place changes its sign at every sample; empty where one does not."""
+    why = ""
+    for name, at in slowest.items():
+        own = loops[name].loops[at.target]
+        loop, rate, damper = own.outcome(at.member).loop, own.settings.rate, own.settings.nullspace_damping
+        why = from_sample_to_sample(loop.growth_rate, loop.rounding, loop.frequency_hz, rate, damper)
+        if not why:
+            return ""
+        why = f"{loop.frequency_hz:.4g} Hz{why}"
+    return why
 
 
 def _changed(

@@ -130,6 +130,21 @@ def test_where_no_gains_are_found_it_says_which_were_tried_and_how_others_are() 
     assert judged("article", loop=loop | ranges, runs=0, members=4).word == "change gains"
 
 
+def test_a_damper_that_is_too_much_for_the_sampling_rate_is_named() -> None:
+    """A damper d of the self-motion of inertia m alternates from d T / m = 2 on, whatever the gains."""
+    digger, posture = flexopt.load("boom-stick-bucket"), np.array([-0.9, -1.2, -0.5])
+    target = flexopt.evaluate(digger, posture).end_point
+
+    def sentence(damping: float) -> str:
+        loop: dict[str, Any] = {"kp": 1e4, "kv": 1e3, "rate": 100.0, "drive": "torque", "nullspace_damping": damping}
+        few: dict[str, Any] = {"starts": 2, "members": 2, "runs": 0}
+        return flexopt.verdict(digger, target, base=0.0, posture=posture, loop=loop, **few).sentence
+
+    assert "it grows at 50 Hz, half the sampling rate" in sentence(1e9)
+    assert "or the damper of the self-motion, is too much for 100 Hz" in sentence(1e9)
+    assert "half the sampling rate" not in sentence(1e3)
+
+
 def test_ranges_of_gains_spare_a_drive() -> None:
     found = judged("article", loop=ARTICLE | {"kp_range": (1.0, 1e5), "kv_range": (1.0, 1e4)}, runs=0)
     assert found.word in {"move", "change gains"}
