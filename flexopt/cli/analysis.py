@@ -43,7 +43,7 @@ from flexopt.cli.judging import LOOP, RANGES, real_loop
 from flexopt.cli.postures import asked_posture, configuration
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Document
+from flexopt.foundation.arrays import Document, Progress
 from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.writing import write_file
 from flexopt.model import load, load_any
@@ -172,33 +172,46 @@ def select_command(
     with option_names(options | judged), warnings_to_stderr(as_json), progress_bar() as progress:
         result = _solver(settings)(**settings, progress=progress)
     certificate = _certificate(result, proof) if certify else None
-    with option_names(judged), warnings_to_stderr(as_json):
-        judgement = _judgement(result, own, **judged)
+    draw(result)
+    judged_too = _is_judged(result, own, **judged)
+    # Before the verdict, whose runs take minutes where an arm has many joints.
+    if not as_json:
+        _tell_choice(result, identified, certificate, judged=judged_too)
+    judgement = None
+    if judged_too:
+        with option_names(judged), warnings_to_stderr(as_json), progress_bar("stages of the verdict") as progress:
+            judgement = _judgement(result, own, **judged, progress=progress)
 
     def document() -> Document:
         more = {} if certificate is None else {"certificate": certificate}
         more |= {} if identified is None else {"identification": identified.to_dict()}
         return result.to_dict() | more | ({} if judgement is None else {"verdict": judgement.to_dict()})
 
-    draw(result)
     if out is not None:
         text = json.dumps(document(), indent=2, allow_nan=False) + "\n"
         write_output("--out", out, lambda: write_file(out, text))
     if as_json:
         print_json(document())
-    else:
-        from flexopt.selection import Selection  # noqa: PLC0415  (`evaluate` does not need it)
-
-        if identified is not None:
-            say(f"{identified!r}\n")
-        judged_too = judgement is not None
-        say(_selection_text(result, judged=judged_too) if isinstance(result, Selection) else repr(result))
-        if certificate is not None:
-            say(f"\n{certificate['status']}")
-        if judgement is not None:
-            say(f"\n{judgement!r}")
+    elif judgement is not None:
+        say(f"\n{judgement!r}")
     if certificate is not None and certificate["verdict"] != "proven":
         sys.exit(FAILED)
+
+
+def _tell_choice(
+    result: Selection | Stand | BasePlan,
+    identified: Identification | None,
+    certificate: dict[str, Any] | None,
+    *,
+    judged: bool,
+) -> None:
+    from flexopt.selection import Selection  # noqa: PLC0415  (`evaluate` does not need it)
+
+    if identified is not None:
+        say(f"{identified!r}\n")
+    say(_selection_text(result, judged=judged) if isinstance(result, Selection) else repr(result))
+    if certificate is not None:
+        say(f"\n{certificate['status']}")
 
 
 def _identified(swing: str, imu: Any, settings: dict[str, Any], as_json: bool) -> Identification:
@@ -249,17 +262,26 @@ def _refuse_early(settings: dict[str, Any], judged: dict[str, tuple[str, ...]], 
     arguments.done()
 
 
-def _judgement(
+def _is_judged(
     result: Selection | Stand | BasePlan, own: dict[str, Any], loop: tuple[str, ...], ranges: tuple[str, ...]
-) -> Verdict | None:
-    """The verdict on a selection, where a controller is known and a present placement; asked for, or of the files."""
-    from flexopt.study import verdict  # noqa: PLC0415  (`evaluate` does not need it)
+) -> bool:
+    """Whether a controller is known and a present placement: asked for, or of the files."""
     from flexopt.study.place_loops import problems_of  # noqa: PLC0415  (`evaluate` does not need it)
 
-    if not (loop or ranges or own["loop"]) or problems_of(result)[0].present_base is None:
-        return None
+    return bool(loop or ranges or own["loop"]) and problems_of(result)[0].present_base is not None
+
+
+def _judgement(
+    result: Selection | Stand | BasePlan,
+    own: dict[str, Any],
+    loop: tuple[str, ...],
+    ranges: tuple[str, ...],
+    progress: Progress,
+) -> Verdict:
+    from flexopt.study import verdict  # noqa: PLC0415  (`evaluate` does not need it)
+
     ground = table("--ranges", ranges) or own["uncertainty"]
-    return verdict(result, loop=real_loop(own["loop"], loop) or own["loop"], ranges=ground)
+    return verdict(result, loop=real_loop(own["loop"], loop) or own["loop"], ranges=ground, progress=progress)
 
 
 def _selection_settings(machine: str, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -30,6 +32,23 @@ def test_the_command_says_what_python_says(command: Command) -> None:
     selected = command("select", "article", *words)
     assert f"verdict: {found.word.upper()}" in selected.stdout
     assert "verdict" not in command("select", "article", "--json").document
+
+
+def test_a_choice_is_handed_out_before_its_verdict(
+    command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Whose runs take minutes for an arm of many joints; here it ends at once."""
+    picture = tmp_path / "choice.png"
+
+    def none(*_: Any, **settings: Any) -> None:
+        settings["progress"](1, 4)
+        assert picture.exists()
+        raise flexopt.InputError("no verdict")
+
+    monkeypatch.setattr("flexopt.study.verdict", none)
+    found = command("select", "article", "--loop", "kp=1e4", "--plot", str(picture))
+    assert "Best by w1, whether it pays is told below" in found.stdout
+    assert "no verdict" in found.stderr
 
 
 def test_places_can_be_chosen_by_a_weighted_sum_and_what_was_not_given_is_named(command: Command) -> None:
