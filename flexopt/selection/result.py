@@ -277,7 +277,8 @@ class Selection(Pictured, Result):
         used = np.any([objective.uses for objective in self.problem.sought], axis=0)
         told = list[str]()
         if not used.all():
-            told.append(f"worst of the other w_i {best.w[~used].min():.6g}")
+            shown = shown_measures(self.problem, best.evaluation)
+            told.append(f"worst of the other w_i {shown[~used].min():.6g}")
         if best.evaluation.epsilon_max is not None and not any(o.has_kinks for o in self.problem.sought):
             told.append(f"ε_max {best.evaluation.epsilon_max:.6g}")
         told.append(way_there(self.problem, best))

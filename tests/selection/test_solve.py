@@ -267,3 +267,11 @@ def test_the_last_line_of_the_command_rounds_as_the_table_does(from_a_placement)
     chosen = replace(best, w=nearly.w, evaluate=lambda: nearly)
     text = analysis._selection_text(replace(from_a_placement, best=chosen, candidates=(chosen,)), judged=False)
     assert text.endswith("in the present posture, 0.00000e+00 in the chosen one")
+
+
+def test_rounding_of_the_other_measures_is_told_as_0_as_in_the_table(from_a_placement) -> None:
+    best, there = from_a_placement.best, from_a_placement.best.evaluation
+    none = replace(there, w=there.w * [1.0, 1e-25, 1e-25])
+    chosen = replace(best, w=none.w, dimension=1, evaluate=lambda: none)
+    found = replace(from_a_placement, best=chosen, candidates=(chosen,))
+    assert "worst of the other w_i 0, " in found.decided_by
