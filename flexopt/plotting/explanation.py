@@ -136,7 +136,8 @@ def _draw_move(axes: Axes, found: Any, i: int) -> None:
         f"for each {move.unit} of {mathtext(move.variable)}, {' and '.join(sorted(set(found.variable_units)))}"
     )
     unit = written_unit(residue_unit(found.evaluation.control, found.evaluation.joint_units))
-    axes.set_title(f"raises $w_{{{i + 1}}}$ by {move.rate:.3g} {unit} per {move.unit}", loc="left")
+    rate = f"{move.rate:.3g}".replace("-", "−")
+    axes.set_title(f"raises $w_{{{i + 1}}}$ by {rate} {unit} per {move.unit}", loc="left")
     axes.grid(axis="x")
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)

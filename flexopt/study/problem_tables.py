@@ -18,7 +18,7 @@ from flexopt.robustness.residues import residue_unit, written_unit
 from flexopt.selection import Selection
 from flexopt.selection.result import ConstraintValue
 from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
-from flexopt.study.page import Table, number
+from flexopt.study.page import Table, number, with_minus
 
 if TYPE_CHECKING:
     from flexopt.study.report_result import Report
@@ -79,7 +79,7 @@ def constraints(report: Report) -> ConstraintTables | None:
         rows = list[list[str]]()
         for name in names:
             values = [each.constraints[name] for each in shown]
-            rows.append([name, _allowed(values[0]), *(number(value.value, 4) for value in values)])
+            rows.append([with_minus(name), _allowed(values[0]), *(number(value.value, 4) for value in values)])
         return (header, rows) if rows else None
 
     return ConstraintTables(table(near), table(far), told, others if left else "")

@@ -34,6 +34,14 @@ def test_arrows_are_a_and_b_at_the_end_point():
         assert f"{angle:.3g}°" in scene.get_title(loc="left")
 
 
+def test_numbers_have_a_minus_sign():
+    """Here w_3 rises by less than 1e-4 per rad."""
+    found = flexopt.explain(flexopt.load("excavator"), (0.9929, -2.6306))
+    titles = " ".join(bars.get_title(loc="left") for _, bars in rows_of(found.plot(), 3))
+    assert "e−0" in titles
+    assert "-" not in titles
+
+
 def test_in_space_both_views_show_their_parts():
     """What one view cannot see the other does: squares of the parts seen add up."""
     found = explanation("truck-crane")

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pypdf
@@ -21,7 +22,7 @@ from flexopt.foundation import printing
 from flexopt.foundation.rendering import OfNumbers, _environment, render
 from flexopt.selection import Selection
 from flexopt.study import page as study_page
-from flexopt.study import problem_page
+from flexopt.study import problem_page, problem_tables
 from flexopt.study.problem_page import report_html
 from flexopt.study.verdict_result import STAY
 from tests.browser import on_paper, page_of, wide_tables
@@ -444,3 +445,11 @@ def test_verdict_command_writes_the_page(capsys: Any, tmp_path: Path, monkeypatc
     told = {float(number["value"] or "") for number, _ in page.all("data", "dl")}
     assert places[outcome.document["place"]]["decay"]["least"] in told
     assert (tmp_path / "verdict.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_edge_that_a_margin_is_from_has_a_minus_sign() -> None:
+    digger, posture = flexopt.load("boom-stick-bucket"), (-0.9, -1.2, -0.5)
+    target = flexopt.evaluate(digger, posture).end_point
+    found = flexopt.select(digger, target, base=0.0, constraints={"tip_over_margin": 0.1}, starts=1, workers=1)
+    report: Any = SimpleNamespace(selection=found)
+    assert "tip-over margin from x = −" in str(problem_tables.constraints(report))
