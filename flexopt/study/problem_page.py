@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 CAPTIONS = {
     "selection": "The machine in the chosen and the present configuration, and its measures; 0 is best.",
     "several": "The machine at its targets, and its measures; 0 is best.",
-    "loops": "Nonlinear closed loops with the same gains and the same displacement at the start.",
+    "loops": "Nonlinear closed loops with the same gains and the joints displaced alike at the start.",
 }
 MAP_CAPTION = (
     "Frequencies, w_i, in-phase regions (yellow: trace R_i > 0), the robust stability margin and the rigid part."
