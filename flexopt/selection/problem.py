@@ -80,6 +80,8 @@ def _sizes(of: Any) -> dict[str, int]:
 
 # How far from its target an end-point may be and count as there, m.
 THERE = 0.01
+# Share of a variable's or constraint's scale beyond which a bound is broken; how many are named.
+BROKEN, NAMED = 1e-6, 3
 _OBJECTIVE = instance(Objective, "one of the problem's `objectives`")
 # One configuration or many.
 _MANY = array_of(("n_z",), ("N", "n_z"), ("K", "N", "n_z"), finite=False)
@@ -445,6 +447,20 @@ def elsewhere(problem: SelectionProblem, z: Vector) -> str:
     if np.linalg.norm(point - problem.target) <= THERE:
         return ""
     return f"holds the end-point at ({', '.join(f'{x:.4g}' for x in point)}) m, not at the target"
+
+
+def broken(problem: SelectionProblem, z: Vector) -> str:
+    """Which limits and constraints a configuration breaks, the target aside, the worst first; empty where none."""
+    outside: Vector = np.maximum(problem.lower - z, z - problem.upper) / problem.scale
+    away = np.concatenate([outside, np.abs(beyond_bounds(problem, z))[problem.target.size :]])
+    names = [f"limits of {variable.name}" for variable in problem.variables]
+    names += [row.name for row in problem.constraints[problem.target.size :]]
+    order: list[int] = np.argsort(-away, kind="stable").tolist()
+    worst = [names[k] for k in order if away[k] > BROKEN]
+    if not worst:
+        return ""
+    more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
+    return f"breaks {', '.join(worst[:NAMED])}{more}"
 
 
 def beyond_bounds(problem: SelectionProblem, z: Vector) -> Vector:

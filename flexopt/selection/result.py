@@ -20,7 +20,7 @@ from flexopt.robustness.evaluation import Evaluation, without_rounding
 from flexopt.robustness.residues import residue_unit, unit_in_words
 from flexopt.selection.continua import way_to
 from flexopt.selection.exchanged import at_edge
-from flexopt.selection.problem import SelectionProblem, beyond_bounds, elsewhere
+from flexopt.selection.problem import SelectionProblem, beyond_bounds, broken, elsewhere
 
 SHOWN = 12
 # Below this share of what others have an ε_max that nobody asked for is told of.
@@ -309,14 +309,15 @@ class Selection(Pictured, Result):
 
     @property
     def present_told(self) -> str:
-        """What is to be known of the present configuration: that no posture was given, or where it is; else empty."""
+        """What is to be known of the present configuration: where it is, that no posture was given, what it breaks."""
         e = self.initial
         if e is None:
             return ""
-        away = elsewhere(self.problem, np.concatenate([e.base, e.posture]))
-        if away or self.problem.present_posture is not None:
-            return away
-        return "one of the postures that reach the target from there: none was given"
+        z = np.concatenate([e.base, e.posture])
+        away = elsewhere(self.problem, z)
+        if not away and self.problem.present_posture is None:
+            away = "one of the postures that reach the target from there: none was given"
+        return "; ".join(filter(None, (away, broken(self.problem, z))))
 
     @property
     def left_out(self) -> str:

@@ -18,7 +18,7 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
-from flexopt.selection.problem import elsewhere
+from flexopt.selection.problem import broken, elsewhere
 from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import RULE, Word, gains_in_words
@@ -278,7 +278,9 @@ class Verdict(Pictured, Result):
         why = f" ({self.taken})" if place.name == STAY and self.taken else ""
         first, held = stands[0]
         if not many:
-            off = elsewhere(self.problems[0], np.concatenate(place.stands[0])) if place.name == STAY else ""
+            problem, z = self.problems[0], np.concatenate(place.stands[0])
+            told = (elsewhere(problem, z), broken(problem, z)) if place.name == STAY else ()
+            off = "; ".join(filter(None, told))
             return f"{first}; {held}{why}{off and f' ({off})'}"
         lines = [f"{first}{why}"]
         for k, (placed, held) in enumerate(stands):

@@ -275,3 +275,18 @@ def test_rounding_of_the_other_measures_is_told_as_0_as_in_the_table(from_a_plac
     chosen = replace(best, w=none.w, dimension=1, evaluate=lambda: none)
     found = replace(from_a_placement, best=chosen, candidates=(chosen,))
     assert "worst of the other w_i 0, " in found.decided_by
+
+
+def test_what_the_present_configuration_breaks_is_told(machine) -> None:
+    """The arm is nearer to straight, sin² 0.1 = 0.01, than the margin's sin² 10° = 0.03 allows; to stay was offered."""
+    posture = [0.5, -0.1]
+    target, asked = flexopt.evaluate(machine, posture).end_point, {"base": 0.0, "posture": posture}
+    found = flexopt.select(machine, target, **asked, starts=1, workers=1)
+    now = next(line for line in repr(found).splitlines() if line.startswith("   now"))
+    assert now.endswith("breaks singularity margin")
+    judged = flexopt.verdict(found, loop={"kp": 1e4, "kv": 1e3}, members=2, runs=0)
+    assert "-0.1000 rad (breaks singularity margin)" in repr(judged)
+    allowed = flexopt.select(machine, target, **asked, singularity_margin_deg=1.0, starts=1, workers=1)
+    assert "breaks" not in repr(allowed)
+    ranged = flexopt.select(machine, (0.0, 1.6), base=0.0, base_range=(-3.0, -1.0), starts=1, workers=1)
+    assert "breaks limits of base.x" in repr(ranged)
