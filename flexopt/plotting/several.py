@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -59,10 +60,10 @@ def plot_stand(sheet: Sheet, stand: Stand) -> None:
     targets = _target_points(places, stand.problems[0].machine.task_rows)
     for k, view in enumerate(seen):
         axes = sheet.figure.add_subplot(left[k, 0])
-        draw_scene(axes, view, actors, targets, stand.problems[0].asked)
+        shown = actors if k == 0 else [replace(actor, label="") for actor in actors]
+        draw_scene(axes, view, shown, targets, stand.problems[0].asked)
         _number(axes, view.of(targets))
-        if k == 0:
-            legend_above(axes, ncols=2)
+        legend_above(axes, ncols=2)
     panels: list[Axes] = [sheet.figure.add_subplot(right[k, 0]) for k in range(2)]
     numbers = np.arange(1, len(places) + 1)
     shades = [inks.chosen if k == stand.worst else inks.other for k in range(numbers.size)]

@@ -248,3 +248,16 @@ def test_map_marks(machine):
     np.testing.assert_allclose(lines(own.axes[0])["end-point"], [e.end_point])
     labels = {axes.get_xlabel() for axes in own.axes}
     assert "x of the end-point at rest, inertial frame, m" in labels
+
+
+def test_a_stand_says_what_its_areas_hold_for():
+    """They are seen from above alone, where the machine at its targets is not named again."""
+    kept = {"keep_out": [[[2.0, -2.0], [4.0, -2.0], [4.0, 2.0], [2.0, 2.0]]]}
+    targets = [(0.9, -0.3, 1.0), (0.9, 0.3, 1.2)]
+    machine = flexopt.load("mobile-manipulator")
+    stand = flexopt.select_stand(machine, targets, base=(0.0, 0.0, 0.0), constraints=kept, starts=1, workers=1)
+    side, above = stand.plot().axes[:2]
+    assert "at the other targets" in [text.get_text() for text in side.get_legend().get_texts()]
+    named = [text.get_text() for text in above.get_legend().get_texts()]
+    assert len(named) == 1
+    assert named[0].endswith("may stand here")
