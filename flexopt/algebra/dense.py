@@ -8,9 +8,6 @@ import casadi as ca
 
 # Keeps derivatives of norms finite at zero; far below the square of any quantity in SI units.
 TINY = 1e-300
-# Functions of two dense matrices that kernels of `compiled` compute for many points have these names: A B, and the
-# symmetric part of the square A + B.
-DENSE_PRODUCT, SYMMETRIC_SUM = "dense_product", "symmetric_sum"
 
 
 def solve_spd(matrix: ca.SX, right: ca.SX) -> ca.SX:

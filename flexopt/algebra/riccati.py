@@ -16,8 +16,9 @@ from typing import TypeVar
 
 import casadi as ca
 
-from flexopt.algebra.dense import DENSE_PRODUCT, SYMMETRIC_SUM, solve_general
+from flexopt.algebra.dense import solve_general
 from flexopt.algebra.eigen import symmetric_eigen
+from flexopt.foundation.kernels import DENSE_PRODUCT, SYMMETRIC_SUM
 
 Graph = TypeVar("Graph", ca.SX, ca.MX)
 # Doublings square the convergence factor; 22 of them reach 1e-13 where the slowest closed-loop pole lies 1e-5 from the

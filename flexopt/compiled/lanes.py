@@ -15,9 +15,9 @@ from importlib.resources import files
 
 import casadi as ca
 
-from flexopt.algebra.dense import DENSE_PRODUCT, SYMMETRIC_SUM
 from flexopt.compiled.fused import fused, straight
 from flexopt.compiled.pieces import LONG, beforehand, in_pieces
+from flexopt.foundation.kernels import DENSE_PRODUCT, SYMMETRIC_SUM
 
 # Helpers of the generated code that `lane.hpp` has under another name.
 _OWN = {

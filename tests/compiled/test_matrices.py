@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from flexopt.algebra.dense import DENSE_PRODUCT, SYMMETRIC_SUM
 from flexopt.compiled import batch, find_compiler, lanes
+from flexopt.foundation.kernels import DENSE_PRODUCT, SYMMETRIC_SUM
 from tests.compiled.comparison import QUIET
 
 pytestmark = pytest.mark.filterwarnings(QUIET)
