@@ -21,7 +21,7 @@ typedef long long mask __attribute__((vector_size(8 * LANES)));
 typedef double loose __attribute__((vector_size(8 * LANES), aligned(8), may_alias));
 typedef double number __attribute__((may_alias));
 
-INLINE constexpr vec splat(double x) { return vec{} + x; }
+INLINE constexpr vec splat(double x) { return x - vec{}; }  // −0, too
 
 struct lane {
   vec v;

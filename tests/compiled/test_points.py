@@ -55,6 +55,16 @@ def test_one_value_for_all_points(function: ca.Function, evaluate: Batch) -> Non
         assert way(np.zeros((2, 0)), a)[0].shape == (2, 0)
 
 
+def test_one_value_for_all_points_keeps_the_sign_of_a_zero() -> None:
+    x, a = ca.SX.sym("x"), ca.SX.sym("a")
+    evaluate = batch(ca.Function("f", [x, a], [ca.atan2(a, x), 1 / a]))
+    x = np.full((1, 17), -1.0)
+    for way in (-0.0, 0.0):
+        angle, inverse = evaluate(x, [way])
+        assert np.array_equal(angle, np.full((1, 17), np.copysign(np.pi, way)))
+        assert np.array_equal(inverse, np.full((1, 17), np.copysign(np.inf, way)))
+
+
 @pytest.mark.parametrize("layout", ["Fortran", "strided", "reversed", "integers"])
 def test_arrays_in_any_layout(evaluate: Batch, layout: str) -> None:
     rng = np.random.default_rng(0)
