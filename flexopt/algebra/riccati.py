@@ -165,7 +165,8 @@ def _doubling(size: int) -> ca.Function:
     times, symmetric = _product(size), _symmetric_sum(size)
     a, g, h = (ca.MX.sym(name, size, size) for name in ("A", "G", "H"))
     across = a.T
-    v = _inverse(size)(ca.mac(g, h, ca.densify(ca.MX.eye(size))))
+    # The products are summed before 1 is added, beside which each alone would be rounded.
+    v = _inverse(size)(ca.MX.eye(size) + times(g, h))
     va = times(v, a)
     # Averaging both triangles, rather than computing one, keeps two digits more on badly conditioned plants.
     next_g = symmetric(g, times(times(a, times(v, g)), across))
