@@ -214,7 +214,7 @@ class Margin:
         equations and of the eigenvalue, near 1e-14.
         """
         symbols, (a, b, c), x, z, rest = self._solved()
-        values, _, away = top_eigenpairs(self.n_states, self.plant.n_task).call([x, z])
+        values, _, away = top_eigenpairs(self.n_states, self.plant.n_task, compact=self.compact).call([x, z])
         residuals = [_relative(*_residual(a, b, c, x)), _relative(*_residual(a.T, c.T, b.T, z))]
         residual = ca.fmax(ca.fmax(*residuals), away)
         return self._function(
@@ -244,7 +244,7 @@ class Margin:
         """
         symbols, (a, b, c), x, z, _ = self._solved()
         n = self.n_states
-        values, vectors = top_eigenpairs(n, self.plant.n_task).call([x, z])[:2]
+        values, vectors = top_eigenpairs(n, self.plant.n_task, compact=self.compact).call([x, z])[:2]
         solve, sweep, held = lyapunov(n, compact=self.compact), self._reverse_sweep, self.hold.call(symbols)[0]
         loop_x, loop_z = a - b @ (b.T @ x), a.T - c.T @ (c @ z)
         left = _residual(a, b, c, x)[0], _residual(a.T, c.T, b.T, z)[0]
