@@ -24,9 +24,8 @@ Graph = TypeVar("Graph", ca.SX, ca.MX)
 # Doublings square the convergence factor; 22 of them reach 1e-13 where the slowest closed-loop pole lies 1e-5 from the
 # axis, relative to the scaled time.
 DOUBLINGS = 22
-# Where no element of A_k is larger, another doubling would change the results by its square, far below rounding; of
-# many points (`compact`), which are told to nine digits, a larger one will do.
-SETTLED, SETTLED_COMPACT = 1e-11, 1e-9
+# Where no element of A_k is larger, another doubling would change the results by its square, far below rounding.
+SETTLED = 1e-11
 # The power 2⁸ of X Z leaves of the third eigenvalue, at 0.9 of the first, 2e-12.
 SQUARINGS = 8
 GAMMA = 3.0
@@ -40,13 +39,12 @@ def riccati_pair(size: int, doublings: int = DOUBLINGS, *, compact: bool = False
     """(A, G, H) -> X, Z, rest: stabilising solutions of AᵀX + XA − XGX + H = 0 and AZ + ZAᵀ − ZHZ + G = 0.
 
     Structure-preserving doubling (Chu, Fan, Lin and Wang, 2004) from a Cayley transform with γ = 3, which suits
-    matrices scaled to order one. `rest` is the largest element of the last A_k, at most `SETTLED` (or
-    `SETTLED_COMPACT`) where the iteration has converged.
+    matrices scaled to order one. `rest` is the largest element of the last A_k, at most `SETTLED` where the iteration
+    has converged.
     """
     step = _doubling(size) if compact else _doubling(size).expand()
     a, g, h = (ca.MX.sym(name, size, size) for name in ("A", "G", "H"))
-    settled = SETTLED_COMPACT if compact else SETTLED
-    state = _repeated(step, _cayley(size).call([a, g, h]), doublings, settled, fixed=fixed)
+    state = _repeated(step, _cayley(size).call([a, g, h]), doublings, fixed=fixed)
     rest = ca.norm_inf(ca.vec(state[0]))
     return ca.Function("riccati_pair", [a, g, h], [state[2], state[1], rest], ["A", "G", "H"], ["X", "Z", "rest"])
 
@@ -58,7 +56,7 @@ def lyapunov(size: int, *, compact: bool = False, fixed: bool = False) -> ca.Fun
     a, q = ca.MX.sym("A", size, size), ca.MX.sym("Q", size, size)
     resolvent = _inverse(size)(GAMMA * ca.MX.eye(size) - a)
     start = _symmetric(2 * GAMMA * product(product(resolvent, q), resolvent.T))
-    state = _repeated(step, [product(GAMMA * ca.MX.eye(size) + a, resolvent), start], DOUBLINGS, SETTLED, fixed=fixed)
+    state = _repeated(step, [product(GAMMA * ca.MX.eye(size) + a, resolvent), start], DOUBLINGS, fixed=fixed)
     return ca.Function("lyapunov", [a, q], [state[1]], ["A", "Q"], ["P"])
 
 
@@ -177,14 +175,14 @@ def _doubling(size: int) -> ca.Function:
     return ca.Function("doubling", [a, g, h], [times(a, va), next_g, next_h])
 
 
-def _repeated(step: ca.Function, state: list[ca.MX], times: int, least: float, *, fixed: bool) -> list[ca.MX]:
-    """`step` of the state, whose first part is A_k, so many times, or until no element of A_k is above `least`."""
+def _repeated(step: ca.Function, state: list[ca.MX], times: int, *, fixed: bool) -> list[ca.MX]:
+    """`step` of the state, whose first part is A_k, so many times, or until A_k has settled."""
     if fixed:
         for _ in range(times):
             state = step.call(state)
         return state
     symbols = [ca.MX.sym(f"s{k}", *step.size_in(k)) for k in range(step.n_in())]
-    settled = ca.Function("settled", symbols[:1], [ca.norm_inf(ca.vec(symbols[0])) <= least])
+    settled = ca.Function("settled", symbols[:1], [ca.norm_inf(ca.vec(symbols[0])) <= SETTLED])
     as_it_is = ca.Function("as_it_is", symbols, symbols)
     unless_settled = ca.Function.if_else(f"{step.name()}_unless_settled", as_it_is, step)
     for _ in range(times):

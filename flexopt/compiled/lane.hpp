@@ -195,13 +195,14 @@ static __attribute__((noinline)) void product_in_blocks(const lane *a, long long
     }
 }
 
-INLINE void dense_product(const lane *a, long long rows, long long inner, const lane *b, long long columns, lane *c) {
+INLINE void flexopt_dense_product(const lane *a, long long rows, long long inner, const lane *b, long long columns,
+                                  lane *c) {
   product_in_blocks(a, rows, inner, b, columns, c, false);
 }
 
 // C = (S + Sᵀ) / 2 of S = A + B, square.
-static __attribute__((noinline)) void symmetric_sum(const lane *a, long long n, long long, const lane *b, long long,
-                                                    lane *c) {
+static __attribute__((noinline)) void flexopt_symmetric_sum(const lane *a, long long n, long long, const lane *b,
+                                                            long long, lane *c) {
   for (long long j = 0; j < n; ++j)
     for (long long i = 0; i <= j; ++i) {
       const long long above = i + j * n, below = j + i * n;
@@ -224,7 +225,8 @@ INLINE void add_product(const lane *x, long long rows, long long inner, const la
   if (!transposed) return product_in_blocks(x, rows, inner, y, columns, z, true);
   for (long long j = 0; j < columns; ++j)
     for (long long i = 0; i < inner; ++i)
-      for (long long k = 0; k < rows; ++k) z[i + j * inner] = fma(x[k + i * rows].v, y[k + j * rows].v, z[i + j * inner].v);
+      for (long long k = 0; k < rows; ++k)
+        z[i + j * inner] = fma(x[k + i * rows].v, y[k + j * rows].v, z[i + j * inner].v);
 }
 
 // Below 2^52 the sum with 2^52 has no fraction bits left; above, every double is whole already.

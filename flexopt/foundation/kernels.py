@@ -6,5 +6,5 @@ does not look at the name, the graph says the same.
 
 from __future__ import annotations
 
-# Of two dense matrices: A B, and the symmetric part of the square A + B.
-DENSE_PRODUCT, SYMMETRIC_SUM = "dense_product", "symmetric_sum"
+# Of two dense matrices: A B, and the symmetric part of the square A + B. Nobody else's Function has such a name.
+DENSE_PRODUCT, SYMMETRIC_SUM = "flexopt_dense_product", "flexopt_symmetric_sum"

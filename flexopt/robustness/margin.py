@@ -210,7 +210,7 @@ class Margin:
         """(base, posture, p, kr) -> epsilon (2, 1), rest, residual.
 
         `epsilon` holds (1 + λ)^(−1/2) of the two largest eigenvalues λ of X Z, ε_max first; `rest` is what the doubling
-        had left to do, at most 1e-9 where it converged, and `residual` the largest relative residual of the Riccati
+        had left to do, at most 1e-11 where it converged, and `residual` the largest relative residual of the Riccati
         equations and of the eigenvalue, near 1e-14.
         """
         symbols, (a, b, c), x, z, rest = self._solved()

@@ -40,7 +40,7 @@ def test_products_by_name_and_as_they_are_written(graph, rows, inner, columns):
         if find_compiler() is not None:
             # CasADi names no number of columns of vectors, which are not worth a block.
             blocked = name == DENSE_PRODUCT and min(rows, inner, columns) > 1
-            assert ("dense_product(arg[0]" in lanes.kernel_source(function)) == blocked
+            assert ("flexopt_dense_product(arg[0]" in lanes.kernel_source(function)) == blocked
 
 
 def test_sums_of_products_and_products_with_a_transposed_matrix():
