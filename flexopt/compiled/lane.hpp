@@ -212,11 +212,14 @@ static __attribute__((noinline)) void flexopt_symmetric_sum(const lane *a, long 
 
 // The largest size of n numbers, at least zero; none that is NaN counts.
 static __attribute__((noinline)) lane largest(long long n, const lane *x) {
-  lane sizes[4] = {0, 0, 0, 0};
+  vec sizes[4] = {};
   for (long long k = 0; k < n; k += 4)
 #pragma GCC unroll 4
-    for (int j = 0; j < 4; ++j) sizes[j] = fmax(sizes[j], fabs(x[k + j < n ? k + j : k]));
-  return fmax(fmax(sizes[0], sizes[1]), fmax(sizes[2], sizes[3]));
+    for (int j = 0; j < 4; ++j) {
+      const vec size = absolute(x[k + j < n ? k + j : k].v);
+      sizes[j] = pick(size > sizes[j], size, sizes[j]);
+    }
+  return fmax(fmax(lane(sizes[0]), sizes[1]), fmax(lane(sizes[2]), sizes[3]));
 }
 
 // CasADi's z += x y, or xᵀ y.
