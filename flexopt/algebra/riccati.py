@@ -168,9 +168,7 @@ def _doubling(size: int) -> ca.Function:
     a, g, h = (ca.MX.sym(name, size, size) for name in ("A", "G", "H"))
     across = a.T
     # The products are summed before 1 is added, beside which each alone would be rounded.
-    shifted = times(g, h)
-    shifted[:: size + 1] += 1
-    v = _inverse(size)(shifted)
+    v = _inverse(size)(ca.MX.eye(size) + times(g, h))
     va = times(v, a)
     # Averaging both triangles, rather than computing one, keeps two digits more on badly conditioned plants.
     next_g = symmetric(g, times(times(a, times(v, g)), across))

@@ -39,7 +39,7 @@ def test_the_same_range(model: type[FileModel], call: Callable[..., Any], good: 
     compared: set[str] = set()
     for name in sorted(both):
         for bad in (math.nan, 1e300, -1e300):
-            of_file = sentences(name, lambda n=name, b=bad: validated(model, {n: b}, "file", (), InputError))
+            of_file = sentences(name, lambda n=name, b=bad: validated(model, {n: b}, "file", kind=InputError))
             if not any("number" in each or "must lie" in each or "must be greater" in each for each in of_file):
                 continue  # a word or a flag
             compared.add(name)
