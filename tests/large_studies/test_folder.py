@@ -123,7 +123,7 @@ def start(folder: Path, **environment: str) -> subprocess.Popen[bytes]:
 def slow() -> flexopt.Study:
     return flexopt.Study(
         name="slow", problem="article", compute="selection", chunk=2,
-        vary=[{"of": "target.x", "value": [-0.4, 0.4], "count": 12}],
+        vary=[{"of": "target.x", "value": [-0.4, 0.4], "count": 20}],
     )  # fmt: skip
 
 
