@@ -109,7 +109,9 @@ def test_numbers_that_would_come_out_otherwise_are_not_mixed(tmp_path: Path) -> 
 def start(folder: Path, **environment: str) -> subprocess.Popen[bytes]:
     """A driver of its own, of selections that take a while."""
     program = (
-        "import flexopt, sys\n"
+        "import flexopt, signal, sys\n"
+        # What runs in the background of a shell ignores it, and hands that on.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "if __name__ == '__main__':\n"
         "    from tests.large_studies.test_folder import slow\n"
         "    flexopt.run_study(slow(), sys.argv[1], workers=2)\n"
@@ -123,7 +125,7 @@ def start(folder: Path, **environment: str) -> subprocess.Popen[bytes]:
 def slow() -> flexopt.Study:
     return flexopt.Study(
         name="slow", problem="article", compute="selection", chunk=2,
-        vary=[{"of": "target.x", "value": [-0.4, 0.4], "count": 20}],
+        vary=[{"of": "target.x", "value": [-0.4, 0.4], "count": 12}],
     )  # fmt: skip
 
 
