@@ -32,12 +32,16 @@ RULE = (
 
 
 class Place(NamedTuple):
-    """One configuration: its name, decays (n,) on the members and the slowest that was found at all, 1/s, its drive."""
+    """One configuration: name, decays (n,) on the members and the slowest that was found at all, 1/s; what it takes.
+
+    `drive` of the base, m; `otherwise`: what moves besides, in words.
+    """
 
     name: str
     decays: Vector
     slowest: float
     drive: float
+    otherwise: str = ""
 
     @property
     def holds(self) -> bool:
@@ -103,7 +107,8 @@ def decide(
             if not stay.holds:
                 reason = "stable on every ground, which the present place is not"
             reason += f"; slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
-        return Decision("move", best.name, f"{reason}, for a drive of {best.drive:.3g} m")
+        takes = ", ".join([f"a drive of {best.drive:.3g} m", *([best.otherwise] if best.otherwise else [])])
+        return Decision("move", best.name, f"{reason}, for {takes}")
     if stay is not None and stay.holds and stay.name not in unconfirmed:
         share, rival = max(
             ((place.better_than(stay), place) for place in others), key=lambda x: x[0], default=(0.0, stay)

@@ -41,6 +41,7 @@ from flexopt.study.place_loops import (
     Configurations,
     PlaceLoops,
     Slowest,
+    besides_driving,
     configurations_of,
     drive_to,
     problems_of,
@@ -159,7 +160,13 @@ def verdict(
     for name in told if runs else []:
         shown[name] = loops[name].runs(points[:runs], each[name][:, :runs], duration)
     stages.next()
-    known = {name: Place(name, decays[name], slowest[name].decay, drives[name][0]) for name in told}
+    known = {
+        name: Place(
+            name, decays[name], slowest[name].decay, drives[name][0],
+            besides_driving(machine, stands[name], stands.get(STAY)),
+        )
+        for name in told
+    }  # fmt: skip
     stay, rest = known.get(STAY), [known[name] for name in told if name != STAY]
     unconfirmed = [name for name, run in shown.items() if run.confirming < MOST]
     tried = tried_gains(asked) if _tries(asked, known, unconfirmed) else ""

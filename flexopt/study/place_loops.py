@@ -17,6 +17,7 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model import AnyMachine
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.continua import unwound
@@ -30,6 +31,8 @@ Chosen = Selection | Stand | BasePlan
 Configurations = tuple[Evaluation, ...]
 # Candidates of which the best are told of.
 LOOKED = 12
+# A turn or a shift below it is none, rad or m.
+LEAST_TOLD = 1e-3
 # So many times the usual number of postures is looked at where a placement is given.
 FINER = 6
 
@@ -161,3 +164,20 @@ def drive_to(configurations: Configurations, now: Vector) -> tuple[float, float]
         turn += abs(math.remainder(away.pop("yaw", 0.0), math.tau))
         length += math.hypot(*away.values())
     return length, turn
+
+
+def besides_driving(machine: AnyMachine, there: Configurations, stay: Configurations | None) -> str:
+    """What a move takes besides the drive, in words: the base's turn, and the joint that moves most, in its unit.
+
+    Of one target: postures at several are as far from each other as the targets.
+    """
+    if stay is None or len(there) != 1:
+        return ""
+    away = there[0].posture - stay[0].posture
+    most, moved = int(np.argmax(np.abs(away))), np.abs(away) >= LEAST_TOLD
+    _, turn = drive_to(there, stay[0].base)
+    told = [f"a turn of the base by {turn:.3g} rad"] if turn >= LEAST_TOLD else []
+    if moved.any():
+        others = ", other joints less" if moved.sum() > 1 else ""
+        told.append(f"{machine.joints[most]} by {away[most]:+.3g} {machine.joint_units[most]}{others}")
+    return ", ".join(told)

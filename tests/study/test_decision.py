@@ -21,7 +21,9 @@ def test_a_place_that_is_better_everywhere_is_moved_to() -> None:
     word = decide(STAY, [place("far", 3 * GROUNDS, 9.0), place("near", 2.8 * GROUNDS, 2.0)])
     assert (word.word, word.place) == ("move", "near")
     assert word.reason.startswith("decays at least 10 % faster on 100 % of the grounds; ")
-    assert "2 m" in word.reason
+    assert word.reason.endswith(", for a drive of 2 m")
+    also = place("near", 2.8 * GROUNDS, 2.0)._replace(otherwise="boom by -0.4 rad")
+    assert decide(STAY, [also]).reason.endswith(", for a drive of 2 m, boom by -0.4 rad")
 
 
 def test_what_decays_is_not_told_to_decay_so_much_faster_than_what_grows() -> None:

@@ -27,6 +27,13 @@ def test_the_articles_machine_moves() -> None:
     chosen = next(place for place in found.places if place.name == found.place)
     assert stay.decay.greatest < 0 < chosen.decay.least
     assert chosen.better == 1.0
+    away = chosen.posture - stay.posture
+    most = int(np.argmax(abs(away)))
+    # What the move takes: mostly a joint may move.
+    joint = ("boom", "stick")[most]
+    assert found.reason.endswith(
+        f"for a drive of {chosen.drive:.3g} m, {joint} by {away[most]:+.3g} rad, other joints less"
+    )
     assert chosen.runs is not None
     assert chosen.runs.converging == 1.0
     assert stay.runs is not None
