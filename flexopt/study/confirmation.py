@@ -90,7 +90,7 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
     found, nearer = np.full((3, len(members)), np.nan), [False] * len(members)
     for wait in sorted(set(waits)):
         rows = [k for k, each in enumerate(waits) if each == wait]
-        for some, ensemble in _ensembles(loop, members, rows, wait, duration):
+        for some, ensemble in _ensembles(loop, members, decays, rows, wait, duration):
             data = {name: ensemble.dataset[name].to_numpy() for name in SHOWN}
             found[:, some] = [data["settling_time"], data["peak_base_rotation"], -data["growth_rate"]]
             ends = zip(some, ensemble.verdict.tolist(), data["end_error"], data["peak_error"], strict=True)
@@ -112,14 +112,18 @@ def of_all(each: Sequence[Runs]) -> Runs:
 
 
 def _ensembles(
-    loop: UncertainLoop, members: Vector, rows: list[int], waits: int, duration: float
+    loop: UncertainLoop, members: Vector, decays: Vector, rows: list[int], waits: int, duration: float
 ) -> Iterator[tuple[list[int], Ensemble]]:
-    """Ensembles of these members, together where that can be, else one by one with shorter steps; not of all."""
+    """Ensembles of these members, together where that can be, else one by one; not of all.
+
+    Shorter steps are tried where the linear loop decays: what grows outgrows them as well, at 64 times the cost.
+    """
     try:
         yield rows, _ensemble(loop, members[rows], waits, duration, None)
     except NoSolutionFound:
+        alone_again = (None,) if len(rows) > 1 else ()
         for row in rows:
-            for substeps in SHORTER:
+            for substeps in SHORTER if decays[row] >= 0 else alone_again:
                 try:
                     alone = _ensemble(loop, members[[row]], waits, duration, substeps)
                 except NoSolutionFound:
