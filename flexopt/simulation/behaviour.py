@@ -39,6 +39,8 @@ class Behaviour:
         grows: the verdict (N,): the run left the finite numbers, or some mode's amplitude grows: its growth rate
             exceeds twice its standard error, or it ends three times as large as it began, or no smaller and without a
             decay of twice that error. A mode at rest at the start is taken to begin in the middle of its motion.
+        grown: how many times as large as at its beginning a mode's amplitude is in the end, of those that grow the one
+            with the most (N,); 1 where none does.
         growth_rate: of the mode that has the most energy in the end among those that clearly grow, or else of the one
             that decays slowest, 1/s: half the slope of the logarithm of the mode's energy, maxima over periods of the
             slowest mode, least squares over the second half of the run, three at least (N,); NaN where the base never
@@ -61,6 +63,7 @@ class Behaviour:
     """
 
     grows: NDArray[np.bool_]
+    grown: Vector
     growth_rate: Vector
     growth_rate_error: Vector
     settling_time: Vector
@@ -82,6 +85,7 @@ class Behaviour:
         """What one run shows."""
         return Shown(
             word=self.verdict(member),
+            grown=float(self.grown[member]),
             rate=float(self.growth_rate[member]),
             error=float(self.growth_rate_error[member]),
             ended=float(self.finite_until[member]),
@@ -97,6 +101,7 @@ class Shown:
     """What one run shows of growth; see `Behaviour`, `rate` and `error` in 1/s, `ended` in s."""
 
     word: RunVerdict
+    grown: float
     rate: float
     error: float
     ended: float
@@ -104,6 +109,13 @@ class Shown:
     short: bool
     slowest_hz: float
     duration: float
+
+    @property
+    def levelled(self) -> bool:
+        """Whether an amplitude became far larger, but hardly in the second half, of which the rate is told."""
+        if self.word != "grows" or self.ended < self.duration or self.grown < GROWN:
+            return False
+        return self.rate < min(self.error, 0.5 * math.log(self.grown) / self.duration)
 
 
 @dataclass(frozen=True)
@@ -152,12 +164,13 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
     peaks, elastic = peaks[:, :modes], peaks[:, modes:]
     bent = QUASI_STATIC * elastic if grounds.drifting else 0.0
     rate, error, bend, first, last = _growth(peaks, centres, grounds.still, bent)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
         growing = last >= GROWN * first
         if not grounds.noisy:
             growing |= (rate > 2 * error) | ((last >= first) & (rate > -2 * error))
         wavering = np.any((np.abs(rate) <= 2 * error) & (last < GROWN * first), axis=0)
         clearly = growing & (rate > 2 * error)
+        times_larger = np.where(growing & (first > 0), last / first, 1.0)
     told = _told(rate, clearly, last)
 
     loud = ~(squared_error <= np.maximum(SETTLED**2 * squared_error[:1], STILL**2))
@@ -167,6 +180,7 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
     turn = np.sqrt(np.max(np.where(alive, rotation, -np.inf), axis=0, initial=0.0))
     return Behaviour(
         grows=diverged | np.any(growing, axis=0),
+        grown=np.max(times_larger, axis=0, initial=1.0),
         growth_rate=np.take_along_axis(rate, told[None], axis=0)[0],
         growth_rate_error=_doubt(rate, error, bend, last, told, np.any(clearly, axis=0)),
         settling_time=np.where(loud[-1], np.nan, settling),

@@ -312,6 +312,11 @@ class Trajectory(Pictured, Result):
         ]
         if self.loop is not None:
             lines[1:1] = [f"  {line}" for line in repr(self.loop).splitlines()]
+        if self.run.levelled:
+            lines.append(
+                f"  a mode of the base grew to {self.run.grown:.2g} times its first amplitude; the run's decay is that "
+                "of its second half, where it hardly grew further: it was too large for the linear loop by then"
+            )
         if self.verdict == "undecided":
             lines.insert(1, f"  undecided: {self.verdict_reason}")
         made = self.integrated_growth_rate

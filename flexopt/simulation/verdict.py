@@ -148,9 +148,10 @@ def _words(run: Shown) -> str:
         return f"grows out of the finite numbers at {run.ended:.4g} s"
     if math.isnan(run.rate):
         return "never moves the base"
+    if run.levelled:
+        return f"grows to {run.grown:.2g} times its first amplitude, hardly further in its second half"
     if run.word == "grows":
-        # A rate that does not grow: the amplitude ends far above its start, or nothing clear is to be seen.
-        verb = "grows" if run.rate > 0 else "ends far above its start" if run.significant else "does not clearly decay"
+        verb = "grows" if run.rate > 0 else "does not clearly decay"
     else:
         verb = "decays" if run.rate < 0 else "does not clearly grow"
     return f"{verb} (decay {-run.rate:+z.4g} ± {run.error:.1g}/s)"

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
+from flexopt.study.places import STAY
 
 Word = Literal["move", "stay", "change gains", "cannot tell"]
 # By which share of its decay one is faster than the other, and in which share of the members it must be.
@@ -25,9 +26,9 @@ RULE = (
     "MOVE: a place is stable on every ground looked at, better than the present one on "
     f"{100 * MOST:.0f} % of them and in its worst case, and {100 * MOST:.0f} % of the nonlinear runs confirm it: the "
     "base's oscillation decays, and the end-point comes nearer to its target. CHANGE GAINS: other gains that were "
-    "tried do in a place what no move does with these, or no place is stable on every ground and other gains make one "
-    "so; runs confirm it. STAY: the present place is stable on every ground, runs confirm it, and no other is better "
-    f"on more than {100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else."
+    "tried do in a place what no move does with the present gains, or no place is stable on every ground and other "
+    "gains make one so; runs confirm it. STAY: the present place is stable on every ground, runs confirm it, and no "
+    f"other is better on more than {100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else."
 )  # fmt: skip
 
 
@@ -130,30 +131,39 @@ def decide(
     every = [*([] if stay is None else [stay]), *others]
     doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
     if doubted:
-        return Decision("cannot tell", doubted[0], f"nonlinear runs do not confirm {' and '.join(doubted)}")
+        return Decision(
+            "cannot tell", doubted[0], f"nonlinear runs do not confirm {' and '.join(map(spoken, doubted))}"
+        )
     with_others = f", nor with {tried}" if tried else ""
     if refuted is not None and refuted.holds:
         named = f" ({gains_in_words(gains)})" if gains else ""
-        with_others = f"; with others{named} {refuted.name} is, but nonlinear runs do not confirm that"
-    reason = f"no place found is stable on every ground with these gains{with_others}"
+        with_others = f"; with others{named} {spoken(refuted.name)} is, but nonlinear runs do not confirm that"
+    reason = f"no place found is stable on every ground with the present gains{with_others}"
     return Decision("cannot tell", "", reason + (f"; it grows at {alternates}" if alternates else ""))
 
 
-def gains_in_words(gains: Mapping[str, Sequence[float]]) -> str:
-    """Of the first task row."""
-    return ", ".join(f"{name} {values[0]:.4g}" for name, values in gains.items())
+def gains_in_words(gains: Mapping[str, Sequence[float]], units: Sequence[str] = ("", "", "")) -> str:
+    """Of the first task row; `units` of kp, kv, ki."""
+    return ", ".join(
+        f"{name} {values[0]:.4g} {unit}".rstrip() for (name, values), unit in zip(gains.items(), units, strict=False)
+    )
+
+
+def spoken(place: str) -> str:
+    """The name of a place within a sentence."""
+    return "the present place" if place == STAY else place
 
 
 def deciding(decision: Decision, known: Mapping[str, Place], stay: Place | None) -> tuple[str, Vector]:
     """What decides where the word is "cannot tell", in words, and as numbers (n,) on the members, by sign."""
     place = known[decision.place or ranked({name: each.decays for name, each in known.items()})[0]]
     if not place.holds and (place.decays > 0).all():  # the search alone found the ground on which it grows
-        return f"how far {place.name} is from growing", place.decays - place.decays.mean()
+        return f"how far {spoken(place.name)} is from growing", place.decays - place.decays.mean()
     if not place.holds:
         # It cannot be had, whatever is gained elsewhere: what tells the grounds apart on which it grows decides.
-        return f"whether {place.name} is stable", np.where(place.decays > 0, 1.0, -1.0)
+        return f"whether {spoken(place.name)} is stable", np.where(place.decays > 0, 1.0, -1.0)
     if stay is None or place.name == stay.name:
-        return f"the decay at {place.name}", place.decays
+        return f"the decay at {spoken(place.name)}", place.decays
     return f"what is gained by moving to {place.name}", place.decays - stay.decays
 
 
@@ -189,20 +199,17 @@ def _spares(changed: Place, stay: Place | None, best: Place | None) -> bool:
 def _why_gains(
     changed: Place, stay: Place | None, best: Place | None, sound: Sequence[Place], doubted: Sequence[Place]
 ) -> str:
-    reason = f"with them the slowest decay at {changed.name} is {changed.slowest:.3g}/s"
+    reason = f"with the new gains the slowest decay at {spoken(changed.name)} is {changed.slowest:.3g}/s"
     if best is not None:
-        return f"{reason}, as much as {best.name} has with these, {best.slowest:.3g}/s"
+        return f"{reason}, as much as {best.name} has with the present ones, {best.slowest:.3g}/s"
     if stay is not None and stay.holds:
-        return f"{reason}, with these {stay.slowest:.3g}/s"
+        return f"{reason}, with the present ones {stay.slowest:.3g}/s"
     if sound and stay is not None:
         rival = max(sound, key=lambda place: place.better_than(stay))
         share = f"{BETTER} than the present place on {100 * rival.better_than(stay):.0f} % of them only"
-        return f"{reason}; with these {rival.name} is stable on every ground, too, but {share}"
+        return f"{reason}; with the present ones {rival.name} is stable on every ground, too, but {share}"
     if doubted:
-        names = " and ".join(place.name for place in doubted)
-        one = len(doubted) == 1
-        return (
-            f"{reason}; with these {names} {'is' if one else 'are'} stable on every ground, too, but nonlinear runs do "
-            f"not confirm {'it' if one else 'them'}"
-        )
-    return f"{reason}; with these no place found is stable on every ground"
+        names, one = " and ".join(place.name for place in doubted), len(doubted) == 1
+        stable = f"{names} {'is' if one else 'are'} stable on every ground, too"
+        return f"{reason}; with the present ones {stable}, but nonlinear runs do not confirm {'it' if one else 'them'}"
+    return f"{reason}; with the present ones no place found is stable on every ground"

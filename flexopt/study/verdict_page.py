@@ -14,7 +14,7 @@ import numpy as np
 from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
-from flexopt.study.decision import BETTER
+from flexopt.study.decision import BETTER, gains_in_words, spoken
 from flexopt.study.page import Picture, Table, begun, coordinate, number, picture, sentence, with_minus
 from flexopt.study.places import MOVE, STAY, told
 
@@ -121,8 +121,8 @@ def _head(verdict: Verdict) -> str:
     if verdict.word == "move":
         return f"{word} to {verdict.place}"
     if verdict.word == "change gains":
-        gains = ", ".join(f"{name} {values[0]:.4g}" for name, values in verdict.gains.items())
-        return f"{word} to {gains}, at {verdict.place}"
+        gains = gains_in_words(verdict.gains, verdict.settings.gain_units)
+        return f"{word} to {gains}, at {spoken(verdict.place)}"
     return word
 
 

@@ -21,7 +21,7 @@ from flexopt.robustness.evaluation import in_words
 from flexopt.selection.problem import broken, elsewhere
 from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
-from flexopt.study.decision import RULE, Word, gains_in_words
+from flexopt.study.decision import RULE, Word, gains_in_words, spoken
 from flexopt.study.place_loops import Chosen, found_in, problems_of
 from flexopt.study.places import FIRST, MOVE, STAY, TOLD, told
 
@@ -156,8 +156,10 @@ class Verdict(Pictured, Result):
     @property
     def sentence(self) -> str:
         """See the class."""
-        gains = gains_in_words(self.gains)
-        where = {"move": f" to {self.place}", "change gains": f" to {gains}, at {self.place}"}.get(self.word, "")
+        gains = gains_in_words(self.gains, self.settings.gain_units)
+        where = {"move": f" to {self.place}", "change gains": f" to {gains}, at {spoken(self.place)}"}.get(
+            self.word, ""
+        )
         return f"{self.word}{where}: {self.reason}"
 
     @property

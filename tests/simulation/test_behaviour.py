@@ -54,6 +54,19 @@ def test_a_clean_exponential_gives_its_rate(rate):
     assert result.verdict() == ("grows" if rate > 0 else "converges")
 
 
+def test_an_amplitude_that_levels_off_is_told_by_how_far_it_grew():
+    """exp(0.6 t) up to 5 s, a slow swell after it: the second half tells no growth, the whole run does."""
+    levelled = np.exp(2 * 0.6 * np.minimum(AT, 5.0)) * (1 + 0.2 * np.sin(2.5 * AT))
+    run = judged(levelled, error=np.ones_like(AT)).shown()
+    assert (run.word, run.levelled) == ("grows", True)
+    assert run.rate <= run.error
+    # Whole periods of 67 samples are counted from the end.
+    first, last = levelled[2000 % 67 :][:67].max(), levelled[-67:].max()
+    assert run.grown == pytest.approx(math.sqrt(last / first), rel=1e-12)
+    assert not judged(amplitude(0.6), error=np.ones_like(AT)).shown().levelled
+    assert not judged(amplitude(-0.6)).shown().levelled
+
+
 def test_the_fit_is_a_linear_regression():
     """Of the second half's logarithms slope, standard error and what halves differ by beyond it, against SciPy's."""
     rng = np.random.default_rng(5)

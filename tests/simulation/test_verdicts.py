@@ -25,7 +25,7 @@ HEAVY = {"kp": 3e6, "kv": 6e5}
 def shown(**changes) -> Shown:
     """A run of 10 s that decays clearly."""
     usual = {
-        "word": "converges", "rate": -0.5, "error": 0.01, "ended": 10.0, "significant": True, "short": False,
+        "word": "converges", "grown": 1.0, "rate": -0.5, "error": 0.01, "ended": 10.0, "significant": True, "short": False,
         "slowest_hz": 3.0, "duration": 10.0,
     }  # fmt: skip
     return Shown(**usual | changes)
@@ -45,7 +45,7 @@ def test_a_run_that_alternates_from_sample_to_sample_is_told_why() -> None:
     assert "half the sampling rate" not in str(grows) + grows.verdict_reason
 
 
-GROWN = {"word": "grows", "rate": 0.5}
+GROWN = {"word": "grows", "rate": 0.5, "grown": float(np.exp(5.0))}
 
 
 @pytest.mark.parametrize(
@@ -59,8 +59,21 @@ GROWN = {"word": "grows", "rate": 0.5}
         (GROWN | {"short": True, "ended": 0.4}, loop(9.0), "grows", "out of the finite numbers at 0.4 s"),
         (GROWN | {"ended": 4.0}, loop(-0.1), "undecided", "out of the finite numbers"),
         ({}, loop(-1e-12), "undecided", "neither grows nor decays"),
-        (GROWN | {"rate": -0.02, "significant": False}, loop(0.2), "grows", "does not clearly decay (decay +0.02 ±"),
-        (GROWN | {"rate": -0.2}, loop(0.2), "grows", "ends far above its start (decay +0.2 ±"),
+        (
+            GROWN | {"rate": -0.02, "grown": 1.5, "significant": False},
+            loop(0.2),
+            "grows",
+            "does not clearly decay (decay +0.02 ±",
+        ),
+        (GROWN | {"rate": -0.2}, loop(0.2), "grows", "grows to 1.5e+02 times its first amplitude, hardly further"),
+        (
+            GROWN | {"rate": 0.02, "error": 0.2},
+            loop(0.2),
+            "grows",
+            "grows to 1.5e+02 times its first amplitude, hardly",
+        ),
+        # Of few periods the doubt is as large as the rate.
+        (GROWN | {"error": 0.5}, loop(0.2), "grows", "grows (decay -0.5 ± 0.5/s)"),
         ({"rate": 0.1, "error": 0.03}, loop(0.005), "undecided", "does not clearly grow (decay -0.1 ±"),
         ({"rate": np.nan, "error": np.nan}, loop(0.1), "undecided", "never moves the base"),
         ({"rate": np.nan, "error": np.nan}, loop(-0.1), "converges", "never moves the base"),

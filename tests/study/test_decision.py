@@ -71,7 +71,7 @@ def test_other_gains_are_not_praised_by_what_is_not_so() -> None:
     doubted = decide(grows, [near], changed, unconfirmed=["stay", "near"])
     assert doubted.word == "change gains"
     assert doubted.reason.endswith(
-        "with these near is stable on every ground, too, but nonlinear runs do not confirm it"
+        "with the present ones near is stable on every ground, too, but nonlinear runs do not confirm it"
     )
     both = decide(grows, [near, place("far", GROUNDS)], changed, unconfirmed=["near", "far"])
     assert both.reason.endswith("near and far are stable on every ground, too, but nonlinear runs do not confirm them")
@@ -80,11 +80,11 @@ def test_other_gains_are_not_praised_by_what_is_not_so() -> None:
     told = decide(partly, [place("far", GROUNDS), mostly], place("near", 3 * GROUNDS))
     assert told.word == "change gains"
     assert told.reason.endswith(
-        "with these near is stable on every ground, too, but decays at least 10 % faster than the present place on 90 % "
+        "with the present ones near is stable on every ground, too, but decays at least 10 % faster than the present place on 90 % "
         "of them only"
     )
     nowhere = decide(grows, [place("near", -GROUNDS)], changed)
-    assert nowhere.reason.endswith("with these no place found is stable on every ground")
+    assert nowhere.reason.endswith("with the present ones no place found is stable on every ground")
 
 
 def test_a_place_that_grows_fast_on_one_ground_goes_before_one_that_grows_slowly_on_most() -> None:
@@ -116,19 +116,21 @@ def test_reasons_say_what_is_so() -> None:
     )
     assert "gains" not in found.reason
     nowhere = decide(place("stay", -GROUNDS), [place("near", -GROUNDS)])
-    assert nowhere.reason.endswith("with these gains")
-    assert decide(place("stay", -GROUNDS), [], tried="others").reason.endswith("with these gains, nor with others")
+    assert nowhere.reason.endswith("with the present gains")
+    assert decide(place("stay", -GROUNDS), [], tried="others").reason.endswith(
+        "with the present gains, nor with others"
+    )
 
 
 def test_gains_that_runs_do_not_confirm_are_not_said_to_grow() -> None:
     grows = place("stay", -GROUNDS)
     refuted = decide(grows, [], tried="others", refuted=place("stay", GROUNDS))
-    assert refuted.reason.endswith("with others stay is, but nonlinear runs do not confirm that")
+    assert refuted.reason.endswith("with others the present place is, but nonlinear runs do not confirm that")
     assert "nor with others" in decide(grows, [], tried="others", refuted=grows).reason
     named = decide(
         grows, [], tried="others", refuted=place("stay", GROUNDS), gains={"kp": [0.4, 0.4], "kv": [0.015, 0.015]}
     )
-    assert "; with others (kp 0.4, kv 0.015) stay is, but" in named.reason
+    assert "; with others (kp 0.4, kv 0.015) the present place is, but" in named.reason
 
 
 def test_what_tells_growing_from_stable_grounds_is_to_be_measured() -> None:
@@ -139,7 +141,7 @@ def test_what_tells_growing_from_stable_grounds_is_to_be_measured() -> None:
     decision = decide(stay, [near])
     assert decision.word == "cannot tell"
     what, values = deciding(decision, {"stay": stay, "near": near}, stay)
-    assert what == "whether stay is stable"
+    assert what == "whether the present place is stable"
     assert np.array_equal(values, payload)
     gained = place("near", np.where(np.arange(40) < 20, 2.0, 0.7) * GROUNDS)
     what, values = deciding(decide(STAY, [gained]), {"stay": STAY, "near": gained}, STAY)
