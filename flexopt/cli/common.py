@@ -112,8 +112,10 @@ def as_options(text: str) -> str:
     """A key that a sentence advises, as the command that prints it takes it."""
     context = click.get_current_context(silent=True)
     options = {word for each in context.command.params for word in each.opts} if context is not None else set[str]()
-    if "--loop" in options:
-        text = text.replace(f"loop.{BRAKE} brakes", f"--loop {BRAKE}=C brakes")
+    for table in ("loop", "actuator"):
+        if f"--{table}" in options:
+            text = text.replace(f"{table}.{BRAKE} brakes", f"--{table} {BRAKE}=C brakes")
+            text = text.replace(f"; {table}.torque_limit lets", f"; --{table} torque_limit=N lets")
     word = f"--{BRAKE.replace('_', '-')}"
     return text.replace(f"; {BRAKE} brakes", f"; {word} brakes") if word in options else text
 

@@ -29,6 +29,7 @@ from flexopt.model.simulation import SimulationKeywords, SimulationOptions
 from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import GROWN, STILL, Behaviour, behaviour
+from flexopt.simulation.beyond import beyond_the_machine
 from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.real_loop import in_shorter_steps, note_loop, with_loop
 from flexopt.simulation.scenario import SIMULATED, Scenario, build_scenario, checked_options, note_options
@@ -247,6 +248,10 @@ def _trajectory(
     if settings is not None and settings.drive == "velocity":
         brake = ""
     sentences += _warnings(s, plant, outputs, of, brake, left)
+    saturating = "actuator.torque_limit" if settings is None else "loop.torque_limit"
+    joints, rates, torques = (outputs[name][-plant.n_actuated :] for name in ("q", "v", "torque"))
+    saturating = "" if s.options.actuator.torque_limit is not None else saturating
+    sentences += beyond_the_machine(s.machine, joints, rates, torques, saturating)
     for sentence in sentences:
         python_warnings.warn(sentence, FlexoptWarning, stacklevel=4)
     rows = {name: value.T for name, value in outputs.items()}

@@ -1,0 +1,75 @@
+"""What a run takes of the machine beyond what its file says it can: joint limits, efforts and speeds.
+
+In: a run's joints, their rates and torques. Out: a sentence. No end stop is modelled, and drives saturate only where
+the run's options say so.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from flexopt.compiled.threaded import Interpreter
+from flexopt.foundation.arrays import Vector
+from flexopt.model import AnyMachine
+from flexopt.plant.hydraulics import build_hydraulics
+
+# Beyond is what is so by more than rounding, of the larger end of a range.
+ROUNDING = 1e-9
+
+
+def beyond_the_machine(
+    machine: AnyMachine, joints: Vector, rates: Vector, torques: Vector, remedy: str
+) -> tuple[str, ...]:
+    """Which joints go beyond their limits, efforts and speeds, and how far, in a sentence; none where none does.
+
+    Args:
+        machine: of the run.
+        joints, rates, torques: at each sample, (n, K).
+        remedy: the option that lets drives saturate; empty where it is given.
+    """
+    speeds = np.array(machine.speeds)
+    reached = _farthest(joints, *np.array(machine.limits).T[:, :, None])
+    taken = _farthest(torques, *np.moveaxis(_efforts(machine, joints), -1, 0))
+    moved = _farthest(rates, -speeds[:, None], speeds[:, None])
+    told = list[str]()
+    for i, (joint, unit) in enumerate(zip(machine.joints, machine.joint_units, strict=True)):
+        found = [f"came to {value:.4g} {unit} (limit {end:.4g})" for value, end in reached[i]]
+        force = "N m" if unit == "rad" else "N"
+        found += [f"took up to {abs(value):.4g} {force} (effort {abs(end):.4g})" for value, end in taken[i]]
+        found += [f"moved at up to {abs(value):.4g} {unit}/s (speed {abs(end):.4g})" for value, end in moved[i]]
+        told += [f"{joint} {' and '.join(found)}"] * bool(found)
+    if not told:
+        return ()
+    hint = f"; {remedy} lets drives saturate" if remedy and any(taken) else ""
+    return (f"nothing in this run holds a joint within its limits, or a drive: {', '.join(told)}{hint}",)
+
+
+def _farthest(values: Vector, least: Vector, most: Vector) -> list[list[tuple[float, float]]]:
+    """Of each row (n, K) the value that is farthest outside its range, and the end that it passed; none inside."""
+    least, most = np.broadcast_to(least, values.shape), np.broadcast_to(most, values.shape)
+    size = np.maximum(*(np.where(np.isfinite(end), np.abs(end), 0.0) for end in (least, most)))
+    past = np.maximum(values - most, least - values) - ROUNDING * size
+    past = np.where(np.isfinite(past), past, -math.inf)
+    found = list[list[tuple[float, float]]]()
+    for row, k in enumerate(np.argmax(past, axis=1).tolist()):
+        value, end = values[row, k], (most if values[row, k] > most[row, k] else least)[row, k]
+        found.append([(float(value), float(end))] if past[row, k] > 0 else [])
+    return found
+
+
+def _efforts(machine: AnyMachine, joints: Vector) -> Vector:
+    """Least and greatest torque or force of each joint at each sample, (n, K, 2)."""
+    given = np.array(machine.efforts)
+    if not any(cylinder.force for cylinder in machine.cylinders):
+        return np.array([-given, given]).T[:, None]
+    values = _joint_efforts(machine)(joints, build_hydraulics(machine).plant.parameter_values.full().ravel())[0]
+    n = len(given)
+    return np.stack([values[:n], values[n:]], axis=-1)
+
+
+@lru_cache(maxsize=64)
+def _joint_efforts(machine: AnyMachine) -> Interpreter:
+    return Interpreter(build_hydraulics(machine).joint_efforts)

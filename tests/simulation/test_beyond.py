@@ -1,0 +1,61 @@
+"""Runs that ask a machine for more than it can: what is told is what the recorded samples show."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.model import machine_from_dict
+from tests.simulation.loops import EXCAVATOR, POSTURE_A
+
+DIGGER, STAND = flexopt.load("slewing-excavator"), (0.2, 0.5, -1.2, -0.5)
+NUMBER = r"(-?[\d.]+(?:e[+-]\d+)?)"
+
+
+def told(run: flexopt.Trajectory) -> str:
+    return next((each for each in run.warnings if each.startswith("nothing in this run holds")), "")
+
+
+@pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
+def test_joints_of_a_machine_with_cylinders_are_told_as_recorded() -> None:
+    """Limits by strokes, efforts by pistons at the lever arms that the postures have then."""
+    run = flexopt.simulate(DIGGER, STAND, kp=3e7, kv=3e5, duration=4.0)
+    sentence, m = told(run), run.n_passive
+    joints, rates = run.q[:, m:], run.v[:, m:]
+    hydraulics = flexopt.build_hydraulics(DIGGER)
+    p = hydraulics.plant.parameter_values
+    least, most = np.moveaxis([hydraulics.joint_efforts(q, p).full() for q in joints], -1, 0)
+    low, high = np.array(DIGGER.limits).T
+    for i, joint in enumerate(DIGGER.joints):
+        part = re.search(rf"(?:: |, ){joint} (.*?)(?:, (?:{'|'.join(DIGGER.joints)}) |; )", sentence)
+        for word, values, lower, upper in (
+            ("came to", joints[:, i], low[i], high[i]),
+            ("took up to", run.torque[:, i], least[:, i], most[:, i]),
+            ("moved at up to", rates[:, i], -DIGGER.speeds[i], DIGGER.speeds[i]),
+        ):
+            past = np.maximum(values - upper, lower - values)
+            number = re.search(rf"{word} {NUMBER}", part[1] if part else "")
+            assert (number is not None) == (past.max() > 0), (joint, word)
+            if number is not None:
+                assert abs(float(number[1])) == pytest.approx(abs(values[past.argmax()]), rel=1e-3)
+    assert sentence.endswith("; actuator.torque_limit lets drives saturate")
+
+
+@pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
+def test_an_effort_is_no_torque_limit() -> None:
+    data = EXCAVATOR.to_dict()
+    links = [link | {"effort": 300.0} for link in data["links"]]
+    feeble = machine_from_dict(data | {"links": links})
+    loop = {"kp": 1e4, "kv": 1e3, "duration": 2.0}
+    run = flexopt.simulate(feeble, POSTURE_A, **loop)
+    assert abs(run.torque).max() > 300.0
+    assert re.search(rf"boom took up to {NUMBER} N m \(effort 300\)", told(run))
+    held = flexopt.simulate(feeble, POSTURE_A, actuator={"torque_limit": 300.0}, **loop)
+    assert abs(held.torque).max() == 300.0
+    assert told(held) == ""
+    assert told(flexopt.simulate(EXCAVATOR, POSTURE_A, **loop)) == ""
+    real = flexopt.simulate(feeble, POSTURE_A, loop={"kp": 1e4, "kv": 1e3}, duration=2.0)
+    assert told(real).endswith("; loop.torque_limit lets drives saturate")
