@@ -19,6 +19,7 @@ from flexopt.cli.common import (
     GRAVITY,
     JSON,
     WEIGHTS,
+    announce,
     check_output,
     check_picture,
     given,
@@ -179,6 +180,7 @@ def select_command(
         _tell_choice(result, identified, certificate, judged=judged_too)
     judgement = None
     if judged_too:
+        announce("the verdict follows, which may take minutes")
         with option_names(judged), warnings_to_stderr(as_json), progress_bar("stages of the verdict") as progress:
             judgement = _judgement(result, own, **judged, progress=progress)
 

@@ -233,6 +233,12 @@ def progress_bar(what: str = "starts") -> Generator[Callable[[int, int], None]]:
         VOICE.telling = False
 
 
+def announce(stage: str) -> None:
+    """Say on standard error what comes now, where no bar shows it; nothing with --quiet."""
+    if not (VOICE.quiet or sys.stderr.isatty()):
+        say(stage, err=True)
+
+
 def check_folder(option: str, path: str) -> None:
     """Find out that a folder cannot be made before the work is done."""
     target = Path(path)
