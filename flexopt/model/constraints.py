@@ -208,7 +208,7 @@ class Clearance(FileModel):
 
     Attributes:
         distance: least one of the capsules from ground and obstacles.
-        bodies: that keep it; all that have capsules by default.
+        bodies: that keep it, or labels of capsules that do; all that have capsules by default.
         ground: its height; no ground is kept from where left out.
         obstacles: spheres, boxes and half-planes.
     """

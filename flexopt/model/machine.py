@@ -240,7 +240,9 @@ class AnyMachine(BuiltByCall, Described):
     @cached_property
     def content_hash(self) -> str:
         """SHA-256 of the validated content: the same for two descriptions that say the same, however they look."""
-        absent = {name for name in ("loop", "uncertainty") if not getattr(self, name)} | {"visuals"}
+        absent: dict[str, Any] = {name: True for name in ("loop", "uncertainty") if not getattr(self, name)}
+        # Neither says anything of the mechanism.
+        absent |= {"visuals": True, "capsules": {"__all__": {"label"}}}
         return hashlib.sha256(self.model_dump_json(by_alias=True, exclude=absent).encode()).hexdigest()
 
     def to_dict(self) -> Document:

@@ -210,7 +210,7 @@ def _lengths(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) ->
 def _volumes(machine: AnyMachine, reach: float) -> Iterator[ImplausibleNumber]:
     """Capsules, and what the machine stands on, beyond many times the arm's reach."""
     capsules = [
-        (f"capsules[{number}] of {c.body}, {key}", math.hypot(*numbers))
+        (f"capsules[{number}] of {c.called}, {key}", math.hypot(*numbers))
         for number, c in enumerate(machine.capsules)
         for key, numbers in (("start", c.start), ("end", c.end), ("radius", (c.radius,)))
     ]

@@ -39,12 +39,19 @@ class Capsule(FileModel):
         start: one end of the segment, m, in the body's axes.
         end: its other end; equal ends make a ball.
         radius: around the segment, m.
+        label: what constraints call it; the body's name where left out.
     """
 
     body: str = Field(min_length=1)
     start: Place
     end: Place
     radius: Length
+    label: str = ""
+
+    @property
+    def called(self) -> str:
+        """What constraints call it: in space the link that has it, whatever body that is merged into."""
+        return self.label or self.body
 
 
 class Visual(FileModel):

@@ -245,6 +245,6 @@ def machine_document(machine: AnyMachine) -> dict[str, Any]:
         "base_coordinates": machine.base_coordinates,
         "task_rows": machine.task_rows,
         "support": machine.support_points,
-        "capsules": [capsule.model_dump() for capsule in machine.capsules],
+        "capsules": [capsule.model_dump(exclude_defaults=True) for capsule in machine.capsules],
         "parameters": [parameter._asdict() for parameter in machine.parameters],
     }

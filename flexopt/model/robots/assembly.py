@@ -144,7 +144,7 @@ class Assembly:
             if isinstance(dampers, dict):
                 joint["damping"] = dampers.get(direction, 0.0)
             last = index == len(free) - 1 and not own
-            name = body_name(root) if last else f"{root.name}.{direction}"
+            name = body_name(root.name) if last else f"{root.name}.{direction}"
             parent = self.bodies[-1].name if self.bodies else None
             self.bodies.append(Body(name, parent, joint, place, Inertial(), root.element if last else None, None))
             place = Pose()
@@ -169,7 +169,7 @@ class Assembly:
             if role.kind == "locked":
                 pose = pose @ joint.displaced(role.value - joint.zero)
                 continue
-            name = body_name(link) if joint is moving[-1] else f"{link.name}.{joint.name}"
+            name = body_name(link.name) if joint is moving[-1] else f"{link.name}.{joint.name}"
             # The joint's frame at coordinate 0, which lies `zero` before the pose that the file describes.
             place = pose @ joint.displaced(-joint.zero) @ shift(joint.anchor)
             parent = body.name if body else None
@@ -240,7 +240,7 @@ class Assembly:
             self.faults.append(Fault(f"capsules[{index}].link", sentence, repr(table.link)))
             return {}
         start, end = (plain((pose @ Pose(np.array(place))).position) for place in (table.start, table.end))
-        return {"body": body.name, "start": start, "end": end, "radius": table.radius}
+        return _filled(body, table.link, start, end, table.radius)
 
     def _round(self, link: RobotLink) -> list[dict[str, Any]]:
         """Capsules round the link's collision geometry; none where it is fixed to the ground."""
@@ -253,7 +253,7 @@ class Assembly:
                 self.warnings.append(f"{solid.element.place}: {link.element.label}: collision geometry {solid.why}")
                 continue
             start, end = (plain((pose @ Pose(place)).position) for place in (solid.start, solid.end))
-            found.append({"body": body.name, "start": start, "end": end, "radius": solid.radius})
+            found.append(_filled(body, link.name, start, end, solid.radius))
         return found
 
     def _seen(self, link: RobotLink) -> list[dict[str, Any]]:
@@ -302,3 +302,9 @@ class Assembly:
         if element is None:
             return Fault(f"base (joint {body.joint['name']!r}){key}", fault.sentence, fault.value)
         return Fault(f"{element.place}: {element.label}{key.replace('.', ' ')}", fault.sentence, fault.value)
+
+
+def _filled(body: Body, link: str, start: tuple[float, ...], end: tuple[float, ...], radius: float) -> dict[str, Any]:
+    """A capsule of a link, in the layout of `Capsule`; labelled where the body is called otherwise."""
+    capsule = {"body": body.name, "start": start, "end": end, "radius": radius}
+    return capsule if body.name == body_name(link) else capsule | {"label": link}

@@ -9,7 +9,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Document
 from flexopt.foundation.quantities import ANGLE_MAX
-from flexopt.model.robots.description import Joint, RobotLink
+from flexopt.model.robots.description import Joint
 from flexopt.model.robots.elements import Element
 from flexopt.model.robots.geometry import Array, Inertial, Pose
 from flexopt.model.robots.roles import Role
@@ -46,9 +46,9 @@ class Body:
         }
 
 
-def body_name(link: RobotLink) -> str:
-    """The link's name, told apart from words that the tree keeps for itself."""
-    return f"{link.name}.link" if link.name in RESERVED else link.name
+def body_name(link: str) -> str:
+    """What a link's own body is called: as the link, told apart from words that the tree keeps for itself."""
+    return f"{link}.link" if link in RESERVED else link
 
 
 def tree_joint(joint: Joint, role: Role) -> dict[str, Any]:

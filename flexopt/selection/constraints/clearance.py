@@ -56,14 +56,17 @@ def _key(plant: Plant) -> str:
 
 
 def _body_faults(plant: Plant, asked: Clearance) -> list[Fault]:
-    with_capsules = list(dict.fromkeys(capsule.body for capsule in plant.machine.capsules))
+    capsules = plant.machine.capsules
+    with_capsules = list(dict.fromkeys(capsule.called for capsule in capsules))
+    filled = {*with_capsules, *(capsule.body for capsule in capsules)}
+    names = list(dict.fromkeys([*plant.frames.names, *with_capsules]))
     faults: list[Fault] = []
     for name in asked.bodies or ():
-        if name not in plant.frames.names:
-            meant = hint(name, plant.frames.names, f"; valid here: {', '.join(with_capsules)}")
+        if name not in names:
+            meant = hint(name, names, f"; valid here: {', '.join(with_capsules)}")
             sentence = f"{plant.machine.name} has no body of that name{meant}"
             faults.append(Fault("clearance.bodies", sentence, repr(name)))
-        elif name not in with_capsules:
+        elif name not in filled:
             sentence = f"has no volume: add a table [[capsules]] with {_key(plant)} = {name!r} to the machine file"
             faults.append(Fault("clearance.bodies", sentence, repr(name)))
     return faults
@@ -85,7 +88,7 @@ def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
     if asked is None:
         return []
     capsules = plant.machine.capsules
-    chosen = [k for k, capsule in enumerate(capsules) if asked.bodies is None or capsule.body in asked.bodies]
+    chosen = [k for k, c in enumerate(capsules) if asked.bodies is None or {c.body, c.called} & {*asked.bodies}]
     groups: list[Group] = []
     if asked.ground is not None:
         lifted = [k for k in chosen if is_moved(plant, capsules[k].body)]
@@ -104,11 +107,11 @@ def is_moved(plant: Plant, body: str) -> bool:
 
 
 def capsule_names(capsules: tuple[Capsule, ...]) -> list[str]:
-    """What messages call each capsule: its body, with a number where that has several."""
-    bodies = [capsule.body for capsule in capsules]
+    """What messages call each capsule: its body or label, with a number where several are called alike."""
+    called = [capsule.called for capsule in capsules]
     return [
-        body if bodies.count(body) == 1 else f"{body} capsule {bodies[: k + 1].count(body)}"
-        for k, body in enumerate(bodies)
+        name if called.count(name) == 1 else f"{name} capsule {called[: k + 1].count(name)}"
+        for k, name in enumerate(called)
     ]
 
 

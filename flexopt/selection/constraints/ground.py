@@ -42,7 +42,7 @@ def ground_groups(plant: Plant, height: float) -> list[Group]:
 def kept_above(plant: Plant) -> str:
     """What `ground_groups` has rows of, and that it stays above; empty where there is nothing."""
     capsules, carried = _above(plant.machine)
-    bodies = list(dict.fromkeys(plant.machine.capsules[k].body for k in capsules))
+    bodies = list(dict.fromkeys(plant.machine.capsules[k].called for k in capsules))
     joints = [f"the joint{'s' * (len(carried) > 1)} {', '.join(_joints(plant, carried))}"] if carried else []
     verb = "stays" if len(bodies) + len(carried) == 1 else "stay"
     return f"{', '.join([*bodies, *joints])} {verb} above" if bodies or joints else ""

@@ -66,7 +66,7 @@ def _faults(plant: Plant, constraints: Constraints) -> list[Fault]:
 
 
 def _filled(machine: AnyMachine) -> list[str]:
-    return list(dict.fromkeys(capsule.body for capsule in machine.capsules))
+    return list(dict.fromkeys(capsule.called for capsule in machine.capsules))
 
 
 def _groups(plant: Plant, constraints: Constraints) -> list[Group]:

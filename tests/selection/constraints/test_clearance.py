@@ -11,6 +11,7 @@ from flexopt.model.constraints import read_constraints
 from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
 from flexopt.selection.constraints import build_constraints
+from tests.model.robots.files import URDF, URDF_MACHINE, changed_text, read
 from tests.oracles.machines import NumpySource, Structure, draw_machine
 from tests.oracles.spatial import in_space, random_tree
 from tests.selection.constraints.scenes import at_rest, distance, mujoco_scene, random_capsules, random_obstacles
@@ -189,3 +190,36 @@ def test_labels_bounds_and_constants():
     assert np.isinf(rows.upper).all()
     assert (rows.scales == 1.0).all()
     assert rows.constants.full().ravel().tolist() == [-0.5, 2.0, 1.0, 1.0]
+
+
+def test_a_capsule_of_a_welded_link_is_called_as_that_link(tmp_path):
+    """`bracket` is welded to `boom_link`, whose body both are; `boom_link` itself keeps its name."""
+    ends = {"start": [0.0, 0.0, 0.0], "end": [0.4, 0.0, 0.0], "radius": 0.1}
+    links = ["chassis", "boom_link", "bracket", "bracket"]
+    machine = URDF_MACHINE | {"capsules": [ends | {"link": link} for link in links]}
+    tree = read(tmp_path, URDF, machine)
+    assert [capsule.body for capsule in tree.capsules] == ["chassis", "boom_link", "boom_link", "boom_link"]
+    names = [f"bracket capsule {k}" for k in (1, 2)]
+
+    def rows(**asked):
+        return build_constraints(build_plant(tree), read_constraints(asked)).labels
+
+    clear = {"distance": 0.1, "ground": 0.0}
+    of = {
+        word: tuple(f"clearance of {name} ({end}) from ground" for name in kept for end in ("start", "end"))
+        for word, kept in (("boom_link", ["boom_link", *names]), ("bracket", names))
+    }
+    assert rows(clearance=clear) == of["boom_link"]
+    # By the body all that is part of it keeps clear, by the link what is on that alone.
+    for word, expected in of.items():
+        assert rows(clearance=clear | {"bodies": [word]}) == expected
+    assert rows(self_clearance=0.1) == tuple(f"self-clearance of {name} from chassis" for name in ["boom_link", *names])
+    assert "label" not in tree.to_dict()["capsules"][1]
+    boxed = changed_text(
+        URDF,
+        '<link name="bracket">',
+        '<link name="bracket"><collision><geometry><sphere radius="0.2"/></geometry></collision>',
+    )
+    assert [capsule.called for capsule in read(tmp_path, boxed, URDF_MACHINE | {"capsules": "collision"}).capsules] == [
+        "bracket"
+    ]
