@@ -271,7 +271,7 @@ def _spelt(name: str) -> str:
 @value(
     "--tip",
     "LINK",
-    "Of a robot file: the link, or site, at the end-point (the one with the most joints before it, without a hand).",
+    "Of a robot file: the link, or site, at the end-point (of the longest chain: a tool's frame, or before a hand).",
 )
 @JSON
 def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, force: bool, **options: Any) -> None:
@@ -310,10 +310,11 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
         raise_if_any(InputError, "new", planar)
         actuated = None if options["actuated"] is None else names(options["actuated"])
         chain = read_chain(Path(robot), options["tip"], actuated)
-        if chain.hand:
-            behind = f"{counted(len(chain.hand), 'joint')} behind it, as of a hand, stand still"
+        if chain.hand or chain.chosen:
+            behind = f"{counted(len(chain.hand), 'joint')} {{}}, as of a hand, stand still" if chain.hand else ""
+            told = [chain.chosen, behind.format("beside it" if chain.chosen else "behind it")]
             where = f"site {chain.site} on link {chain.end}" if chain.site else f"link {chain.end}"
-            end = f"The end-point is {where}: {behind}. --tip names another."
+            end = f"The end-point is {where}: {'; '.join(filter(None, told))}. --tip names another."
         based = chain.floats or not chain.sprung
         questions = [
             Question("name", "Name of the machine", _name, lambda _: stem or chain.name),

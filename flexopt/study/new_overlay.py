@@ -5,6 +5,7 @@ In: a path and answers. Out: the text of the file and the machine that is read f
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import tomllib
@@ -22,6 +23,7 @@ from flexopt.foundation.nearest import hint
 from flexopt.foundation.rendering import render
 from flexopt.model import AnyMachine
 from flexopt.model.robots.description import Description, Joint, RobotLink
+from flexopt.model.robots.geometry import Array, Pose
 from flexopt.model.robots.known import UNKNOWN
 from flexopt.model.robots.reading import read_description, robot_from_dict
 from flexopt.study.new_machine import Ground, NewMachine, Springs, aligned, number, quoted, regular_posture
@@ -38,6 +40,12 @@ GRIPPING = ("grip", "finger", "thumb", "jaw", "claw")
 TURNING = ("roll", "pitch", "yaw", "wrist", "rot")
 # Of the names of sites where a tool is, in the order in which they are proposed.
 TOOLS = ("tcp", "tool", "attach", "pinch", "grasp", "grip", "end", "ee", "tip", "hand")
+# Of the names of frames that are beside a tool, but none.
+SENSING = ("cam", "optic", "imu", "sens", "depth", "laser", "lidar", "mark")
+# A frame's mass at most, of the body's that it is part of: some files give frames a gram.
+FRAME = 2e-3
+# Shares by which masses and reaches of branches differ at most that are alike, and by which a frame is beside an axis.
+ALIKE, ON_AXIS = 0.1, 0.01
 WORDS = {"hinge": "turns, rad", "slide": "slides, m", "free": "is free"}
 
 
@@ -53,6 +61,7 @@ class RobotChain:
         hand: joints behind the end, as of a gripper; none where the end was asked for.
         asked: which of "end" and "actuated" the call names.
         site: of an MJCF file, which is the end-point; empty where the link's own origin is.
+        chosen: why the end is another of the links fixed to the last body, in words; else empty.
     """
 
     path: Path
@@ -65,6 +74,7 @@ class RobotChain:
     floats: bool
     hand: tuple[str, ...] = ()
     site: str = ""
+    chosen: str = ""
     asked: tuple[str, ...] = ()
 
     @property
@@ -101,6 +111,9 @@ def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> R
     asked = robot.sites[end].link if end is not None and end not in links else end
     at = asked or _wrist(links, max(links, key=lambda name: (len(_driven(_way(links, name))), len(_way(links, name)))))
     site = (end or "") if asked != end else _site(robot, links, at) if end is None else ""
+    behind = (x for x in robot.links if end is None and x.name != at and links[at] in _way(links, x.name))
+    hand = tuple(joint.name for link in behind for joint in link.joints)
+    at, chosen = (at, "") if end is not None or site else _tool(links, at)
     way = _way(links, at)
     ground = [link for link in robot.links if link.parent is None]
     free = next((k for k, link in enumerate(way) if any(joint.kind == "free" for joint in link.joints)), None)
@@ -119,11 +132,9 @@ def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> R
     if not driven:
         raise InputError(f"new: {path.name}: no joint between the ground and link {at!r} can be driven")
     sprung = any(joint.stiffness > 0 for link in robot.links for joint in link.joints)
-    behind = (x for x in robot.links if end is None and x.name != at and links[at] in _way(links, x.name))
-    hand = tuple(joint.name for link in behind for joint in link.joints)
     asked_for = tuple(word for word, given in (("end", end), ("actuated", actuated)) if given is not None)
     return RobotChain(
-        path, robot, tuple(ignore), at, root, tuple(driven), sprung, free is not None, hand, site, asked_for
+        path, robot, tuple(ignore), at, root, tuple(driven), sprung, free is not None, hand, site, chosen, asked_for
     )
 
 
@@ -145,9 +156,79 @@ def _site(robot: Description, links: dict[str, RobotLink], at: str) -> str:
         return next((link.name for link in reversed(_way(links, name)) if link.joints), "")
 
     found = [name for name, frame in robot.sites.items() if carried(frame.link) == carried(at)]
-    parts = {name: re.split(r"[^a-z]+", name.lower()) for name in found}
-    named = [name for word in TOOLS for name in found if any(part.startswith(word) for part in parts[name])]
-    return found[0] if len(found) == 1 else named[0] if named else ""
+    return found[0] if len(found) == 1 else _named_tool(found)
+
+
+def _named_tool(names: Sequence[str]) -> str:
+    """The one that is most plainly named after a tool; empty where none is."""
+    return next((name for word in TOOLS for name in names if any(part.startswith(word) for part in _parts(name))), "")
+
+
+def _parts(name: str) -> list[str]:
+    """Words of a name, in small letters."""
+    return re.split(r"[^a-z]+", name.lower())
+
+
+def _tool(links: dict[str, RobotLink], name: str) -> tuple[str, str]:
+    """Of all that is fixed to the body which a link is part of, what the end-point is on, and why it is another link.
+
+    A frame of a tool is a link with next to no mass that carries none: named after a tool, or alone on the axis of the
+    last hinge. A finger is one of several branches that are alike and fixed to the same link, which stands in for them.
+    """
+    carrier = next((link for link in reversed(_way(links, name)) if link.joints), None)
+    if carrier is None:
+        return name, ""
+    children: dict[str, list[str]] = {each: [] for each in links}
+    poses = {carrier.name: Pose()}
+    for link in links.values():
+        if link.parent is not None:
+            children[link.parent].append(link.name)
+        if not link.joints and link.parent in poses:
+            poses[link.name] = poses[link.parent] @ link.pose
+    nothing = FRAME * sum(_mass(links[each]) for each in poses)
+
+    def branch(root: str) -> list[str]:
+        return [root, *(each for child in children[root] if child in poses for each in branch(child))]
+
+    def size(root: str) -> tuple[float, float, float]:
+        """Number of links, mass and reach of a branch, frames on it aside."""
+        parts = [each for each in branch(root) if _mass(links[each])]
+        reach = max((math.dist(poses[each].position, poses[root].position) for each in parts), default=0.0)
+        return float(len(parts)), sum(_mass(links[each]) for each in parts), reach
+
+    def alike(one: str, other: str) -> bool:
+        near = (abs(x - y) <= ALIKE * max(x, y) for x, y in zip(size(one), size(other), strict=True))
+        return one != other and size(one)[1] > nothing and all(near)
+
+    fingers: dict[str, str] = {}
+    for palm in branch(carrier.name):
+        roots = [child for child in children[palm] if child in poses]
+        for root in roots:
+            if any(alike(root, other) for other in roots):
+                fingers = dict.fromkeys(branch(root), palm) | fingers
+    frames = [each for each in poses if each not in fingers and not children[each] and _mass(links[each]) <= nothing]
+    if name in frames:
+        return name, ""
+    frames = [each for each in frames if not any(part.startswith(SENSING) for part in _parts(each))]
+    on_axis = [each for each in frames if _on_axis(carrier.joints[-1], poses[each].position)]
+    bare = [each for each in frames if not _mass(links[each])]
+    frame = _named_tool(bare) or _named_tool(frames) or (on_axis[0] if len(on_axis) == 1 else "")
+    if frame:
+        return frame, f"a mere frame fixed to {carrier.name}, as a tool's"
+    if name in fingers:
+        return fingers[name], f"like branches are fixed to it, as fingers of a hand; one of them ends in {name}"
+    return name, ""
+
+
+def _mass(link: RobotLink) -> float:
+    return 0.0 if link.inertial is None else link.inertial.mass
+
+
+def _on_axis(joint: Joint, point: Array) -> bool:
+    """Whether a point in the link's frame lies on the axis of its hinge, away from the joint."""
+    arm = point - joint.anchor
+    along = abs(float(arm @ joint.axis))
+    return joint.kind == "hinge" and along > 0 and float(np.linalg.norm(np.cross(arm, joint.axis))) <= ON_AXIS * along
 
 
 def _wrist(links: dict[str, RobotLink], name: str) -> str:
@@ -283,11 +364,12 @@ class _Text:
 
     def _end_told(self) -> str:
         """Why this link is proposed as the end-point's, and which joints are left out behind it."""
-        hand = self.chain.hand
+        hand, chosen = self.chain.hand, self.chain.chosen
         if not hand:
-            return "the last one"
+            return one_line(chosen or "the last one")
         more = f" and {len(hand) - HAND_SHOWN} more" if len(hand) > HAND_SHOWN else ""
-        return one_line(f"the last one before a hand; its joints are left out: {', '.join(hand[:HAND_SHOWN])}{more}")
+        why = f"{chosen}; a hand's" if chosen else "the last one before a hand; its"
+        return one_line(f"{why} joints are left out: {', '.join(hand[:HAND_SHOWN])}{more}")
 
     def _root(self) -> str:
         """Name and mass of the link that stands on the springs, where the file tells them."""

@@ -15,6 +15,7 @@ from scipy.linalg import eigh
 
 import flexopt
 from flexopt.plant import build_plant
+from flexopt.study.new_overlay import read_chain
 from tests.cli.command import Command
 from tests.model.robots.files import MJCF, URDF
 from tests.model.robots.test_public_robots import MJCF_PATHS, URDF_PATHS
@@ -245,6 +246,70 @@ def test_a_hand_is_no_part_of_the_arm(command: Command, joints: str, behind: lis
     followed(command, "tip.toml", "--from", "carrier.urdf", "--tip", "one")
     asked = tomllib.loads(Path("tip.toml").read_text(encoding="utf-8"))
     assert asked["actuated"][-1] == behind[0]
+
+
+def fixed_hand(frames: dict[str, tuple[str, float, float]]) -> str:
+    """An arm of two hinges about z with two fingers fixed to its wrist beside the axis of the last, and frames there.
+
+    `frames`: name -> link that it is fixed to, its place along z, m, and mass, kg.
+    """
+
+    def link(name: str, mass: float) -> str:
+        inertia = '<inertia ixx="{0}" iyy="{0}" izz="{0}" ixy="0" ixz="0" iyz="0"/>'.format(0.1 * mass)
+        return f'<link name="{name}"><inertial><mass value="{mass}"/>{inertia}</inertial></link>'
+
+    def joint(child: str, parent: str, place: tuple[float, float, float], kind: str = "fixed") -> str:
+        limit = '<axis xyz="0 0 1"/><limit lower="-1" upper="1.2" effort="9" velocity="1"/>' * (kind != "fixed")
+        return (
+            f'<joint name="to_{child}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{place[0]} {place[1]} {place[2]}"/>{limit}</joint>'
+        )
+
+    masses = {"vehicle": 90, "upper": 5, "wrist": 1, "left": 0.01, "left_end": 0.01, "right": 0.01, "right_end": 0.01}
+    parts = [link(name, mass) for name, mass in masses.items()]
+    parts += [joint("upper", "vehicle", (0.2, 0, 0.5), "revolute"), joint("wrist", "upper", (0.6, 0, 0), "revolute")]
+    for side, y in (("left", 0.04), ("right", -0.04)):
+        parts += [joint(side, "wrist", (0.1, y, 0.1)), joint(f"{side}_end", side, (0.05, 0, 0))]
+    parts += [link(name, mass) + joint(name, on, (0, 0, z)) for name, (on, z, mass) in frames.items()]
+    return f'<robot name="stiff hand">{"".join(parts)}</robot>'
+
+
+@pytest.mark.parametrize(
+    ("frames", "chosen", "why"),
+    [
+        ({}, "wrist", "like branches are fixed to it, as fingers of a hand; one of them ends in left_end"),
+        ({"tool0": ("wrist", 0.0, 0.0)}, "tool0", "a mere frame fixed to wrist, as a tool's"),
+        ({"centre": ("wrist", 0.2, 0.001)}, "centre", "a mere frame fixed to wrist, as a tool's"),
+        # Neither a camera, nor a frame on a finger, nor what weighs as much as one.
+        ({"tool_camera": ("wrist", 0.2, 0.0), "tip": ("left_end", 0.0, 0.0)}, "wrist", "as fingers of a hand"),
+        ({"weight": ("wrist", 0.2, 0.5)}, "wrist", "as fingers of a hand"),
+    ],
+)
+def test_a_finger_that_is_fixed_is_no_end_point(
+    command: Command, frames: dict[str, tuple[str, float, float]], chosen: str, why: str
+) -> None:
+    """Of what is fixed to the last body a tool's frame is it, else the palm; a finger where it is asked for."""
+    command.write("hand.urdf", fixed_hand(frames))
+    followed(command, "own.toml", "--from", "hand.urdf")
+    text = Path("own.toml").read_text(encoding="utf-8")
+    assert tomllib.loads(text)["end_point"]["link"] == chosen
+    assert f"(proposed: {why}" in text or f"{why}; one of them ends in" in text
+    told = command("new", "other.toml", "--from", "hand.urdf", "--yes").stdout
+    assert f"The end-point is link {chosen}: " in told
+    assert why in " ".join(told.split())
+    followed(command, "tip.toml", "--from", "hand.urdf", "--tip", "left_end")
+    assert tomllib.loads(Path("tip.toml").read_text(encoding="utf-8"))["end_point"]["link"] == "left_end"
+
+
+@pytest.mark.parametrize(
+    ("robot", "chosen"),
+    [("kinova.urdf", "j2s6s200_end_effector"), ("panda.urdf", "panda_hand_tcp"), ("pr2.urdf", "r_gripper_tool_frame"),
+     ("ur5_robot.urdf", "ee_link"), ("talos_full_v2.urdf", "gripper_left_base_link"), ("go2.urdf", "FL_foot")],
+)  # fmt: skip
+def test_where_public_robots_have_their_tools(robot: str, chosen: str) -> None:
+    if robot not in PUBLIC:
+        pytest.skip("not installed")
+    assert read_chain(PUBLIC[robot], None, None).end == chosen
 
 
 def test_joints_and_end_point_of_a_robot_can_be_chosen(command: Command) -> None:
