@@ -172,7 +172,10 @@ def test_verdicts_that_a_run_alone_gets_wrong(command: Command) -> None:
     braked = command.json(*drifting, "--nullspace-damping", "1e4")
     assert braked["verdict"] == "converges"
     assert braked["self_motion_rate"] < 1e-6
-    assert braked["warnings"] == []
+    # The slew's drive could not give what these gains ask for.
+    (warning,) = braked["warnings"]
+    assert "slew took up to" in warning
+    assert warning.endswith("actuator.torque_limit lets drives saturate")
 
 
 @pytest.mark.parametrize(

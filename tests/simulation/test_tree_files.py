@@ -12,7 +12,11 @@ from flexopt.errors import ModelError
 from tests.cli.command import Command
 from tests.model.robots.files import URDF
 
-pytestmark = pytest.mark.usefixtures("interpreted")
+# The robot file's efforts are 1 N m.
+pytestmark = [
+    pytest.mark.usefixtures("interpreted"),
+    pytest.mark.filterwarnings("ignore:nothing in this run:flexopt.errors.FlexoptWarning"),
+]
 
 MACHINE = """
 name = "arm on tracks"
