@@ -9,17 +9,21 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 
-from flexopt.errors import InputError
+from flexopt.errors import FlexoptError, InputError
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import CONTROLS, gain_units
 from flexopt.foundation.escapes import one_line
 from flexopt.foundation.rendering import render
+from flexopt.loop.evaluation import settings_at
 from flexopt.model import AnyMachine, machine_from_dict
+from flexopt.model.loop import Loop
 from flexopt.model.plausibility import SAG
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.inverse_kinematics import low_discrepancy
@@ -40,6 +44,8 @@ FREQUENCY_MAX = 1e4
 BEHIND = re.compile(r'((?:[^#"]|"(?:[^"\\]|\\.)*")+?)\s+# (.*)')
 COMMENTS = 32
 UPRIGHT = "1.5707963"
+# Of the loop that files have as a comment, Hz and s.
+RATE, DEAD_TIME = 100.0, 0.01
 # Hz, of the swing of a machine of some metres; of its reach, how far a smaller one sinks on its springs at most.
 USUAL, SINKS = 2.0, SAG / 2
 PLANAR_UNITS = {"x": ("N/m", "N s/m"), "y": ("N/m", "N s/m"), "rotation": ("N m/rad", "N m s/rad")}
@@ -65,6 +71,8 @@ class Springs:
 
 
 Build = Callable[[Springs], AnyMachine]
+# The values of `templates/loop.toml`.
+Gains = Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -148,6 +156,26 @@ def _first_mode(plant: Plant, posture: Sequence[float]) -> float:
             "has mass in the same ways: give others, --gives, or actuate other joints, --actuated"
         )
     return math.tau * first
+
+
+def gains_told(machine: AnyMachine, posture: Sequence[float]) -> Gains:
+    """Gains that follow from the machine where a loop leaves them out, here of one that is stable, and their units.
+
+    Without numbers where there is no such loop.
+    """
+    loop = Loop(drive="torque", rate=RATE, dead_time=DEAD_TIME)
+    told = {"kp": "", "kv": "", "note": "", "rate": f"{RATE}", "dead_time": f"{DEAD_TIME}"}
+    by_control = (gain_units(control, machine.joint_units) for control in CONTROLS)
+    for name, unit, other in zip(("kp", "kv"), *by_control, strict=False):
+        also = "" if other == unit else f'; {other}, another number, under "{CONTROLS[1]}"'
+        told[f"{name}_unit"] = f'{unit} under control = "{CONTROLS[0]}", the default{also}'
+    with suppress(FlexoptError, np.linalg.LinAlgError):
+        at = np.array(posture)
+        settings, base = settings_at(machine, at, None, None, loop, gravity=False, call="new")
+        if settings.outcome(machine, base, at, gravity=False).loop.stable:
+            told |= {name: number(float(getattr(settings, name)[0])) for name in ("kp", "kv")}
+            told["note"] = f"suits the arm's masses at posture {', '.join(f'{x:g}' for x in posture)}"
+    return told
 
 
 def rounded(value: float) -> float:
@@ -256,7 +284,7 @@ def planar_file(
         "rest_angle": UPRIGHT,
     }
 
-    def text(springs: Springs) -> str:
+    def text(springs: Springs, gains: Gains | None = None) -> str:
         rows: dict[str, Any] = {
             word: [{"key": d, "value": number(x), "unit": PLANAR_UNITS[d][k]}
                    for d, x in zip(ground.gives, getattr(springs, word), strict=True)]
@@ -264,13 +292,15 @@ def planar_file(
         }  # fmt: skip
         told = {"stiffness_note": springs.notes[0], "damping_note": springs.notes[1]}
         values = {"title": one_line(name), "name": quoted(name), "base": base, "links": links, **rows, **told}
+        values["gains"] = gains
         return aligned(render("study/templates/planar_machine.toml", **values))
 
     def build(springs: Springs) -> AnyMachine:
         return machine_from_dict(tomllib.loads(text(springs)), origin=name)
 
     found = ground.springs(build)
-    return NewMachine(text(found), build(found), found.posture)
+    machine = build(found)
+    return NewMachine(text(found, gains_told(machine, found.posture)), machine, found.posture)
 
 
 def _link_names(count: int) -> tuple[str, ...]:

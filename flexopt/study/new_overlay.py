@@ -26,7 +26,17 @@ from flexopt.model.robots.description import Description, Joint, RobotLink
 from flexopt.model.robots.geometry import Array, Pose
 from flexopt.model.robots.known import UNKNOWN
 from flexopt.model.robots.reading import read_description, robot_from_dict
-from flexopt.study.new_machine import Ground, NewMachine, Springs, aligned, number, quoted, regular_posture
+from flexopt.study.new_machine import (
+    Gains,
+    Ground,
+    NewMachine,
+    Springs,
+    aligned,
+    gains_told,
+    number,
+    quoted,
+    regular_posture,
+)
 
 # What of the end-point can be controlled: the first of these that the joints can move.
 ROWS = (("x", "y", "z"), ("x", "z"), ("x", "y"), ("y", "z"), ("x",), ("y",), ("z",))
@@ -304,7 +314,8 @@ def overlay_file(chain: RobotChain, name: str, folder: Path, ground: Ground) -> 
         try:
             bare = Springs((), ())
             found = ground.springs(build) if ground.gives else Springs((), (), regular_posture(build(bare)))
-            return NewMachine(text(found), build(found), found.posture)
+            machine = build(found)
+            return NewMachine(text(found, gains_told(machine, found.posture)), machine, found.posture)
         except ModelError:
             raise
         except InputError as error:
@@ -322,7 +333,7 @@ class _Text:
     ground: Ground
     rows: tuple[str, ...]
 
-    def __call__(self, springs: Springs) -> str:
+    def __call__(self, springs: Springs, gains: Gains | None = None) -> str:
         chain = self.chain
         joints = [(joint, link) for link in chain.robot.links for joint in link.joints]
         shown = [self._told(joint, link) for joint, link in joints[:JOINTS_SHOWN]]
@@ -359,6 +370,7 @@ class _Text:
             "rows": _listed(self.rows),
             "rows_note": "" if self.rows == ROWS[0] else " (proposed: what these joints can move)",
             "first": quoted(chain.actuated[0]),
+            "gains": gains,
         }
         return aligned(render("study/templates/robot_machine.toml", **values))
 

@@ -14,7 +14,9 @@ import pytest
 from scipy.linalg import eigh
 
 import flexopt
+from flexopt.foundation.rendering import render
 from flexopt.plant import build_plant
+from flexopt.study.new_machine import gains_told
 from flexopt.study.new_overlay import read_chain
 from tests.cli.command import Command
 from tests.model.robots.files import MJCF, URDF
@@ -326,6 +328,48 @@ def test_joints_and_end_point_of_a_robot_can_be_chosen(command: Command) -> None
     assert text.index("# capsules =") < text.index("\n[")
     taken = tomllib.loads(text.replace("# capsules =", "capsules ="))
     assert taken == data | {"capsules": "collision"}
+
+
+def test_the_loop_that_can_be_taken_suits_the_machine(command: Command) -> None:
+    """Of its units as of its size: as it stands in the file it is stable where that says; a robot's is no digger's."""
+
+    def taken(*arguments: str) -> tuple[flexopt.Loop, str, flexopt.Outcome]:
+        posture = command.json("new", "own.toml", "--yes", "--force", *arguments)["posture"]
+        text = Path("own.toml").read_text(encoding="utf-8")
+        block = text[text.index("# [loop]") :].split("\n\n")[0]
+        command.write("own.toml", text.replace(block, re.sub(r"(?m)^# ", "", block)))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", flexopt.FlexoptWarning)
+            machine = flexopt.load("own.toml")
+            assert machine.loop is not None
+            return machine.loop, block, flexopt.outcome(machine, posture)
+
+    flat, block, done = taken()
+    assert done.decay > 0
+    assert 'N m under control = "inverse", the default; N/m, another number, under "transpose"' in block
+    assert 'N m s under control = "inverse", the default; N s/m' in block
+    command.write("small.urdf", fixed_hand({}).replace('"90"', '"9"'))
+    small, block, done = taken("--from", "small.urdf")
+    assert done.decay > 0
+    assert small.kp is not None
+    assert flat.kp is not None
+    assert small.kp[0] < flat.kp[0] / 10
+    slides = (
+        fixed_hand({}).replace('"revolute"', '"prismatic"').replace('<axis xyz="0 0 1"/>', '<axis xyz="1 0 0"/>', 1)
+    )
+    command.write("slides.urdf", slides)
+    _, block, _ = taken("--from", "slides.urdf")
+    assert '# N/m under control = "inverse", the default (' in block
+
+
+def test_no_gains_are_proposed_where_no_loop_is_stable(command: Command) -> None:
+    """In a singular posture nothing says how heavy the arm is."""
+    assert command("new", "own.toml", "--yes").code == 0
+    gains = gains_told(flexopt.load("own.toml"), (0.3, 0.0))
+    assert (gains["kp"], gains["kv"]) == ("", "")
+    block = render("study/templates/loop.toml", gains=gains)
+    assert not re.search(r"(?m)^# k[pv] =", block)
+    assert '(kp is in N m under control = "inverse"' in block
 
 
 def test_nothing_is_written_over(command: Command) -> None:
