@@ -1,5 +1,7 @@
 """Numbers of a machine that are allowed but hardly meant: kN for N, mm for m, tonnes, degrees, inertia about the pivot.
 
+Also numbers that stand in for others: one mass and inertia of many links.
+
 In: a validated machine. Out: an `ImplausibleNumber` for each, with what was probably meant. The bounds are orders of
 magnitude that hold for machines of any size: lengths against each other, inertia against length, weight against springs
 and drives, mass against the square of the reach. `flexopt.robustness.plausibility` adds what needs the modes.
@@ -38,6 +40,8 @@ HEAVY = 10.0  # payload over the machine's own mass
 CONCENTRATED = 0.03  # radius of gyration over a body's size in the plane
 FLAT = 0.1  # height of the first joint over the base's length
 BASE_MASS = ("base.mass", "mass of the base")  # the field's name, of planar machines and in space
+ALIKE, UNLIKE = 3, 1.1  # bodies of one mass and inertia, and longest over shortest of these
+NAMED = 7  # of them, in a sentence
 DISTANT = 10.0  # times that a range may lie away from the file's number
 
 
@@ -74,6 +78,7 @@ class BodyNumbers:
             largest across it (0 in the plane).
         path: from its parent's joint to its own at most.
         link: whether it is a link between joints, whose mass lies along it.
+        moments: principal ones of its inertia; in the plane the one.
         hinge: whether its joint turns;  spring: its stiffness;  drive: effort and speed (infinite: none);  limits: of
             the joint, and its rest value;  end: whether `length` is that to the end-point of a tree.
     """
@@ -90,6 +95,7 @@ class BodyNumbers:
     across: float
     path: float
     link: bool
+    moments: tuple[float, ...] = ()
     hinge: bool = True
     springs: dict[str, tuple[bool, float]] = field(default_factory=dict[str, tuple[bool, float]])
     effort: float = math.inf
@@ -114,6 +120,12 @@ class BodyNumbers:
             waiting += [(child, path + child.path) for child in part.children]
 
     @property
+    def same(self) -> tuple[str, ...]:
+        """Mass and principal moments, but for rounding: what bodies have in common whose numbers were copied."""
+        least = 1e-9 * self.inertia
+        return tuple(f"{x:.8g}" if abs(x) > least else "0" for x in (self.mass, *self.moments))
+
+    @property
     def weight(self) -> tuple[float, float]:
         """Mass carried, kg, and its largest first moment about the joint, kg m."""
         carried = [(part.mass, part.mass * (path + part.com)) for part, path in self.outward()]
@@ -135,7 +147,7 @@ def implausible_numbers(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
                 *_springs(part, machine.gravity, reach),
                 *_drives(part, machine, reach),
             ]
-        found += _totals(machine, parts, reach)
+        found += [*_totals(machine, parts, reach), *_placeholders(parts)]
     if machine.gravity and not GRAVITY[0] < machine.gravity < GRAVITY[1]:
         found.append(
             ImplausibleNumber("gravity", f"{machine.gravity:g} m/s²", "is far from 9.81 m/s²", "in other units?")
@@ -360,6 +372,35 @@ def _totals(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) -> 
         )
 
 
+def _placeholders(parts: Sequence[BodyNumbers]) -> Iterator[ImplausibleNumber]:
+    """Bodies that carry one another and have one mass and inertia, though one is longer than another.
+
+    Legs, wheels and fingers beside each other are alike in earnest, and so are a snake's modules, which are as long.
+    """
+    above = {id(child): part for part in parts for child in part.children}
+    found: dict[tuple[str, ...], list[BodyNumbers]] = {}
+    for part in parts:
+        alike, at = list[BodyNumbers](), part
+        while at is not None:
+            if at.same == part.same:
+                alike.append(at)
+            at = above.get(id(at))
+        if part.mass > 0 and len(alike) > len(found.get(part.same, ())):
+            found[part.same] = alike[::-1]
+    for alike in found.values():
+        lengths = [part.length for part in alike if part.length > 0]
+        if len(alike) < ALIKE or not lengths or max(lengths) < UNLIKE * min(lengths):
+            continue
+        more = f" and {len(alike) - NAMED} more" if len(alike) > NAMED else ""
+        yield ImplausibleNumber(
+            "mass and inertia",
+            f"{alike[0].mass:g} kg and {alike[0].inertia:g} kg m²",
+            f"are exactly the same of {', '.join(part.where for part in alike[:NAMED])}{more}, which are "
+            f"{min(lengths):.3g} to {max(lengths):.3g} m long",
+            "probably placeholders: modes and loads are those of other machines until the file has measured ones",
+        )
+
+
 def _parts(machine: AnyMachine) -> tuple[list[BodyNumbers], float]:
     if isinstance(machine, Machine):
         return _planar(machine)
@@ -378,7 +419,7 @@ def _planar(machine: Machine) -> tuple[list[BodyNumbers], float]:
         where="base", length=base.length, size=_capsules(machine, "base"), com=math.hypot(base.com, base.com_offset),
         along=base.com, aside=base.com_offset, mass=base.mass, inertia=base.inertia,
         variance=base.inertia / base.mass, across=0.0, path=0.0, link=False, springs=springs,
-        rest=("base.rest_angle", base.rest_angle), joint="base",
+        rest=("base.rest_angle", base.rest_angle), joint="base", moments=(base.inertia,),
     )  # fmt: skip
     parts = [part]
     for index, link in enumerate(machine.links):
@@ -389,7 +430,7 @@ def _planar(machine: Machine) -> tuple[list[BodyNumbers], float]:
             inertia=link.inertia, variance=link.inertia / link.mass, across=0.0, path=parts[-1].length, link=True,
             springs={f"{where}.stiffness": (True, link.stiffness)} if link.passive and link.stiffness else {},
             effort=link.effort or math.inf, speed=link.speed or math.inf, limits=link.limits,
-            rest=(f"{where}.rest", link.rest) if link.passive else None, joint=where,
+            rest=(f"{where}.rest", link.rest) if link.passive else None, joint=where, moments=(link.inertia,),
         )  # fmt: skip
         parts[-1].children.append(inner)
         parts.append(inner)
@@ -458,6 +499,7 @@ def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: fl
     far = max(carried, key=lambda point: float(np.linalg.norm(point)), default=np.zeros(3))
     com, length = np.array(body.com), float(np.linalg.norm(far))
     tensor = _tensor(body.inertia)
+    moments = np.linalg.eigvalsh(tensor)
     # Second moments of the mass about its centre, per kg: tr(I)/2 · 1 − I.
     spread = (np.trace(tensor) / 2 * np.eye(3) - tensor) / body.mass if body.mass else np.zeros((3, 3))
     along: Array = far / length if length > 0 else np.linalg.eigh(spread)[1][:, -1]
@@ -470,7 +512,7 @@ def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: fl
     return BodyNumbers(
         where=where, length=length, size=_capsules(machine, body.name), com=float(np.linalg.norm(com)),
         along=float(com @ along), aside=float(np.linalg.norm(aside)), mass=body.mass,
-        inertia=float(np.linalg.eigvalsh(tensor)[-1]), variance=max(float(along @ spread @ along), 0.0),
+        inertia=float(moments[-1]), moments=tuple(moments.tolist()), variance=max(float(along @ spread @ along), 0.0),
         across=max(float(np.linalg.eigvalsh(projector @ spread @ projector)[-1]), 0.0),
         path=float(np.linalg.norm(body.position)) + travel, link=False, hinge=hinge,
         springs={f"{moved}.stiffness": (hinge, stiffness)} if joint.passive and stiffness else {},

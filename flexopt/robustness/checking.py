@@ -96,7 +96,8 @@ def check(machine_or_path: AnyMachine | Problem | Experiment | Study | str | os.
     Looked for are slips of unit: kN for N, mm for m, tonnes and grams, degrees, inertia about the pivot. A link's
     radius of gyration is compared with its length, springs and drives with the weight that they carry, the total mass
     with the square of the reach, the first mode with 0.1 to 100 Hz and with the loop's rate, modal damping with the
-    critical one, the reach with 100 m, ranges of what is uncertain with the file's own number.
+    critical one, the reach with 100 m, ranges of what is uncertain with the file's own number. Three or more bodies of
+    an arm that have the same mass and inertia though one is longer than another have placeholders for them.
 
     Args:
         machine_or_path: a machine, problem, experiment or study, or the name or path of one; a URDF or MJCF file, too.

@@ -624,3 +624,34 @@ def test_what_a_robot_file_says_oddly(tmp_path: Path, old: str, new: str, word: 
 def test_what_a_machine_file_says_oddly_of_a_robot(tmp_path: Path, change: Data, word: str) -> None:
     with pytest.warns(flexopt.FlexoptWarning, match=word):
         read(tmp_path, URDF, URDF_MACHINE | change)
+
+
+def arm_of(lengths: list[float], mass: float = 2.0, inertia: float = 0.01) -> Data:
+    """In the plane, on a base of 20 kg, every link with the same mass and inertia."""
+    links = [
+        {"name": f"link{k}", "length": length, "com": length / 2, "mass": mass, "inertia": inertia}
+        for k, length in enumerate(lengths)
+    ]
+    base = {
+        "length": 0.3, "com": 0.15, "mass": 20.0, "inertia": 0.4, "rest_angle": 1.57,
+        "stiffness": {"x": 4e5, "y": 4e5, "rotation": 2e4}, "damping": {"x": 50.0, "y": 50.0, "rotation": 5.0},
+    }  # fmt: skip
+    return {"name": "copies", "gravity": 9.81, "base": base, "links": links}
+
+
+def test_placeholders_for_masses_and_inertias_are_told() -> None:
+    """In the plane and in space; not links that are as long as each other, nor two alone, nor legs side by side."""
+    copied = arm_of([0.5, 0.3, 0.4])
+    for data in (copied, in_space(copied)):
+        (finding,) = [each for each in told(data) if "placeholder" in each]
+        assert finding.startswith("mass and inertia = 2 kg and 0.01 kg m²: are exactly the same of ")
+        assert "0.3 to 0.5 m long" in finding
+        assert all(f"link{k}" in finding for k in range(3))
+    modules, pair = arm_of([0.4, 0.4, 0.4]), arm_of([0.5, 0.3])
+    weighed = arm_of([0.5, 0.3, 0.4])
+    weighed["links"][1]["mass"] = 2.001
+    legs = in_space(copied)
+    for body in legs["bodies"][-3:]:
+        body["parent"] = legs["bodies"][-4]["name"]
+    for data in (modules, in_space(modules), pair, weighed, legs):
+        assert not [each for each in told(data) if "placeholder" in each]
