@@ -55,7 +55,9 @@ def measures(at: Context) -> tuple[Operation, ...]:
     text = (
         f"Measures of a posture under Jacobian {at.control} control, passive coordinates at rest: w_i of every mode, "
         "their weighted sum V, and its exact gradient. Where the end-point hardly moves in a mode its w_i is a "
-        "difference of larger numbers: w_error says how large its rounding error may be."
+        "difference of larger numbers: w_error says how large its rounding error may be. Where a_i or b_i vanishes, "
+        "w_i = 0 has a kink: the gradient there is that of one side, rounding decides of which. flexopt select names "
+        "optima on kinks."
     )
     return (about.operation("measures", text, [], outputs, []),)
 
@@ -170,7 +172,9 @@ class _Weighted:
         gap = ca.fmax(self.graph.gap, GAP_MIN)
         terms = self.share * self.graph.terms
         self.size = ca.fmax(self.graph.size, terms) / gap
-        self.error = TOLERANCES["float" if at.single else "double"] * self.size
+        # Where a mode leaves the joints still by symmetry, say, no term is left, but the rounding of what cancelled is.
+        rounded = ca.fmax(self.graph.size, self.share * self.graph.parts) / gap
+        self.error = TOLERANCES["float" if at.single else "double"] * rounded
         self.error_size = self.error / gap
         # |a_i| has a kink where a_i vanishes, so that there the rounding of a_i turns its gradient.
         slopes = self.graph.gradient_sizes * ca.fmax(1, terms / self.graph.size) / gap

@@ -24,7 +24,7 @@ class ModalGraph:
     Attributes:
         omega_squared, w, size: of every mode, (m, 1); size is |a_i||b_i|.
         sine_squared: distance from singular postures.
-        terms: size of what |a_i||b_i| is summed from, (m, 1).
+        terms: size of what |a_i||b_i| is summed from, (m, 1);  parts: also of what the joints' motion is summed from.
         significance: smallest |a_i||b_i| relative to that.
         gap: distance of ω_i² from its nearest neighbour relative to their mean, at most 1, (m, 1): rounding errors of
             the modes are divided by it.
@@ -38,6 +38,7 @@ class ModalGraph:
     size: ca.MX
     sine_squared: ca.MX
     terms: ca.MX
+    parts: ca.MX
     significance: ca.MX
     gap: ca.MX
     least_gap: ca.MX
@@ -68,14 +69,21 @@ class ModalKernels:
 
     @cached_property
     def terms(self) -> ca.Function:
-        """(follow, lengths of columns, modes, sizes) -> terms (m, 1), smallest size relative to its terms."""
+        """(follow, lengths of columns, modes, sizes) -> terms (m, 1), smallest size relative to them, parts (m, 1).
+
+        The joints' motion in a mode may itself be a difference that vanishes, which terms do not show, but parts do.
+        """
         plant = self.at.plant
         m, n = plant.n_passive, plant.n_actuated
         follow, modes, sizes = ca.SX.sym("follow", n, m), ca.SX.sym("modes", m, m), ca.SX.sym("sizes", m)
         out, into = ca.SX.sym("out", 1, m + n), ca.SX.sym("into", 1, n)
-        joints = ca.fabs(follow @ modes)
-        terms = ((out @ ca.vertcat(ca.fabs(modes), joints)) * (into @ joints)).T
-        return ca.Function("terms", [follow, out, into, modes, sizes], [terms, ca.mmin(sizes / terms)], {"cse": True})
+        moved = ca.fabs(modes)
+        terms, parts = (
+            ((out @ ca.vertcat(moved, joints)) * (into @ joints)).T
+            for joints in (ca.fabs(follow @ modes), ca.fabs(follow) @ moved)
+        )
+        outputs = [terms, ca.mmin(sizes / terms), parts]
+        return ca.Function("terms", [follow, out, into, modes, sizes], outputs, {"cse": True})
 
     @cached_property
     def gaps(self) -> ca.Function:
@@ -95,7 +103,7 @@ class ModalKernels:
         size = expansion.sizes(held)
         w, by_f = expansion.slopes(held, alpha)
         of_terms, of_gaps = list[ca.MX]([*found, held["modes"], size]), list[ca.MX]([held["omega_squared"]])
-        (terms, significance), (gap, least_gap) = self.terms.call(of_terms), self.gaps.call(of_gaps)
+        (terms, significance, parts), (gap, least_gap) = self.terms.call(of_terms), self.gaps.call(of_gaps)
         by_mode = [expansion.slopes(held, one)[1] for one in ca.horzsplit(ca.DM.eye(m))]
         sizes = [ca.norm_2(ca.MX(expansion.gradient(inputs, held, each))) for each in by_mode]
         return ModalGraph(
@@ -104,6 +112,7 @@ class ModalKernels:
             size=size,
             sine_squared=sine_squared,
             terms=terms,
+            parts=parts,
             significance=significance,
             gap=gap,
             least_gap=least_gap,

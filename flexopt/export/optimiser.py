@@ -77,7 +77,8 @@ STATUSES = {
                   "no more; not proved to be the best of all"),
     "BUDGET_SPENT": (1, "feasible; the budget ended before it was proved stationary, or before every start"),
     "DEADLINE": (2, "the same, ended by expired()"),
-    "STALLED": (3, "feasible, not stationary, and no step raises V in this precision"),
+    "STALLED": (3, "feasible, not stationary, and no step raises V in this precision; an optimum on a kink, where "
+                "a w_i is 0, ends so, too: use it as the others"),
     "NULL_POINTER": (16, "a pointer is NULL; start alone may be"),
     "BAD_WORKSPACE": (17, "the workspace is not aligned as its type asks, or overlaps another argument"),
     "NOT_FINITE": (18, "an input is NaN or infinite"),

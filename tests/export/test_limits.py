@@ -67,6 +67,23 @@ def test_beyond_a_limit_a_torque_comes_with_a_warning(library: BundleLibrary) ->
 
 
 @GCC
+def test_the_error_of_w_holds_where_a_mode_leaves_the_joints_still(library: BundleLibrary) -> None:
+    """Near half a turn of the slew sideways modes do not move boom, stick and bucket, and the slew hardly in one."""
+    machine, single = flexopt.load("slewing-excavator"), library.real.__name__ == "c_float"
+    given = inputs_of(library, "measures", POSTURE)
+    for slew in (np.pi, -np.pi, np.pi + 1e-6, 0.0, 1e-7):
+        for arm in ((0.72, -1.55, 0.11), (0.5, -1.4, -0.5)):
+            posture = np.array([slew, *arm])
+            posture = posture.astype(np.float32).astype(float) if single else posture
+            status, out = library("measures", **(given | {"joint_angles": posture}))
+            exact = flexopt.evaluate(machine, posture, base=given["placement"]).w
+            assert status == "OK"
+            # In single precision parameters are rounded, too; in double the reference is.
+            allowed = out["w_error"] + (1e-4 * np.abs(exact) if single else out["w_error"])
+            assert np.all(np.abs(out["w"] - exact) <= allowed), (slew, arm)
+
+
+@GCC
 @pytest.mark.parametrize("turns", [2, -3, 100])
 def test_whole_turns_of_a_free_hinge_change_nothing(library: BundleLibrary, turns: int) -> None:
     single = library.real.__name__ == "c_float"
