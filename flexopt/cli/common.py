@@ -358,5 +358,7 @@ GAIN = value("--gain", "KR", "Servo gain of the margin ε_max (5e5 by default)."
 BASE = value("--base", "X[,Y,YAW]", "Placement of the base, m and rad: in a choice, where it stands now.", placement)
 END_POINT = value("--end-point", "X,Y[,Z]", "Target of the end-point, inertial frame, m.", numbers)
 ELBOW = option(
-    "--elbow", metavar="|".join(ELBOWS), help="With --end-point: which branch of a planar arm (up by default)."
-)
+    "--elbow", metavar="|".join(ELBOWS),
+    help="With --end-point: which branch of a planar arm; up: the last joint is negative (of two joints by default up, "
+    "of more both).",
+)  # fmt: skip

@@ -43,14 +43,18 @@ def asked_posture(call: str, machine: AnyMachine, options: dict[str, Any]) -> An
     if posture is not None:
         return posture
     arguments = Arguments(call)
-    elbow = arguments.choice("elbow", options["elbow"] or "up", ELBOWS) if closed_form else None
     point = arguments.point(end_point, "end-point", machine)
+    redundant = len(machine.joints) > len(machine.task_rows)
+    # One of two is the answer where there are no more; of a redundant arm's the best of all is taken.
+    usual = None if redundant else "up"
+    elbow = options["elbow"] or usual
+    elbow = arguments.choice("elbow", elbow, ELBOWS) if closed_form and elbow else None
     if base is not None:
         arguments.base(machine, base)
     control: Control = arguments.control(options["control"] or "inverse")
     arguments.done()
     postures = inverse_kinematics(machine, point, base=base, gravity=options["gravity"], elbow=elbow)
-    return _best(machine, postures, elbow, base, control, options) if len(machine.joints) > len(point) else postures[0]
+    return _best(machine, postures, elbow, base, control, options) if redundant else postures[0]
 
 
 def _best(

@@ -45,7 +45,7 @@ FILMS = (".gif", ".html")
 TEXTS = {
     "posture": ("A,B,…", "Actuated joints about which to work, rad or m."),
     "end_point": ("X,Y[,Z]", "Target of the end-point, inertial frame, m."),
-    "elbow": ("", "With --end-point: which branch of a planar arm (up by default)."),
+    "elbow": ("", "With --end-point: which branch of a planar arm; up (by default): the last joint is negative."),
     "base": ("X[,Y,YAW]", "Placement of the base, m and rad."),
     "feedback": ("", "Task-space feedback (pd by default); robust attains ε_max."),
     "kp": ("KP", "Gain on the end-point error, one number or one for each task row (1e5 by default)."),
@@ -76,7 +76,8 @@ TEXTS = {
 # Of a machine without a [loop], and of one whose [loop] other options displace.
 UNSAID = "no gains are given, so the article's are taken; --loop default takes what suits the machine"
 BESIDE = (
-    "options of the loop stand in place of the file's [loop], and the gains are the article's; --loop keeps the others"
+    "options of the loop stand in place of the file's whole [loop], rate, dead time and filter included{gains}; "
+    "--loop KEY=VALUE replaces one of its keys"
 )
 # Fields whose option says no, and its name.
 NEGATED = {"hold": "continuous", "gravity_compensation": "uncompensated"}
@@ -172,11 +173,13 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
 
 
 def tell_gains(machine: AnyMachine, real: Any, asked: Mapping[str, Any], sampled: bool = True) -> None:
-    """Say whose gains a run has that got none; `sampled`: the machine's own `[loop]` can be taken."""
+    """Say whose loop and gains a run has that got none; `sampled`: the machine's own `[loop]` can be taken."""
     taken = real is not None or (sampled and own_loop(machine, asked) is not None)
-    if taken or {"kp", "kv", "feedback"} & asked.keys() or VOICE.quiet:
+    gained = bool({"kp", "kv", "feedback"} & asked.keys())
+    if taken or VOICE.quiet or (gained and machine.loop is None):
         return
-    say(f"flexopt: {UNSAID if machine.loop is None else BESIDE}", err=True)
+    beside = BESIDE.format(gains="" if gained else ", and the gains are the article's")
+    say(f"flexopt: {UNSAID if machine.loop is None else beside}", err=True)
 
 
 def simulate_arguments(options: dict[str, Any]) -> dict[str, Any]:

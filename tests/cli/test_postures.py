@@ -34,6 +34,14 @@ def test_of_a_redundant_arm_in_the_plane_the_elbow_is_said_to_choose_among_the_p
     assert "reach it with the elbow down (--elbow names the other), the one with the greatest w1 is taken" in told
 
 
+def test_without_a_word_of_the_elbow_both_branches_are_looked_at(command: Command) -> None:
+    """Of a redundant arm the best of all postures is taken, as the pages say."""
+    asked = ("evaluate", "boom-stick-bucket", "--end-point", "5,1")
+    both, up, down = (command(*asked, *more, "--json") for more in ((), ("--elbow", "up"), ("--elbow", "down")))
+    assert both.document["w"][0] == max(found.document["w"][0] for found in (up, down))
+    assert "with the elbow" not in both.stderr
+
+
 def test_a_refusal_names_the_elbow_that_was_asked_for(command: Command) -> None:
     """The other one reaches the same end-point within the limits."""
     text = (Path(__file__).parents[2] / "models" / "excavator.toml").read_text(encoding="utf-8")

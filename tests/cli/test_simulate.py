@@ -78,7 +78,9 @@ def test_the_loop_of_a_machine_file_is_run(command: Command) -> None:
     run = command(*asked)
     assert "Kp 1e+04 N m, Kv 1000 N m s" in run.stdout
     assert run.stderr == ""
-    assert "in place of the file's [loop], and the gains are the article's" in command(*asked, "--rate", "100").stderr
+    beside = "in place of the file's whole [loop], rate, dead time and filter included"
+    assert f"{beside}, and the gains are the article's" in command(*asked, "--rate", "100").stderr
+    assert f"{beside}; --loop KEY=VALUE replaces" in command(*asked, "--kp", "2e4").stderr
 
 
 def test_a_film_on_dark_ground(command: Command) -> None:

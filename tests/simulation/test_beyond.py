@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,7 +50,7 @@ def test_an_effort_is_no_torque_limit() -> None:
     data = EXCAVATOR.to_dict()
     links = [link | {"effort": 300.0} for link in data["links"]]
     feeble = machine_from_dict(data | {"links": links})
-    loop = {"kp": 1e4, "kv": 1e3, "duration": 2.0}
+    loop: dict[str, Any] = {"kp": 1e4, "kv": 1e3, "duration": 2.0}
     run = flexopt.simulate(feeble, POSTURE_A, **loop)
     assert abs(run.torque).max() > 300.0
     assert re.search(rf"boom took up to {NUMBER} N m \(effort 300\)", told(run))
