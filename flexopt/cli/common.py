@@ -31,6 +31,8 @@ FILE_NAME_MAX = 255
 TICK = 1.0
 # What brakes a redundant arm's self-motion: a key of loops and of runs.
 BRAKE = "nullspace_damping"
+# Keys of tables that sentences advise, and what stands for their value.
+ADVISED = {f"loop.{BRAKE}": "C", "loop.torque_limit": "N", "actuator.torque_limit": "N"}
 # How sentences begin on what was not given.
 NEEDED = ("is needed", "needs ")
 PICTURES = (".png", ".svg", ".pdf")
@@ -112,10 +114,10 @@ def as_options(text: str) -> str:
     """A key that a sentence advises, as the command that prints it takes it."""
     context = click.get_current_context(silent=True)
     options = {word for each in context.command.params for word in each.opts} if context is not None else set[str]()
-    for table in ("loop", "actuator"):
+    for key, letter in ADVISED.items():
+        table, name = key.split(".")
         if f"--{table}" in options:
-            text = text.replace(f"{table}.{BRAKE} brakes", f"--{table} {BRAKE}=C brakes")
-            text = text.replace(f"; {table}.torque_limit lets", f"; --{table} torque_limit=N lets")
+            text = re.sub(rf"\b{key} (?=brakes|lets)", f"--{table} {name}={letter} ", text)
     word = f"--{BRAKE.replace('_', '-')}"
     return text.replace(f"; {BRAKE} brakes", f"; {word} brakes") if word in options else text
 

@@ -311,10 +311,10 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
         actuated = None if options["actuated"] is None else names(options["actuated"])
         chain = read_chain(Path(robot), options["tip"], actuated)
         if chain.hand or chain.chosen:
-            behind = f"{counted(len(chain.hand), 'joint')} {{}}, as of a hand, stand still" if chain.hand else ""
-            told = [chain.chosen, behind.format("beside it" if chain.chosen else "behind it")]
+            place = "beside" if chain.chosen else "behind"
+            still = f"{counted(len(chain.hand), 'joint')} {place} it, as of a hand, stand still" if chain.hand else ""
             where = f"site {chain.site} on link {chain.end}" if chain.site else f"link {chain.end}"
-            end = f"The end-point is {where}: {'; '.join(filter(None, told))}. --tip names another."
+            end = f"The end-point is {where}: {'; '.join(filter(None, [chain.chosen, still]))}. --tip names another."
         based = chain.floats or not chain.sprung
         questions = [
             Question("name", "Name of the machine", _name, lambda _: stem or chain.name),

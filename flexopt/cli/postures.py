@@ -46,8 +46,7 @@ def asked_posture(call: str, machine: AnyMachine, options: dict[str, Any]) -> An
     point = arguments.point(end_point, "end-point", machine)
     redundant = len(machine.joints) > len(machine.task_rows)
     # One of two is the answer where there are no more; of a redundant arm's the best of all is taken.
-    usual = None if redundant else "up"
-    elbow = options["elbow"] or usual
+    elbow = options["elbow"] or (None if redundant else "up")
     elbow = arguments.choice("elbow", elbow, ELBOWS) if closed_form and elbow else None
     if base is not None:
         arguments.base(machine, base)

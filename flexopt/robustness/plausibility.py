@@ -17,8 +17,9 @@ from flexopt.errors import ImplausibleMachine
 from flexopt.foundation.arrays import spread
 from flexopt.foundation.warned import warn_user
 from flexopt.model import AnyMachine
+from flexopt.model.body_numbers import Array
 from flexopt.model.loop import Loop
-from flexopt.model.plausibility import BASE_MASS, Array, ImplausibleNumber, distant_ranges, implausible_numbers
+from flexopt.model.plausibility import BASE_MASS, ImplausibleNumber, distant_ranges, implausible_numbers
 from flexopt.plant import Plant, build_plant
 
 FIRST_MODE = (0.1, 100.0)  # Hz

@@ -108,7 +108,7 @@ def decide(
             if not stay.holds:
                 reason = "stable on every ground, which the present place is not"
             reason += f"; slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
-        takes = ", ".join([f"a drive of {best.drive:.3g} m", *([best.otherwise] if best.otherwise else [])])
+        takes = ", ".join(filter(None, [f"a drive of {best.drive:.3g} m", best.otherwise]))
         return Decision("move", best.name, f"{reason}, for {takes}")
     if stay is not None and stay.holds and stay.name not in unconfirmed:
         share, rival = max(

@@ -160,13 +160,11 @@ def verdict(
     for name in told if runs else []:
         shown[name] = loops[name].runs(points[:runs], each[name][:, :runs], duration)
     stages.next()
-    known = {
-        name: Place(
-            name, decays[name], slowest[name].decay, drives[name][0],
-            besides_driving(machine, stands[name], stands.get(STAY)),
-        )
-        for name in told
-    }  # fmt: skip
+    known = dict[str, Place]()
+    for name in told:
+        drive, turn = drives[name]
+        otherwise = besides_driving(machine, turn, stands[name], stands.get(STAY))
+        known[name] = Place(name, decays[name], slowest[name].decay, drive, otherwise)
     stay, rest = known.get(STAY), [known[name] for name in told if name != STAY]
     unconfirmed = [name for name, run in shown.items() if run.confirming < MOST]
     tried = tried_gains(asked) if _tries(asked, known, unconfirmed) else ""

@@ -166,8 +166,8 @@ def drive_to(configurations: Configurations, now: Vector) -> tuple[float, float]
     return length, turn
 
 
-def besides_driving(machine: AnyMachine, there: Configurations, stay: Configurations | None) -> str:
-    """What a move takes besides the drive, in words: the base's turn, and the joint that moves most, in its unit.
+def besides_driving(machine: AnyMachine, turn: float, there: Configurations, stay: Configurations | None) -> str:
+    """What a move takes besides the drive, in words: the base's turn, rad, and the joint that moves most, in its unit.
 
     Of one target: postures at several are as far from each other as the targets.
     """
@@ -175,7 +175,6 @@ def besides_driving(machine: AnyMachine, there: Configurations, stay: Configurat
         return ""
     away = there[0].posture - stay[0].posture
     most, moved = int(np.argmax(np.abs(away))), np.abs(away) >= LEAST_TOLD
-    _, turn = drive_to(there, stay[0].base)
     told = [f"a turn of the base by {turn:.3g} rad"] if turn >= LEAST_TOLD else []
     if moved.any():
         others = ", other joints less" if moved.sum() > 1 else ""

@@ -1,0 +1,214 @@
+"""Lengths, masses, inertias and drives of a machine's bodies, one layout for whatever file it came from.
+
+In: a validated machine. Out: its `BodyNumbers`, which `plausibility.py` compares with each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexopt.model.kinematic_tree import TreeBody
+from flexopt.model.machine import AnyMachine
+from flexopt.model.planar import Machine
+from flexopt.model.tree import Tree
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class BodyNumbers:
+    """One body as the checks see it; joints and springs of the body that it moves with. SI.
+
+    Attributes:
+        where: its field and name.
+        length: to the farthest joint or the end-point that it carries; 0 where it carries none.
+        size: the farthest that anything is known to be from its joint.
+        com: distance of its centre of mass;  along: the same along `length`;  aside: across it.
+        variance: ∫ x² dm / m of its mass about its centre, along `length` (in the plane all of it);  across: the
+            largest across it (0 in the plane).
+        path: from its parent's joint to its own at most.
+        link: whether it is a link between joints, whose mass lies along it.
+        moments: principal ones of its inertia; in the plane the one.
+        hinge: whether its joint turns;  spring: its stiffness;  drive: effort and speed (infinite: none);  limits: of
+            the joint, and its rest value;  end: whether `length` is that to the end-point of a tree.
+    """
+
+    where: str
+    length: float
+    size: float
+    com: float
+    along: float
+    aside: float
+    mass: float
+    inertia: float
+    variance: float
+    across: float
+    path: float
+    link: bool
+    moments: tuple[float, ...] = ()
+    hinge: bool = True
+    springs: dict[str, tuple[bool, float]] = field(default_factory=dict[str, tuple[bool, float]])
+    effort: float = math.inf
+    speed: float = math.inf
+    limits: tuple[float, float] | None = None
+    rest: tuple[str, float] | None = None
+    joint: str = ""
+    end: bool = False
+    children: list[BodyNumbers] = field(default_factory=list["BodyNumbers"])
+
+    @property
+    def reached(self) -> str:
+        """What `length` is called."""
+        return f"end-point from the joint of {self.where}" if self.end else f"{self.where}.length"
+
+    def outward(self, start: float = 0.0) -> Iterator[tuple[BodyNumbers, float]]:
+        """This body and those it carries, with the farthest that each one's joint can be from this one's."""
+        waiting = [(self, start)]
+        while waiting:
+            part, path = waiting.pop()
+            yield part, path
+            waiting += [(child, path + child.path) for child in part.children]
+
+    @property
+    def same(self) -> tuple[str, ...]:
+        """Mass and principal moments, but for rounding: what bodies have in common whose numbers were copied."""
+        least = 1e-9 * self.inertia
+        return tuple(f"{x:.8g}" if abs(x) > least else "0" for x in (self.mass, *self.moments))
+
+    @property
+    def weight(self) -> tuple[float, float]:
+        """Mass carried, kg, and its largest first moment about the joint, kg m."""
+        carried = [(part.mass, part.mass * (path + part.com)) for part, path in self.outward()]
+        return sum(mass for mass, _ in carried), sum(moment for _, moment in carried)
+
+
+def body_numbers(machine: AnyMachine) -> tuple[list[BodyNumbers], float]:
+    """The bodies from the base outwards, and how far the end-point can be, m."""
+    if isinstance(machine, Machine):
+        return _planar(machine)
+    assert isinstance(machine, Tree)
+    return _spatial(machine)
+
+
+def _planar(machine: Machine) -> tuple[list[BodyNumbers], float]:
+    """Bodies of a planar machine from the base outwards, and how far the end-point can be from the ground point."""
+    base = machine.base
+    springs = {
+        f"base.stiffness.{d}": (d == "rotation", float(getattr(base.stiffness, d)))
+        for d in machine.free_base_directions
+    }
+    part = BodyNumbers(
+        where="base", length=base.length, size=_capsules(machine, "base"), com=math.hypot(base.com, base.com_offset),
+        along=base.com, aside=base.com_offset, mass=base.mass, inertia=base.inertia,
+        variance=base.inertia / base.mass, across=0.0, path=0.0, link=False, springs=springs,
+        rest=("base.rest_angle", base.rest_angle), joint="base", moments=(base.inertia,),
+    )  # fmt: skip
+    parts = [part]
+    for index, link in enumerate(machine.links):
+        where = f"links[{index}] ({link.name})"
+        inner = BodyNumbers(
+            where=where, length=link.length, size=_capsules(machine, link.name),
+            com=math.hypot(link.com, link.com_offset), along=link.com, aside=link.com_offset, mass=link.mass,
+            inertia=link.inertia, variance=link.inertia / link.mass, across=0.0, path=parts[-1].length, link=True,
+            springs={f"{where}.stiffness": (True, link.stiffness)} if link.passive and link.stiffness else {},
+            effort=link.effort or math.inf, speed=link.speed or math.inf, limits=link.limits,
+            rest=(f"{where}.rest", link.rest) if link.passive else None, joint=where, moments=(link.inertia,),
+        )  # fmt: skip
+        parts[-1].children.append(inner)
+        parts.append(inner)
+    _load(parts[-1], machine.payload.mass, parts[-1].length)
+    return parts, sum(part.length for part in parts)
+
+
+def _load(part: BodyNumbers, mass: float, distance: float) -> None:
+    """Hang the payload on the end-point's body."""
+    if mass:
+        load = BodyNumbers(
+            where="payload", length=0.0, size=0.0, com=0.0, along=0.0, aside=0.0, mass=mass, inertia=0.0, variance=0.0,
+            across=0.0, path=distance, link=False,
+        )  # fmt: skip
+        part.children.append(load)
+
+
+def _capsules(machine: AnyMachine, body: str) -> float:
+    """How far the body's capsules reach from its joint."""
+    ends = [(end, c.radius) for c in machine.capsules if c.body == body for end in (c.start, c.end)]
+    return max((math.hypot(*end) + radius for end, radius in ends), default=0.0)
+
+
+def _spatial(machine: Tree) -> tuple[list[BodyNumbers], float]:
+    """Bodies of a spatial machine, and how far the end-point can be from the first body that has mass."""
+    children: dict[str, list[TreeBody]] = {body.name: [] for body in machine.bodies}
+    for body in machine.bodies:
+        if body.parent is not None:
+            children[body.parent].append(body)
+    coupled = machine.stiffness_matrix
+    stiff = {} if coupled is None else {n: coupled.matrix[k][k] for k, n in enumerate(coupled.joints)}
+    parts: dict[str, BodyNumbers] = {}
+    actuated: set[str] = set()
+    for body in machine.bodies:
+        carried = [_farthest(child) for child in children[body.name]]
+        carried += [np.array(machine.end_point.position)] if machine.end_point.body == body.name else []
+        part = _body(machine, body, carried, stiff.get(body.joint.name, body.joint.stiffness))
+        moved = body.parent in actuated
+        if not body.joint.passive or moved:
+            actuated.add(body.name)
+        # An arm's links are those on driven joints and beyond.
+        part.link = body.name in actuated
+        parts[body.name] = part
+        if body.parent is not None:
+            parts[body.parent].children.append(part)
+    end = parts[machine.end_point.body]
+    _load(end, machine.payload.mass, float(np.linalg.norm(machine.end_point.position)))
+    reach, name = float(np.linalg.norm(machine.end_point.position)), machine.end_point.body
+    above = {body.name: body.parent for body in machine.bodies}
+    while above[name] is not None:
+        reach += parts[name].path
+        name = str(above[name])
+    return list(parts.values()), max(reach, 1e-3, *(part.com for part in parts.values()))
+
+
+def _farthest(child: TreeBody) -> Array:
+    """Where its joint has it at most, in the parent's frame."""
+    place, joint = np.array(child.position), child.joint
+    if joint.kind == "hinge" or joint.limits is None:
+        return place
+    axis = np.array(child.rotation) @ np.array(joint.axis)
+    return max((place + end * axis for end in joint.limits), key=lambda point: float(np.linalg.norm(point)))
+
+
+def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: float | None) -> BodyNumbers:
+    far = max(carried, key=lambda point: float(np.linalg.norm(point)), default=np.zeros(3))
+    com, length = np.array(body.com), float(np.linalg.norm(far))
+    tensor = _tensor(body.inertia)
+    moments = np.linalg.eigvalsh(tensor)
+    # Second moments of the mass about its centre, per kg: tr(I)/2 · 1 − I.
+    spread = (np.trace(tensor) / 2 * np.eye(3) - tensor) / body.mass if body.mass else np.zeros((3, 3))
+    along: Array = far / length if length > 0 else np.linalg.eigh(spread)[1][:, -1]
+    aside = com - (com @ along) * along
+    projector = np.eye(3) - np.outer(along, along)
+    joint = body.joint
+    hinge = joint.kind == "hinge"
+    travel = 0.0 if hinge or joint.limits is None else max(map(abs, joint.limits))
+    where, moved = f"body {body.name!r}", f"joint {joint.name!r}"
+    return BodyNumbers(
+        where=where, length=length, size=_capsules(machine, body.name), com=float(np.linalg.norm(com)),
+        along=float(com @ along), aside=float(np.linalg.norm(aside)), mass=body.mass,
+        inertia=float(moments[-1]), moments=tuple(moments.tolist()), variance=max(float(along @ spread @ along), 0.0),
+        across=max(float(np.linalg.eigvalsh(projector @ spread @ projector)[-1]), 0.0),
+        path=float(np.linalg.norm(body.position)) + travel, link=False, hinge=hinge,
+        springs={f"{moved}.stiffness": (hinge, stiffness)} if joint.passive and stiffness else {},
+        effort=joint.effort or math.inf, speed=joint.speed or math.inf, limits=joint.limits,
+        rest=(f"{moved}.rest", joint.rest) if joint.passive and hinge else None, joint=moved,
+        end=machine.end_point.body == body.name and np.array_equal(far, machine.end_point.position),
+    )  # fmt: skip
+
+
+def _tensor(six: tuple[float, ...]) -> Array:
+    xx, yy, zz, xy, xz, yz = six
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
