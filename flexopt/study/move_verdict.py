@@ -163,7 +163,7 @@ def verdict(
     known = dict[str, Place]()
     for name in told:
         drive, turn = drives[name]
-        otherwise = besides_driving(machine, turn, stands[name], stands.get(STAY))
+        otherwise = besides_driving(machine, turn, stands[name], solved.present_posture)
         known[name] = Place(name, decays[name], slowest[name].decay, drive, otherwise)
     stay, rest = known.get(STAY), [known[name] for name in told if name != STAY]
     unconfirmed = [name for name, run in shown.items() if run.confirming < MOST]

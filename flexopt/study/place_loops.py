@@ -166,16 +166,17 @@ def drive_to(configurations: Configurations, now: Vector) -> tuple[float, float]
     return length, turn
 
 
-def besides_driving(machine: AnyMachine, turn: float, there: Configurations, stay: Configurations | None) -> str:
+def besides_driving(machine: AnyMachine, turn: float, there: Configurations, held: Vector | None) -> str:
     """What a move takes besides the drive, in words: the base's turn, rad, and the joint that moves most, in its unit.
 
-    Of one target: postures at several are as far from each other as the targets.
+    `held`: the posture in which the arm is now (n,); None where nobody said. Of one target alone: postures at several
+    are as far from each other as the targets.
     """
-    if stay is None or len(there) != 1:
-        return ""
-    away = there[0].posture - stay[0].posture
-    most, moved = int(np.argmax(np.abs(away))), np.abs(away) >= LEAST_TOLD
     told = [f"a turn of the base by {turn:.3g} rad"] if turn >= LEAST_TOLD else []
+    if held is None or len(there) != 1:
+        return ", ".join(told)
+    away = there[0].posture - held
+    most, moved = int(np.argmax(np.abs(away))), np.abs(away) >= LEAST_TOLD
     if moved.any():
         others = ", other joints less" if moved.sum() > 1 else ""
         told.append(f"{machine.joints[most]} by {away[most]:+.3g} {machine.joint_units[most]}{others}")
