@@ -1,4 +1,4 @@
-"""One BLAS thread and few rounds of the garbage collector for each process of tests, which files are left out where an oracle cannot be installed; a browser."""
+"""One BLAS thread and few rounds of the garbage collector for each process of tests, which are left out; a browser."""
 
 from __future__ import annotations
 
@@ -11,8 +11,15 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from tests.browser import chromium, pytest_runtest_setup
+from tests.long_tests import pytest_addoption, pytest_collection_modifyitems
 
-__all__ = ["chromium", "pytest_ignore_collect", "pytest_runtest_setup"]
+__all__ = [
+    "chromium",
+    "pytest_addoption",
+    "pytest_collection_modifyitems",
+    "pytest_ignore_collect",
+    "pytest_runtest_setup",
+]
 
 # Before NumPy comes in, here and in the processes of pytest-xdist, each of which would have as many threads as there
 # are processors, that wait for each other.
