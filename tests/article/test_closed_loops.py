@@ -43,6 +43,7 @@ def oracle(stand, kp, kv, method):
     return loop.growth_rate(0.005, method)
 
 
+@pytest.mark.long
 def test_stands_are_table_2(stands):
     np.testing.assert_allclose(stands["A"].posture, [0.9929, -2.6306], atol=5e-4)
     np.testing.assert_allclose(stands["B"].posture, [0.0448, -2.0499], atol=3e-4)
@@ -320,6 +321,7 @@ def test_documents(loops, gain_map):
     json.dumps([document, plane], allow_nan=False)
 
 
+@pytest.mark.long
 def test_computed_twice_alike(stands, monkeypatch):
     """That runs are, test_figure_9 asks."""
     monkeypatch.setattr(gains, "POINTS", 5)

@@ -252,6 +252,7 @@ def test_folder_is_kept(run, result, files, tmp_path, monkeypatch):
     assert (tmp_path / "report.html").read_bytes() == files[0].read_bytes()
 
 
+@pytest.mark.long
 def test_figures_as_files(result, tmp_path):
     with pytest.raises(flexopt.InputError, match=r"(?s)form = 'gif'.*theme = 'grey'.*size = 'poster'"):
         result.write_figures(tmp_path, form="gif", theme="grey", size="poster")

@@ -132,6 +132,7 @@ def meaning(row: Mapping[str, str]) -> int | None:
 
 
 # One test for all calls: as many tests would be dealt out to several processes, of which each walks first.
+@pytest.mark.long
 def test_every_argument_refuses_the_bad_list(rows: Rows) -> None:
     controls = [rows[name][0] for name in NAMES if name not in LONG]
     assert [row for row in controls if row["outcome"] != "accepted"] == [], "good calls are refused"

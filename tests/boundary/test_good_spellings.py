@@ -73,6 +73,7 @@ def test_systems_and_points() -> None:
     assert np.array_equal(of_lists.w, of_arrays.w)
 
 
+@pytest.mark.long
 def test_singular_points_are_marked() -> None:
     """As `evaluate` refuses them: straight, folded, nearly straight; the others stay."""
     postures = np.array([[1.0, 1.0, 1.0, 1.0, np.nan], [0.0, -2.0, 1e-8, np.pi, -2.0]])

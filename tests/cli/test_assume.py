@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.cli.command import Command
 
 PROBLEM = """
@@ -22,6 +24,7 @@ def names(document: dict) -> list[str]:
     return [each["name"] for each in document["problem"]["assumed"]]
 
 
+@pytest.mark.long
 def test_the_option(command: Command) -> None:
     said = command(*MACHINE).stdout
     assert "assumed (ground): boom, stick stay above the ground, whose height is 0 m" in said
@@ -35,6 +38,7 @@ def test_the_option(command: Command) -> None:
     assert nothing["best"]["constraints"].keys() == {"singularity margin"}
 
 
+@pytest.mark.long
 def test_a_file(command: Command) -> None:
     command.write("load.toml", PROBLEM)
     assert names(command.json("select", "load.toml", "--workers", "1")) == ["limits", "reach", "self_clearance"]

@@ -303,6 +303,7 @@ def test_out_writes_the_document_of_json(command: Command) -> None:
     assert written["problem"]["objective"] == "w2"
 
 
+@pytest.mark.long
 def test_pictures_are_what_their_names_say(command: Command) -> None:
     for name in ("choice.png", "choice.svg", "choice.PDF"):
         assert command(*SELECT, "--plot", name).code == 0
@@ -321,6 +322,7 @@ def test_progress_goes_to_standard_error(command: Command) -> None:
         assert "starts 8/8" not in outcome.stdout
 
 
+@pytest.mark.long
 def test_the_last_line_of_progress_counts_what_the_text_counts(command: Command) -> None:
     """A second objective brings starts of its own; a pipe gets one line."""
     told = command(*SELECT, "--objective", "w1,epsilon_max")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import flexopt
 from tests.cli.command import Command
@@ -18,6 +19,7 @@ def write_log(command: Command) -> None:
     command.write("swing.csv", "t [ms],gyro_z [deg/s]\n" + "\n".join(lines) + "\n")
 
 
+@pytest.mark.long
 def test_the_command_says_what_python_says(command: Command) -> None:
     write_log(command)
     words = ("identify", "excavator", "swing.csv", "--posture", POSTURE, "--unknown", "base.*.rotation")
@@ -30,6 +32,7 @@ def test_the_command_says_what_python_says(command: Command) -> None:
     assert repr(found) in command(*words).stdout
 
 
+@pytest.mark.long
 def test_a_selection_with_a_log_is_one_of_the_identified_machine(command: Command) -> None:
     write_log(command)
     words = ("--end-point", "0,1.6", "--base", "0", "--posture", POSTURE, "--starts", "1")

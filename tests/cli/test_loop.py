@@ -48,6 +48,7 @@ def test_what_is_no_option(command: Command) -> None:
         assert sentence in refused.stderr
 
 
+@pytest.mark.long
 def test_a_choice_by_what_the_loop_bears(command: Command) -> None:
     shown = command.json(
         "select",

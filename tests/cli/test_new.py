@@ -118,6 +118,7 @@ def test_springs_that_are_known_stay_as_they_are(command: Command) -> None:
     assert "arm held" not in text
 
 
+@pytest.mark.long("humanoid.xml")
 @pytest.mark.parametrize(
     "robot",
     [ROBOTS / "slewing-excavator.urdf", ROBOTS / "mobile-manipulator.xml", "arm.urdf", "arm.xml", "so101.urdf", "kinova.urdf",

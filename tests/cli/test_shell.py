@@ -108,6 +108,7 @@ def test_what_the_script_calls_answers() -> None:
     assert done.stdout == "plain,excavator\n", done.stderr
 
 
+@pytest.mark.long
 def test_every_command_has_examples_and_every_example_is_understood(command: Command) -> None:
     assert set(EXAMPLES) == {"", *COMMANDS}
     for name, lines in EXAMPLES.items():

@@ -28,6 +28,7 @@ duration = 1.0
 """
 
 
+@pytest.mark.long
 def test_what_brakes_self_motion_is_spelt_as_the_command_takes_it(command: Command) -> None:
     asked = ("simulate", "boom-stick-bucket", "--posture=-0.6,-1.2,-0.5", "--duration", "0.1")
     plain = command(*asked, "--kp", "1e4", "--kv", "1e3").stdout
@@ -72,6 +73,7 @@ def test_gains_that_nobody_gave_are_told_of(command: Command) -> None:
     assert command("--quiet", *POSTURE, "--duration", "1").stderr == ""
 
 
+@pytest.mark.long
 def test_the_loop_of_a_machine_file_is_run(command: Command) -> None:
     command.write("m.toml", toml(MACHINE, {"loop.kp": "1e4", "loop.kv": "1e3", "loop.dead_time": "0.01"}))
     asked = ("simulate", "m.toml", "--posture", "0.0448,-2.0499", "--duration", "1")
@@ -129,6 +131,7 @@ def test_an_fmu_takes_what_simulate_takes() -> None:
     assert of_simulate - of_fmu == {"seed", "plot", "size", "theme", "animate"}
 
 
+@pytest.mark.long
 def test_tables_of_sensor_and_actuator(command: Command) -> None:
     options = ("--duration", "0.5", "--sensor", "delay=0.02", "--sensor", "noise=1e-4", "--actuator")
     document = command.json(*POSTURE, *options, "torque_limit=1e5,2e5")
@@ -146,6 +149,7 @@ def test_tables_of_sensor_and_actuator(command: Command) -> None:
     assert command(*POSTURE, "--sensor", "delay=0", "--sensor", "delay=1").code == 2
 
 
+@pytest.mark.long
 def test_verdicts_that_a_run_alone_gets_wrong(command: Command) -> None:
     """A slow mode that ten seconds do not show; an arm that drifts along its self-motion and settles in 2.2 s."""
     slow = (

@@ -17,6 +17,7 @@ B = (0.0448, -2.0499)
 GROUND = {"stiffness": (0.5, 2.0)}
 
 
+@pytest.mark.long
 def test_the_command_says_what_python_says(command: Command) -> None:
     words = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--ranges", "stiffness=0.5,2")
     found = flexopt.verdict(flexopt.load_problem("article"), loop=LOOP, ranges=GROUND, members=8, runs=2)
@@ -34,6 +35,7 @@ def test_the_command_says_what_python_says(command: Command) -> None:
     assert "verdict" not in command("select", "article", "--json").document
 
 
+@pytest.mark.long
 def test_a_choice_is_handed_out_before_its_verdict(
     command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -53,6 +55,7 @@ def test_a_choice_is_handed_out_before_its_verdict(
     assert "no verdict" in told[-1]
 
 
+@pytest.mark.long
 def test_places_can_be_chosen_by_a_weighted_sum_and_what_was_not_given_is_named(command: Command) -> None:
     asked = ("excavator", "--end-point", "0,1.6", "--base", "0", "--objective", "V", "--weights", "1,0.5,0.5")
     words = ("--loop", "kp=1e4", "--members", "2", "--runs", "0")
@@ -77,6 +80,7 @@ def test_places_can_be_chosen_by_a_weighted_sum_and_what_was_not_given_is_named(
     assert anew != pytest.approx(place.decay.nominal, rel=1e-2)
 
 
+@pytest.mark.long
 def test_a_present_posture_beside_the_target_is_told(command: Command) -> None:
     """And numbers that are uncertain have their units."""
     asked = ("excavator", "--end-point", "0,1.6", "--base", "0", "--posture", "0.5,-1.5")

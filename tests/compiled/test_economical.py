@@ -61,6 +61,7 @@ def test_products_and_choices_are_counted() -> None:
     assert 0.1 * evaluation_seconds(inner) < evaluation_seconds(outer) < evaluation_seconds(inner)
 
 
+@pytest.mark.long
 def test_few_points_are_not_compiled_and_many_are(empty_cache: Path) -> None:
     few, many = Economical(_function()), Economical(_function())
     few.expect(int(0.4 * few.worth))
@@ -74,6 +75,7 @@ def test_few_points_are_not_compiled_and_many_are(empty_cache: Path) -> None:
     np.testing.assert_allclose(again, values, rtol=1e-11)
 
 
+@pytest.mark.long
 def test_what_is_kept_is_used_for_few_points_too(empty_cache: Path) -> None:
     kept = batch(_function())
     other = Economical(_function())
@@ -81,6 +83,7 @@ def test_what_is_kept_is_used_for_few_points_too(empty_cache: Path) -> None:
     assert other.compiled == kept.compiled
 
 
+@pytest.mark.long
 def test_points_add_up(empty_cache: Path) -> None:
     economical = Economical(_function())
     economical.worth = 250.0
@@ -93,6 +96,7 @@ def test_points_add_up(empty_cache: Path) -> None:
     assert seen == [False, False, compiles, compiles]
 
 
+@pytest.mark.long
 def test_a_compiler_that_is_done_early_changes_no_bit(empty_cache: Path) -> None:
     """From half the cost on it works in the background; what a call takes does not depend on when it is done."""
     early, late = Economical(_function()), Economical(_function())
@@ -106,6 +110,7 @@ def test_a_compiler_that_is_done_early_changes_no_bit(empty_cache: Path) -> None
     np.testing.assert_array_equal(early(POINTS)[0], late(POINTS)[0])
 
 
+@pytest.mark.long
 def test_threads_change_neither_the_choice_nor_the_numbers(empty_cache: Path) -> None:
     for points in (1, 10**9):
         economical = Economical(_function(f"f{points}"))

@@ -24,6 +24,7 @@ def long_function(steps: int) -> ca.Function:
     return ca.Function("long", [x, y], [state, ca.vertcat(*kept, x[0])], ["x", "y"], ["state", "kept"])
 
 
+@pytest.mark.long("7", "10000")
 @pytest.mark.parametrize("piece", [1, 7, 10_000])
 def test_pieces_compute_what_the_whole_does(monkeypatch, piece):
     if find_compiler() is None:

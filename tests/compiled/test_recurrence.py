@@ -209,6 +209,7 @@ def test_a_step_of_many_substeps(way: str, kind: str) -> None:
         np.testing.assert_allclose(result.x[:, :, i], solution.y.T, rtol=0, atol=2e-10)
 
 
+@pytest.mark.long
 @given(st.integers(0, 1000), st.integers(1, 4))
 @settings(max_examples=4, deadline=None)
 def test_fast_and_exact_agree_for_random_machines(seed: int, links: int) -> None:

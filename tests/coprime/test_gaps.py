@@ -89,6 +89,7 @@ def test_gap_against_finite_sections(seed):
     assert mine == pytest.approx(theirs, abs=2e-4 if mine - nu_gap(one, two) < 1e-3 else 1e-8)
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=20)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_order_symmetry_and_zero(seed, n, dt):
@@ -105,6 +106,7 @@ def test_order_symmetry_and_zero(seed, n, dt):
     assert nu_gap(one, one) < 1e-9
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=20)
 @given(seeds, orders)
 def test_triangle_inequality(seed, n):
@@ -114,6 +116,7 @@ def test_triangle_inequality(seed, n):
     assert nu_gap(one, three) <= nu_gap(one, two) + nu_gap(two, three) + 1e-9
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=20)
 @given(seeds, orders)
 def test_robust_stabilization(seed, n):
@@ -128,6 +131,7 @@ def test_robust_stabilization(seed, n):
     assert gap(one, two) <= nu / here + 1e-8
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=20)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_chordal_distance_against_a_grid(seed, n, dt):
@@ -178,6 +182,7 @@ def test_winding_number_against_a_phase_count(seed, n):
     assert (nu_gap(one, two) < 1) == (turns + unstable[0] - unstable[1] == 0)
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=15)
 @given(seeds, orders)
 def test_sampled_twins_are_as_far_apart(seed, n):

@@ -159,6 +159,7 @@ def test_importing_is_fast():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=60)
 @given(seeds)
 def test_any_numbers_give_a_value_or_a_sentence(seed):

@@ -230,6 +230,7 @@ def test_badly_conditioned_plants_are_within_their_bound():
     assert apart
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=20)
 @given(seeds, orders)
 def test_every_margin_is_within_its_bound(seed, n):

@@ -78,6 +78,22 @@ def test_a_block_that_fails_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert list(blocks("<!-- tests -->\n```sh\nfalse\n```\n")) == []
 
 
+@pytest.mark.long(
+    "closed-loop",
+    "comparing-runs",
+    "explorer",
+    "machines-in-space",
+    "own-machine",
+    "pictures",
+    "posture-to-c",
+    "problem-file",
+    "real-controller",
+    "report",
+    "robot-file",
+    "studies",
+    "unknown-soil",
+    "tutorial",
+)
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
 def test_the_blocks_of_a_page_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -76,6 +76,7 @@ def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "under the machine" in out.read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_a_problem_by_what_the_loop_does() -> None:
     """Its recommended configuration is that of `select`."""
     problem = flexopt.load_problem("article")

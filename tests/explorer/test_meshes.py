@@ -192,6 +192,7 @@ def test_formats(tmp_path: Path, kind: str) -> None:
     assert len(mesh.triangles) == 6
 
 
+@pytest.mark.long
 def test_a_million_triangles_are_simplified(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(subdivisions=8)
     assert len(ball.faces) > 1_000_000

@@ -132,6 +132,7 @@ def test_the_map_holds_what_python_computes(chromium: Browser, pages: Path) -> N
         assert np.allclose(state(page)["posture"], [np.pi / 2, np.pi / 2], atol=0.1)
 
 
+@pytest.mark.long("slewing-excavator")
 @pytest.mark.parametrize("name", ["excavator", "slewing-excavator"])
 def test_the_map_of_decay_is_that_of_the_loop(name: str, chromium: Browser, pages: Path) -> None:
     """Of the loop that the sliders ask for, from coarse to fine."""

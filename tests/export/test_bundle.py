@@ -35,6 +35,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
+@pytest.mark.long
 def test_the_folder_names_its_origin(machine: flexopt.Machine, whole: ExportReport) -> None:
     report = whole
     manifest = json.loads((report.folder / "manifest.json").read_text())
@@ -193,6 +194,7 @@ def test_what_a_machine_does_not_allow_is_left_out(
     assert report.left_out["optimiser"] in repr(report)
 
 
+@pytest.mark.long
 def test_a_part_that_would_refuse_everything_is_not_written(tmp_path: Path) -> None:
     # A redundant arm with friction in some joints: a rate stays that neither decays nor is reached.
     rng = np.random.default_rng(1)

@@ -108,6 +108,7 @@ def report(folder: Path, request: pytest.FixtureRequest) -> FmuReport:
     return export(folder, name=f"excavator-{request.param}", version=request.param)
 
 
+@pytest.mark.long("2.0-model-exchange")
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
 @pytest.mark.parametrize("version", VERSIONS)
 def test_fmpy_finds_no_problem(tmp_path: Path, version: str, kind: str) -> None:
@@ -127,6 +128,7 @@ def test_ten_seconds_are_those_of_simulate(report: FmuReport) -> None:
 
 
 # The versions differ in what is around the loop: that is in both, with everything in it, other loops in turns.
+@pytest.mark.long("everything-3.0", "continuous, dop853-2.0")
 @pytest.mark.parametrize(
     ("case", "version"),
     [*((case, VERSIONS[k % 2]) for k, case in enumerate(CASES)), ("everything", VERSIONS[0])],
@@ -156,6 +158,7 @@ def test_model_exchange_agrees_as_far_as_cvode_is_accurate(tmp_path: Path, versi
     assert errors[1] < errors[0] / 100
 
 
+@pytest.mark.long
 def test_model_exchange_with_states_of_actuators_and_law(tmp_path: Path) -> None:
     options = {k: v for k, v in EVERYTHING.items() if k != "sensor"}
     options["actuator"] = {"bandwidth_hz": 15.0}

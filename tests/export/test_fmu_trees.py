@@ -123,6 +123,7 @@ def export(folder: Path, machine: Tree = CRANE, name: str = "model", **options: 
 
 
 # The robust law asks the slew for more than its effort.
+@pytest.mark.long("slewing excavator", "everything", "levers, damped", "robust")
 @pytest.mark.filterwarnings("ignore:nothing in this run:flexopt.errors.FlexoptWarning")
 @pytest.mark.parametrize("case", CASES)
 def test_loops_are_those_of_simulate(tmp_path: Path, case: str) -> None:
@@ -145,6 +146,7 @@ def test_an_optimised_library_agrees_as_well(tmp_path: Path, monkeypatch: pytest
     assert worst(run(made, stop_time=10.0), reference(made), made.outputs) < TOLERANCE
 
 
+@pytest.mark.long
 def test_model_exchange_agrees_as_far_as_cvode_is_accurate(tmp_path: Path) -> None:
     options = CRANED | {"base": [0.5, 1.0, -0.3], "duration": 1.0, "kind": "model-exchange", "version": "3.0"}
     made = export(tmp_path, CRANE, **options)
@@ -157,6 +159,7 @@ def test_model_exchange_agrees_as_far_as_cvode_is_accurate(tmp_path: Path) -> No
         assert worst(result, reference(made), made.outputs) < 10 * allowed
 
 
+@pytest.mark.long
 def test_model_exchange_with_states_of_actuators_and_law(tmp_path: Path) -> None:
     options = {name: value for name, value in EVERYTHING.items() if name != "sensor"}
     options |= {"actuator": {"bandwidth_hz": 15.0}, "duration": 0.5, "kind": "model-exchange"}
@@ -205,6 +208,7 @@ def test_a_placement_that_gives_in_one_direction(tmp_path: Path) -> None:
     assert worst(result, table, [n for n in made.outputs if not n.startswith("torque")]) < TOLERANCE
 
 
+@pytest.mark.long
 def test_changed_parameters_are_a_changed_machine(tmp_path: Path) -> None:
     made = export(tmp_path, base=[0.1, 0.2, 0.3], duration=2.0, gravity=True, **CRANED)
     data = CRANE.to_dict()
@@ -236,6 +240,7 @@ def test_changed_parameters_are_a_changed_machine(tmp_path: Path) -> None:
     assert worst(result, shown(trajectory), made.outputs) < TOLERANCE
 
 
+@pytest.mark.long
 def test_parameters_that_fit_no_machine_are_refused(crane: FmuReport, tmp_path: Path) -> None:
     for values, sentence in (
         ({"posture.lift": 0.0, "posture.knuckle": 0.0}, ""),  # the telescope still moves it
@@ -350,6 +355,7 @@ def test_gains_of_a_crane_are_told_with_their_units(control: str, kp: str, unit:
         assert v.unit or ", in N" in v.text, v
 
 
+@pytest.mark.long
 def test_unknowns_depend_on_what_the_description_says_and_on_nothing_else(tmp_path: Path) -> None:
     """By differences of the model's own Functions at random states and inputs."""
     given = {**CRANED, "gravity": True, "duration": 0.05, "base": [0.3, 0.1, 0.4], "integrator": "rk4"}
@@ -405,6 +411,7 @@ def test_setup_is_what_a_scenario_computes(seed: int, gravity: bool) -> None:
     check_setup(scenario, 5.0)
 
 
+@pytest.mark.long("model-exchange")
 @pytest.mark.needs("gcc", "clang")
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
 def test_the_sources_compile_without_a_warning(tmp_path: Path, kind: str) -> None:
@@ -443,6 +450,7 @@ def test_every_fault_of_a_call_is_named(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_the_command_line(tmp_path: Path) -> None:
     path = str(tmp_path / "model.fmu")
     arguments = ["truck-crane", "--fmu", path, "--posture", "0.4,0.9,-0.7,0.8", "--base", "1,2,0.5", "--kp", "3e5",

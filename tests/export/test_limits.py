@@ -43,6 +43,7 @@ def library(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 POSTURE = np.array([0.4, 0.5, -1.4, -0.5])
 
 
+@pytest.mark.long
 @GCC
 def test_beyond_a_limit_a_torque_comes_with_a_warning(library: BundleLibrary) -> None:
     machine = flexopt.load("slewing-excavator")
@@ -185,6 +186,7 @@ def test_fast_math_is_refused(tmp_path: Path) -> None:
         assert "refusals rely on NaN" in done.stderr
 
 
+@pytest.mark.long("slewing-excavator")
 @GCC
 @pytest.mark.parametrize("machine", ["slewing-excavator", "boom-stick-bucket"])
 def test_single_precision_takes_almost_all_postures(machine: str, tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ LOOPS: dict[str, tuple[str, Any, dict[str, Any]]] = {
 }
 
 
+@pytest.mark.long("damped", "self-motion", "rates")
 @pytest.mark.needs("gcc")
 @pytest.mark.parametrize("name", list(LOOPS))
 def test_c_asks_for_what_the_simulation_does(name: str, tmp_path: Path) -> None:
@@ -118,6 +119,7 @@ def written(report: flexopt.ExportReport, path: str) -> str:
     return " ".join(re.sub(r"\n *\* ", " ", (report.folder / path).read_text()).split())
 
 
+@pytest.mark.long
 def test_a_torque_says_that_the_weight_is_not_in_it(tmp_path: Path) -> None:
     machine, posture = flexopt.load("truck-crane"), (0.46, 0.86, -1.31, 3.0)
     of_torques = flexopt.export_c(
@@ -134,6 +136,7 @@ def test_a_torque_says_that_the_weight_is_not_in_it(tmp_path: Path) -> None:
     assert "\n\n## When something is wrong\n" in text
 
 
+@pytest.mark.long
 def test_ranges_and_units_of_every_member_stand_in_the_header(tmp_path: Path) -> None:
     """Those of joints that differ, of the integral, and of the damper."""
     loop = {"feedback": "pid", "kp": 2e5, "kv": 1e5, "ki": 2e4, "nullspace_damping": 1e4}
@@ -157,6 +160,7 @@ def test_the_gain_that_a_loop_bears_is_told_where_it_is_stable(tmp_path: Path) -
     assert "It is not for this posture: `flexopt evaluate`" in written(grows, "README.md")
 
 
+@pytest.mark.long
 def test_what_does_not_go_together(tmp_path: Path) -> None:
     excavator, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
     with pytest.raises(InputError, match="parts = 'loop': it needs a loop") as caught:
@@ -169,6 +173,7 @@ def test_what_does_not_go_together(tmp_path: Path) -> None:
     assert "loop" not in flexopt.export_c(excavator, tmp_path / "without").parts
 
 
+@pytest.mark.long
 def test_with_a_posture_the_loop_of_the_machine_is_exported(tmp_path: Path) -> None:
     loop = {"kp": 1e4, "kv": 1e3, "dead_time": 0.01}
     own = flexopt.machine_from_dict(flexopt.load("excavator").to_dict() | {"loop": loop})

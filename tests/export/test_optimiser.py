@@ -297,6 +297,7 @@ def test_what_the_workspace_held_before_does_not_matter(machine, excavator):
     assert len({answer.cost for answer in answers}) == 1
 
 
+@pytest.mark.long("gcc-c99-False", "gcc-c99-True")
 @pytest.mark.parametrize(
     ("compiler", "standard", "in_space"),
     [
@@ -322,6 +323,7 @@ def test_compiles_without_a_warning(three_joints, tmp_path, compiler, standard, 
     assert done.returncode == 0, done.stderr[:2000]
 
 
+@pytest.mark.long("slewing-excavator-float")
 @pytest.mark.parametrize(("name", "real"), [("excavator", "double"), ("slewing-excavator", "float")])
 def test_the_search_is_plain_c_that_tools_can_read(name, real, tmp_path):
     """Every file compiles by itself with the generated configuration; bundles hold the same text in one file."""

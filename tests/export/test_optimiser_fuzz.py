@@ -151,6 +151,7 @@ def fuzzed(machine: AnyMachine, folder, calls: int, span: float = 3.0) -> list[i
     return [int(word) for word in run.stdout.split()]
 
 
+@pytest.mark.long
 def test_excavator(tmp_path):
     counts = fuzzed(flexopt.load("excavator"), tmp_path, 10_000)
     statuses = build_optimiser(flexopt.load("excavator"), prefix="case").statuses
@@ -158,11 +159,13 @@ def test_excavator(tmp_path):
     assert never <= {"STALLED"}, "a fuzzer that does not reach every status proves little"
 
 
+@pytest.mark.long
 def test_a_random_machine(tmp_path):
     machine = random_machine(np.random.default_rng(5))[1]
     assert sum(fuzzed(machine, tmp_path, 2_000)) == 2_000
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "span"), [("truck-crane", 6.0)])
 def test_machines_in_space(name: str, span: float, tmp_path):
     machine = flexopt.load(name)

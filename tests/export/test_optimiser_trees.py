@@ -118,14 +118,17 @@ def assert_equal_or_better(lib: Library, pairs: list[Pair]) -> None:
         assert value_of(pair.problem, answer.z)[0] >= pair.ipopt - SAME * pair.problem.objective_scale
 
 
+@pytest.mark.long
 def test_back_at_the_optimum_that_select_found(excavator, some):
     assert_back_at_the_optimum(excavator, some)
 
 
+@pytest.mark.long
 def test_as_good_as_ipopt_or_better(slewing, excavator):
     assert_equal_or_better(excavator, draw_pairs(slewing, "inverse", 8, seed=5))
 
 
+@pytest.mark.long
 def test_a_slide(tmp_path):
     crane = flexopt.load("truck-crane")
     assert "m" in crane.joint_units
@@ -134,6 +137,7 @@ def test_a_slide(tmp_path):
     assert_equal_or_better(lib, draw_pairs(crane, "inverse", 4, seed=5))
 
 
+@pytest.mark.long
 def test_orientation_rows_and_a_placement_that_turns_only(tmp_path):
     rows = ("x", "y", "z", "yaw")
     machine = tree_from_dict(random_tree(17, rows=rows, counts=(2, 5)) | {"placement": ["yaw"]})
@@ -141,6 +145,7 @@ def test_orientation_rows_and_a_placement_that_turns_only(tmp_path):
     assert_back_at_the_optimum(library(machine, tmp_path), cases(machine, 2, seed=3))
 
 
+@pytest.mark.long
 def test_six_rows_of_the_task_on_the_margin(tmp_path):
     """sin² is a product of six terms then: its rounding must not keep a climb off the margin."""
     rows = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -334,6 +339,7 @@ def part_of(machine: Any) -> OptimiserPart:
     return optimiser(context, "m", "double")
 
 
+@pytest.mark.long
 def test_a_vectors_z_is_compared_only_where_it_is_the_only_one(slewing):
     """Turning a machine and its arm about the target changes no w_i; without a placement nothing can turn."""
     part = part_of(slewing)
@@ -366,6 +372,7 @@ def bound(tmp_path_factory) -> ExportReport:
     return export_c(machine, tmp_path_factory.mktemp("bound") / "b", parts=["optimiser"])
 
 
+@pytest.mark.long
 def test_a_bundle_without_a_placement(bound, tmp_path):
     report, machine = bound, machine_of(bound.manifest)
     entry = report.manifest["parts"]["optimiser"]
@@ -390,6 +397,7 @@ def test_a_bundle_without_a_placement(bound, tmp_path):
     assert all(counts[status] > 0 for status in refusals)
 
 
+@pytest.mark.long
 @TARGET
 def test_a_bundle_on_an_emulated_processor(bound):
     """The same problems as on this computer; `python -m benchmarks.optimiser` counts shipped machines' instructions."""

@@ -22,6 +22,7 @@ def lines(axes: Any) -> list[Any]:
     return [np.array(line.get_data(), dtype=float) for line in axes.lines]
 
 
+@pytest.mark.long
 def test_curves_and_points(atlas: flexopt.Atlas, tmp_path: Path) -> None:
     figure = atlas.plot(tmp_path / "atlas.png")
     joints, task = figure.axes

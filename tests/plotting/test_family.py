@@ -44,6 +44,20 @@ def made(name: str) -> Any:
         return SPECIMENS[name]()
 
 
+@pytest.mark.long(
+    "problem pipe-laying",
+    "problem stations",
+    "problem trench",
+    "identification excavator",
+    "identification mobile-manipulator",
+    "atlas excavator",
+    "atlas truck-crane",
+    "map posture truck-crane",
+    "map base slewing-excavator",
+    "map base truck-crane",
+    "verdict pipe-laying",
+    "explanation slewing-excavator",
+)
 @pytest.mark.parametrize("name", SPECIMENS)
 def test_no_text_lies_on_another_and_every_axis_has_a_unit(name):
     figure = made(name).plot()
@@ -98,6 +112,7 @@ def test_sizes(size, inches, dots, tmp_path):
         assert picture.size == dots
 
 
+@pytest.mark.long("explanation excavator")
 @pytest.mark.parametrize("name", ["explanation excavator", "loop excavator"])
 def test_places_found_once_are_those_found_again(name, tmp_path):
     """A page's dark picture takes them from the light one; a file is not drawn a first time for them."""
@@ -112,6 +127,7 @@ def test_places_found_once_are_those_found_again(name, tmp_path):
         assert one.tobytes() == two.tobytes()
 
 
+@pytest.mark.long
 def test_a_page_is_as_wide_as_a_page():
     for name in DENSE:
         width, height = made(name).plot(size="paper").get_size_inches()

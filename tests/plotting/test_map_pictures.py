@@ -31,6 +31,7 @@ def images(figure):
     return {axes.get_title(): axes.images[0].get_array().filled(np.nan) for axes in figure.axes if axes.images}
 
 
+@pytest.mark.long
 def test_map(maps, tmp_path):
     result = maps["inverse"]
     figure = result.plot(tmp_path / "map.png")
@@ -119,6 +120,7 @@ def test_figures_6_and_7_in_the_article_s_order(maps):
         assert "Hz" in title
 
 
+@pytest.mark.long
 def test_figure_8(excavator):
     curves = [curve(excavator, 1.087, control=control, elbow="up") for control in ("transpose", "inverse")]
     figure = article.plot_figure8(*curves, {"A": -0.1733})
@@ -142,6 +144,7 @@ def test_figure_8(excavator):
     )
 
 
+@pytest.mark.long("paper")
 @pytest.mark.parametrize("size", ["screen", "paper"])
 def test_names_in_figure_8_lie_on_no_line(excavator, size):
     marks = {"A": -0.1733, "B, printed point": 1.32687, "B, point of its measures": 1.5575}

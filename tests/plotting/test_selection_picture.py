@@ -46,6 +46,7 @@ def test_a_mode_that_is_not_reached_has_no_share():
     assert np.isnan(_shares(hidden)).tolist() == [False, True, False]
 
 
+@pytest.mark.long
 def test_files(selection, tmp_path):
     selection.plot(tmp_path / "a.png")
     assert (tmp_path / "a.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
@@ -53,6 +54,7 @@ def test_files(selection, tmp_path):
     assert ET.parse(tmp_path / "a.svg").getroot().tag.endswith("svg")
 
 
+@pytest.mark.long
 def test_plotting_needs_no_display_and_changes_no_settings():
     """In a fresh process, since the other tests may have loaded a backend."""
     code = (
@@ -64,6 +66,7 @@ def test_plotting_needs_no_display_and_changes_no_settings():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+@pytest.mark.long
 def test_redundant_arm_and_two_intervals_are_drawn():
     machine = flexopt.load("excavator")
     data = machine.to_dict()

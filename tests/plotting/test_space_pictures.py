@@ -250,6 +250,7 @@ def test_map_marks(machine):
     assert "x of the end-point at rest, inertial frame, m" in labels
 
 
+@pytest.mark.long
 def test_a_stand_says_what_its_areas_hold_for():
     """They are seen from above alone, where the machine at its targets is not named again."""
     kept = {"keep_out": [[[2.0, -2.0], [4.0, -2.0], [4.0, 2.0], [2.0, 2.0]]]}

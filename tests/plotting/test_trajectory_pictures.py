@@ -244,6 +244,7 @@ def durations(path):
     return found
 
 
+@pytest.mark.long("0.1-250-80")
 @pytest.mark.parametrize(("speed", "count", "each"), [(1.0, 50, 40), (2.0, 25, 40), (0.1, 250, 80)])
 def test_gif(short, tmp_path, speed, count, each):
     path = tmp_path / "run.GIF"
@@ -302,6 +303,7 @@ def near(color, colours):
     return np.abs(parts[1:] - parts[0]).max(axis=1).min() <= 12
 
 
+@pytest.mark.long
 def test_html(grows, tmp_path):
     path = tmp_path / "run.html"
     grows.animate(path, magnify=5.0)
@@ -346,6 +348,7 @@ def test_film_faults_come_at_once(grows):
         grows.animate("nowhere/film.gif")
 
 
+@pytest.mark.long
 def test_no_display_and_no_settings():
     """In a fresh process, since the other tests may have loaded a backend."""
     code = (

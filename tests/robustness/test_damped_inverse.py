@@ -58,6 +58,7 @@ def dense_w(machine, posture, base, control):
     return np.array(w), np.linalg.norm(a, axis=0) * np.linalg.norm(b, axis=0)
 
 
+@pytest.mark.long("spatial, six rows-0.05", "spatial, six rows-0.7")
 @pytest.mark.parametrize("damping", ["0.05", "0.7"])
 @pytest.mark.parametrize("name", CASES)
 def test_w_and_its_gradient_against_numpy(name, damping):
@@ -78,6 +79,7 @@ def test_w_and_its_gradient_against_numpy(name, damping):
         assert np.abs(result.gradient.w[:, len(base) + k] - slope).max() <= 1e-8 * size
 
 
+@pytest.mark.long("spatial, six rows")
 @pytest.mark.parametrize("name", ["planar", "spatial", "spatial, six rows"])
 def test_margin_and_its_gradient_against_the_general_solver(name):
     """A, B, C from NumPy, the arm without self-motion, its joints as states."""
@@ -129,6 +131,7 @@ def test_much_damping_tends_to_the_transpose_over_its_square(name):
     assert errors[1] < 2e-2 * errors[0]
 
 
+@pytest.mark.long
 def test_a_singular_posture_has_measures_and_runs():
     machine = flexopt.load("excavator")
     straight = [0.9, 0.0]

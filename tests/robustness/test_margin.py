@@ -190,6 +190,7 @@ def gradient_errors(control, count):
         yield error, size
 
 
+@pytest.mark.long("inverse")
 @pytest.mark.parametrize("control", CONTROLS)
 def test_gradient_by_posture_over_random_machines(control):
     """Some 40 machines and postures for each controller; `python -m benchmarks.margin_accuracy` tries 200."""
@@ -284,6 +285,7 @@ def test_an_unreachable_mode_is_said_and_not_nan(excavator):
     assert evaluation.epsilon_max is None or 0 < evaluation.epsilon_max < 1
 
 
+@pytest.mark.long
 def test_random_structures_always_give_a_number_or_a_sentence():
     rng = np.random.default_rng(3)
     for _ in range(30):

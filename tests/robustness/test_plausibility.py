@@ -275,6 +275,7 @@ def _in_space(data: Data) -> Data:
     return tree
 
 
+@pytest.mark.long
 def test_plausible_machines_are_not_warned_of() -> None:
     spoken = {}
     for seed in range(200):

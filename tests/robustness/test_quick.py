@@ -64,6 +64,7 @@ def close_slopes(slopes, expected, tolerance):
     return np.all(np.abs(slopes - expected) <= tolerance * size)
 
 
+@pytest.mark.long("True-transpose")
 @CONTROLS
 @pytest.mark.parametrize("gravity", [False, True])
 def test_excavator_agrees_to_1e_11_of_the_factors(control, gravity):

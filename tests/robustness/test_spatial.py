@@ -89,6 +89,7 @@ def regular_case(seed: int, counts: tuple[int, int], rows: tuple[str, ...]) -> D
     raise AssertionError("no regular tree found")
 
 
+@pytest.mark.long("11-12-6")
 @pytest.mark.parametrize(("k", "m", "r"), [(k, *counts) for k, counts in enumerate(COUNTS)][:12])
 def test_modes_residues_and_w_are_those_of_the_dense_eigenproblem(k, m, r):
     # Every other machine has a joint more than task rows.
@@ -204,6 +205,7 @@ def margin_case(k: int) -> tuple[Dense, float]:
 
 
 # 1 to 12 passive coordinates, all rows, the largest together; `python -m benchmarks.margin_accuracy` tries 200 machines.
+@pytest.mark.long("11")
 @pytest.mark.parametrize("k", [0, 5, 10, 11, 14, 17, 20, 23])
 def test_margins_of_random_trees_up_to_36_states(k):
     case, kr = margin_case(k)
@@ -264,6 +266,7 @@ def test_a_planar_machine_in_space_evaluates_alike(seed, options):
     assert repr(space).replace("planar,", f"{planar.name},") == repr(flat)
 
 
+@pytest.mark.long
 def test_many_points_at_once_are_those_one_by_one():
     case, rng = regular_case(3, (3, 3), ROWS[3]), np.random.default_rng(0)
     measures = build_measures(case.tree)
@@ -367,6 +370,7 @@ def test_what_has_a_closed_form_in_the_plane_only_says_so(tree):
             getattr(plant, name)
 
 
+@pytest.mark.long("simulate --posture 0.1,0.4,0.2 --duration 0.1")
 @pytest.mark.parametrize(
     "command",
     [
@@ -385,6 +389,7 @@ def test_commands_take_a_robot(command, tmp_path, capsys, monkeypatch):
     assert json.loads(capsys.readouterr().out)["provenance"]
 
 
+@pytest.mark.long
 def test_units_of_hinges_and_slides(tmp_path: Path) -> None:
     """An arm that has both: gains in one unit for each kind, measures in none, and a text that says so."""
     slewing, telescope = flexopt.load("slewing-excavator"), flexopt.load("truck-crane")

@@ -206,6 +206,7 @@ def _interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FLEXOPT_COMPILE", "0")
 
 
+@pytest.mark.long("truck-crane-target1")
 @pytest.mark.usefixtures("_interpreted")
 @pytest.mark.parametrize(("machine", "target"), [("excavator", (0.0, 1.6)), ("truck-crane", (6.0, 0.0, 3.0))])
 def test_no_point_nearby_is_better(machine: str, target: tuple[float, ...]) -> None:
@@ -223,6 +224,7 @@ def test_no_point_nearby_is_better(machine: str, target: tuple[float, ...]) -> N
     assert compared >= 6
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_interpreted")
 def test_what_is_on_the_way_is_not_proved() -> None:
     """V bends little here, so that branches far apart in place are near in value: no reason to take a mean of both."""

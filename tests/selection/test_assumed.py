@@ -114,6 +114,7 @@ def test_where_the_ground_is_known():
     assert of(flexopt.load("boom-stick-bucket"), [[7, 1.6]]).ground == 0.0
 
 
+@pytest.mark.long
 def test_an_excavator_of_others_keeps_its_boom_out_of_the_ground():
     """Without the assumption its best configuration has a pin below ground; pins by Pinocchio."""
     machine = robot_from_dict(PUBLIC, folder=ROBOTS)

@@ -63,6 +63,7 @@ def holds(certificate: flexopt.Certificate, selection: flexopt.Selection, gap: f
     assert checking.check(json.loads(json.dumps(certificate.log, allow_nan=False)))[0] == []
 
 
+@pytest.mark.long("nearly straight", "in order")
 @pytest.mark.parametrize(
     ("options", "gap"),
     [
@@ -86,6 +87,7 @@ def test_the_article(options: dict[str, Any], gap: float) -> None:
         holds(certificate, selection, gap)
 
 
+@pytest.mark.long("2", "3", "17", "51", "80")
 @pytest.mark.parametrize("number", RANDOM)
 def test_random_machines(number: int) -> None:
     case = random_case(number)
@@ -94,6 +96,7 @@ def test_random_machines(number: int) -> None:
     holds(flexopt.certify(selection), selection, 1e-8 if single else 1e-5)
 
 
+@pytest.mark.long
 def test_the_file_a_machine_comes_from_proves_nothing_else(tmp_path: Path) -> None:
     """TOML, URDF and MJCF: in the latter the plane is that of x and z, and the hinges turn about −y."""
     rng = np.random.default_rng(7)
@@ -129,6 +132,7 @@ def test_constraints_leave_cells_out() -> None:
     assert trusted == sum(cell[3] == "constraint" for cell in certificate.log["cells"]) > 0
 
 
+@pytest.mark.long("51")
 @pytest.mark.parametrize("number", [0, 5, 17, 51])
 def test_w_over_cells(number: int) -> None:
     """V of random places in random cells, by balls of 128 bits and other formulas, lies between the bounds."""
@@ -234,6 +238,7 @@ def test_a_log_that_was_tampered_with_is_found(spoil: Callable[[dict[str, Any]],
     assert checking.check(log)[0]
 
 
+@pytest.mark.long
 def test_the_command_and_the_other_program(tmp_path: Path) -> None:
     """`flexopt select --certify --proof`, then the program on the log, in processes of their own."""
     log = tmp_path / "log.json"

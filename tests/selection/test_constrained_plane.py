@@ -105,6 +105,7 @@ print(len(in_parallel(large, 3000, 2, None, lambda: time.sleep(0.2))))
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="a function of a script's text cannot be sent to spawned processes")
 def test_many_large_results_do_not_fill_the_pipes():
     out = subprocess.run([sys.executable, "-c", MANY], capture_output=True, text=True, timeout=60, check=True)

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import flexopt
 from flexopt.model import tree_from_dict
@@ -90,6 +91,7 @@ def test_machines_that_cannot_turn_have_points() -> None:
     assert all(candidate.continuum == () for candidate in found.candidates)
 
 
+@pytest.mark.long
 def test_a_selection_names_each_continuum_once() -> None:
     machine = flexopt.load("slewing-excavator")
     found = flexopt.select(machine, [7.0, 1.0, 2.5], objective="V", weights=[1.0] * 6, workers=1)

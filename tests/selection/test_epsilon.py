@@ -32,6 +32,7 @@ def dense_scan(machine, target, control, count=1000):
     return best
 
 
+@pytest.mark.long("transpose")
 @pytest.mark.parametrize("control", ["inverse", "transpose"])
 def test_never_below_a_scan_of_a_thousand_points(machine, control):
     selection = flexopt.select(machine, TARGET, objective="epsilon_max", control=control)
@@ -48,6 +49,7 @@ def test_every_peak_of_the_scan_is_improved_or_kept(machine, target):
     assert selection.best.objective >= problem.scan.objective.max() - 1e-12
 
 
+@pytest.mark.long
 def test_a_mix_lies_between_its_parts(machine):
     by_w = flexopt.select(machine, TARGET, objective="w1")
     by_epsilon = flexopt.select(machine, TARGET, objective="epsilon_max")
@@ -58,6 +60,7 @@ def test_a_mix_lies_between_its_parts(machine):
         assert mixed.best.objective >= other.w[0] + 1e-3 * other.epsilon_max - 1e-15
 
 
+@pytest.mark.long
 def test_in_order_of_importance(machine):
     first = flexopt.select(machine, TARGET, objective="w1")
     both = flexopt.select(machine, TARGET, objective="w1,epsilon_max")
@@ -75,6 +78,7 @@ def test_ties_in_w_go_to_the_larger_margin(machine):
     assert ranked == sorted(ranked, key=lambda pair: -pair[0])
 
 
+@pytest.mark.long
 def test_the_gain_matters(machine):
     soft = flexopt.select(machine, TARGET, objective="epsilon_max", gain=1e4)
     hard = flexopt.select(machine, TARGET, objective="epsilon_max", gain=5e5)

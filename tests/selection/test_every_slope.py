@@ -119,6 +119,7 @@ def sources(*rooms: str) -> list[Path]:
     return [path for place in places for path in ([place] if place.is_file() else sorted(place.rglob("*.py")))]
 
 
+@pytest.mark.long
 def test_solvers_are_made_in_one_place():
     made = {place for path in sources(".") for place in calls_in(path, SOLVER_MAKERS)}
     assert made == set(MADE)
@@ -253,6 +254,7 @@ def maximising(problem, *objectives):
 SHIPPED = ("excavator", "boom-stick-bucket", "slewing-excavator", "truck-crane", "mobile-manipulator")
 
 
+@pytest.mark.long("slewing-excavator", "truck-crane")
 @pytest.mark.parametrize("name", [*SHIPPED, 1, 4])
 def test_single(walk, name):
     """w_i with exact second derivatives, and a mix with ε_max."""
@@ -288,6 +290,7 @@ def constrained():
     return flexopt.build_selection(machine, (3.5, 1.0, 1.2), **options)
 
 
+@pytest.mark.long("objectives1")
 @pytest.mark.parametrize("objectives", [[(1.0, 0.0)], [(1.0, 0.0), (0.0, 1.0)]])
 def test_every_kind_of_constraint(walk, objectives):
     for stage, start in every_stage(maximising(constrained(), *objectives)):
@@ -295,6 +298,7 @@ def test_every_kind_of_constraint(walk, objectives):
 
 
 # In space under gravity there is all that is without it, and what it adds.
+@pytest.mark.long("excavator-True", "slewing-excavator-True")
 @pytest.mark.parametrize(("name", "gravity"), [("excavator", False), ("excavator", True), ("slewing-excavator", True)])
 def test_own_ones(walk, name, gravity):
     """Every quantity, squared and times another, as objective and as constraint, and in order with others."""
@@ -403,6 +407,7 @@ def test_the_independent_ones(problem):
     assert max(found.values()) < FIRST, found
 
 
+@pytest.mark.long("False")
 @pytest.mark.parametrize("spatial", [False, True])
 def test_the_nullspace_law(spatial):
     machine, posture = flexopt.load("excavator"), np.array([0.9, -1.3])
@@ -531,6 +536,7 @@ def test_all_solvers_were_walked(walk):
     assert walked >= {"selection IpoptInterface", "model MXFunction", "several IpoptInterface"}
 
 
+@pytest.mark.long("excavator-measures0")
 @pytest.mark.parametrize(("name", "measures"), [("excavator", tuple(MEASURES)), ("slewing-excavator", ("decay",))])
 def test_the_real_loop(name, measures):
     """LoopPoint measures as Functions by everything they depend on."""

@@ -28,6 +28,7 @@ def chosen(name: str) -> flexopt.Selection:
     return flexopt.select(MACHINE, TARGET, objective="V", control="transpose", starts=4, workers=1, **given)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", KNOWN)
 def test_the_best_at_an_edge_is_found_and_told(name: str) -> None:
     selection = chosen(name)

@@ -36,6 +36,7 @@ def _few(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(type(measure), "stages", ((12, 6), (5, 10)))
 
 
+@pytest.mark.long("allowed_gain", "delay_margin", "radius")
 @pytest.mark.parametrize("name", LOOPS)
 def test_nothing_that_a_scan_sees_is_better(name: str, request: pytest.FixtureRequest) -> None:
     """From all points by the allowed gain alone: what is looked at is the same of all."""
@@ -74,6 +75,7 @@ def test_rates_that_only_fall_or_rise_come_near_to_zero_nowhere(rate: Callable[[
     assert line(rate, own=True).nearest(1.0) == ([0.0] if rate(0.1) > rate(0.0) else [])
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_few")
 def test_an_optimum_at_which_the_way_to_its_border_closes_is_verified() -> None:
     """Allowed gains jump there: at the border of another motion the rate of a first one touches zero before."""
@@ -88,6 +90,7 @@ def test_an_optimum_at_which_the_way_to_its_border_closes_is_verified() -> None:
     assert min(near) < 0.8 * found.best.objective
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_few")
 def test_an_optimum_at_which_the_loop_itself_begins_to_grow_is_verified() -> None:
     """A delay margin there ends at once, as another motion decays the better the later the loop is."""
@@ -109,6 +112,7 @@ GAINS = {"excavator": {"kp": 1e4, "kv": 1e3}, "slewing-excavator": {"kp": 3e6, "
 TARGETS = {"excavator": TARGET, "slewing-excavator": (6.0, 2.0, 1.0)}
 
 
+@pytest.mark.long("radius-slewing-excavator", "settling-excavator", "swing-excavator")
 @pytest.mark.parametrize(("name", "which"), CASES)
 def test_slopes_at_points_that_are_no_optimum(name: str, which: str) -> None:
     """Of what must stay above zero, by everything that varies and by the level, beside differences."""
@@ -147,6 +151,7 @@ def test_slopes_at_points_that_are_no_optimum(name: str, which: str) -> None:
         np.testing.assert_allclose(ours, central, rtol=1e-4, atol=size)
 
 
+@pytest.mark.long
 def test_the_worst_over_a_soil_is_no_better_anywhere_in_it() -> None:
     ranges = {"stiffness": (0.7, 1.5)}
     found = flexopt.select(EXCAVATOR, TARGET, objective="allowance", loop=LATE, ranges=ranges, starts=6)
@@ -159,6 +164,7 @@ def test_the_worst_over_a_soil_is_no_better_anywhere_in_it() -> None:
         assert value >= found.best.objective * (1 - 1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_few")
 def test_gains_are_chosen_for_the_largest_dead_time() -> None:
     loop = {"kp_range": (1e3, 1e5), "kv_range": (1e2, 1e4)}
@@ -196,6 +202,7 @@ def test_several_factors_have_one_radius() -> None:
     assert found == pytest.approx(region.radius, rel=3e-3)
 
 
+@pytest.mark.long
 def test_least_outcomes_bind_where_they_must() -> None:
     """The best V without them decays less; with them it is kept to the bound, and no better place of a scan keeps it."""
     free = flexopt.select(EXCAVATOR, TARGET, objective="V", weights=[1.0, 0.3, 0.3])
@@ -221,6 +228,7 @@ def test_least_outcomes_bind_where_they_must() -> None:
     assert found.best.objective >= best - 1e-12
 
 
+@pytest.mark.long
 def test_least_outcomes_are_lifted_to_and_refused() -> None:
     high = flexopt.select(
         EXCAVATOR, TARGET, objective="allowance", loop=LATE, constraints={"outcome": {"decay": 0.09}}, starts=24

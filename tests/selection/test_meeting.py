@@ -46,6 +46,7 @@ def program() -> tuple[OutcomeProgram, Vector]:
     return OutcomeProgram(problem, loop, {}, np.zeros((0, 0)), found.best.objective), found.best.z / problem.scale
 
 
+@pytest.mark.long
 def test_every_constraint_is_kept_and_it_is_faster_than_the_best_of_modes() -> None:
     found, problem = chosen(), flexopt.load_problem("pipe-laying")
     for constraint in found.best.constraints.values():
@@ -131,6 +132,7 @@ def test_the_shortest_way_holds_together_what_decays_as_its_measure_must() -> No
         assert all(found.met_at)
 
 
+@pytest.mark.long
 def test_it_is_found_again_from_beside_it() -> None:
     own, y = program()
     beside = onto_rows(own, y + 1e-3 * np.random.default_rng(4).normal(size=y.size))
@@ -141,6 +143,7 @@ def test_it_is_found_again_from_beside_it() -> None:
     assert again.value == pytest.approx(chosen().best.objective, rel=1e-5)
 
 
+@pytest.mark.long
 def test_steps_that_never_lead_down_go_on_where_a_search_stops() -> None:
     """Sampled slowly beside its modes a machine has rates whose slopes change abruptly: a search alone stops far below.
 

@@ -27,6 +27,7 @@ def with_values(selection: flexopt.Selection, values: list[float | None]) -> flo
     return replace(selection, attempts=attempts).missed_chance
 
 
+@pytest.mark.long
 def test_values_found_once(found: flexopt.Selection) -> None:
     size = found.problem.objective_scale
     assert with_values(found, [None, None]) is None

@@ -30,6 +30,7 @@ def scanned(name: str) -> np.ndarray:
     return np.array([told(name, x, posture, LOOP) for x, posture in found if posture is not None])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["settling", "swing"])
 def test_no_point_of_a_scan_has_less(name: str, request: pytest.FixtureRequest) -> None:
     if name == "settling":
@@ -45,6 +46,7 @@ def test_no_point_of_a_scan_has_less(name: str, request: pytest.FixtureRequest) 
     assert found.to_dict()["measure"] == name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("first", "second"), [("w1", "swing"), ("swing", "decay")])
 @pytest.mark.usefixtures("_few")
 def test_in_order(first: str, second: str) -> None:
@@ -66,6 +68,7 @@ def test_in_order(first: str, second: str) -> None:
     assert f"{first} kept: at {'most' if small else 'least'}" in repr(found)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("_few")
 def test_bounds_bind_where_they_must() -> None:
     """The best w_1 without them swings more; with them no better place of a scan keeps them."""

@@ -48,6 +48,7 @@ def test_a_point_beside_an_optimum_is_led_back_to_it(objective: str) -> None:
     assert polished(program, beside, replace(far, pull=400.0))[1].holds
 
 
+@pytest.mark.long
 def test_an_optimum_that_doubles_do_not_tell_is_found() -> None:
     """What keeps ε_max has a multiplier of 4,000 here, and the rounding of its gradient in doubles times that is 1e-4."""
     rng = np.random.default_rng(31)
@@ -62,6 +63,7 @@ def test_an_optimum_that_doubles_do_not_tell_is_found() -> None:
     assert selection.best.evaluation.epsilon_max >= selection.kept[0].at_least * (1 - 1e-9)
 
 
+@pytest.mark.long
 def test_an_optimum_whose_curvature_doubles_do_not_tell_is_found() -> None:
     """ε_max is told to 1e-8 here: its slopes to 1e-6, and differences of these not at all."""
     machine, targets = next((machine, targets) for _, machine, targets, _ in machines([2]))
@@ -84,6 +86,7 @@ def test_an_optimum_whose_curvature_doubles_do_not_tell_is_found() -> None:
     assert max(float(np.abs(end - best / problem.scale).max()) for end in ends) < 1e-5
 
 
+@pytest.mark.long
 def test_an_optimum_near_a_kink_of_what_is_kept_is_found() -> None:
     """The branches of ε_max meet 3e-3 away; what lies between it and the optimum gains less than ε_max's rounding."""
     machine, targets = next((machine, targets) for _, machine, targets, _ in machines([32]))

@@ -60,6 +60,7 @@ def check_consistent(trajectory, rate=200.0):
     assert trajectory.end_point_error.max() <= 1e-9
 
 
+@pytest.mark.long
 def test_from_a_it_climbs_to_the_optimum_that_theory_names(machine, posture_a, unlimited):
     check_consistent(unlimited)
     np.testing.assert_allclose(unlimited.target, TARGET, atol=1e-14)
@@ -85,6 +86,7 @@ def test_values_and_gradients_are_those_of_evaluate(machine, unlimited):
         np.testing.assert_allclose(unlimited.gradient[k], e.gradient.w[0], rtol=1e-8, atol=1e-14)
 
 
+@pytest.mark.long("inverse")
 @CONTROLS
 def test_the_end_agrees_with_select_and_with_scipy(machine, posture_a, control):
     end = flexopt.nullspace_trajectory(machine, posture_a, control=control, min_gain=0.0, duration=30.0)
@@ -115,6 +117,7 @@ def test_the_base_stops_exactly_at_the_end_of_its_range(machine, posture_a, unli
     assert again.stop is Stop.BASE_RANGE
 
 
+@pytest.mark.long("stopped0", "stopped1")
 @pytest.mark.parametrize("stopped", [{}, {"base_range": (-1.5, 1.0)}, {"duration": 5.0}, {"duration": 0.004}])
 def test_with_an_acceleration_limit_it_starts_and_ends_at_rest(machine, posture_a, unlimited, stopped):
     limit, rate = 0.1, 200.0
@@ -279,12 +282,14 @@ def test_weighted_sum_and_gravity(machine, posture_a):
     assert np.linalg.norm(loaded.target - TARGET) > 1e-4
 
 
+@pytest.mark.long
 def test_far_from_the_origin(machine, posture_a, unlimited):
     far = flexopt.nullspace_trajectory(machine, posture_a, base=1000.0)
     assert far.end_point_error.max() <= 1e-9
     assert far.base[-1, 0] - 1000.0 == pytest.approx(unlimited.base[-1, 0], abs=1e-6)
 
 
+@pytest.mark.long
 def test_the_document(machine, unlimited):
     document = unlimited.to_dict()
     assert json.loads(json.dumps(document, allow_nan=False)) == document
@@ -306,6 +311,7 @@ def test_the_document(machine, unlimited):
     assert unlimited.status in text
 
 
+@pytest.mark.long
 @QUIET
 @settings(max_examples=10, deadline=None, derandomize=True)
 @given(
@@ -345,6 +351,7 @@ def test_the_step_is_that_of_an_svd_projector(made, seed, control, weighted):
         np.testing.assert_allclose(moved / share, step, atol=1e-9)
 
 
+@pytest.mark.long
 @QUIET
 @settings(max_examples=6, deadline=None, derandomize=True)
 @given(

@@ -55,6 +55,7 @@ def compare(chain, capsules, obstacles, values) -> int:
     return overlapping
 
 
+@pytest.mark.long
 def test_trees_among_obstacles():
     overlapping = 0
     for seed in range(12):

@@ -105,6 +105,7 @@ def test_capsules_and_boxes_in_mujoco(mujoco_distance):
     assert overlapping > 30
 
 
+@pytest.mark.long
 def test_capsules_and_spheres_in_mujoco(mujoco_distance):
     start, end, center = (ca.SX.sym(name, 3) for name in ("start", "end", "center"))
     length, radius = ca.SX.sym("length"), ca.SX.sym("radius")
@@ -266,6 +267,7 @@ def pair_oracle(a, b, c, e) -> float:
     return float(min(nearest(low), nearest(0.0), nearest(1.0)))
 
 
+@pytest.mark.long("2")
 @pytest.mark.parametrize("d", [2, 3])
 def test_distance_of_segments(d):
     rng = np.random.default_rng(d)

@@ -79,6 +79,7 @@ def test_what_is_lacking_is_named():
         build_constraints(build_plant(machine), read_constraints({"self_clearance": 0.1}))
 
 
+@pytest.mark.long
 def test_a_choice_keeps_it():
     """More of it than the best has: the margin is in the result, and nothing comes nearer."""
     machine = flexopt.load("boom-stick-bucket")

@@ -33,6 +33,7 @@ def trench() -> BasePlan:
     return plan
 
 
+@pytest.mark.long
 def test_trench(trench: BasePlan) -> None:
     machine = flexopt.load("boom-stick-bucket")
     path = np.column_stack([np.linspace(8.5, 5.5, 7), np.full(7, -1.5)])
@@ -52,6 +53,7 @@ def test_trench(trench: BasePlan) -> None:
     assert trench.worth > 0.75 * trench.standing
 
 
+@pytest.mark.long
 def test_stations() -> None:
     problem = load_problem("stations")
     stand = solve_problem(problem.model_copy(update={"selection": problem.selection.model_copy(update={"starts": 6})}))
@@ -137,6 +139,7 @@ def test_options_of_a_single_target_are_refused(command: Command) -> None:
     assert "p has target.end_points" in outcome.message
 
 
+@pytest.mark.long
 def test_pictures(trench: BasePlan, tmp_path: Path) -> None:
     figure = trench.plot(tmp_path / "trench.svg")
     assert (tmp_path / "trench.svg").stat().st_size > 10_000

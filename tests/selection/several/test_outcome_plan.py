@@ -39,6 +39,7 @@ def scanned(grid: list[float]) -> tuple[np.ndarray, np.ndarray]:
     return found, held
 
 
+@pytest.mark.long
 def test_no_way_of_a_scan_is_better() -> None:
     """Every pair of placements on a grid whose steps keep the rates; the best is on their edge, and standing is worse."""
     plan = flexopt.plan_base(
@@ -83,6 +84,7 @@ def test_no_way_of_a_scan_is_better() -> None:
     assert names["candidate 1"].decay.nominal == pytest.approx(plan.worth, rel=1e-3)
 
 
+@pytest.mark.long
 def test_small_ones_and_gains_along_a_way() -> None:
     """What shall be small is the largest at the worst target; gains are chosen with the way, the same at every target."""
     ranges = {"kp_range": (1e3, 1e5), "kv_range": (1e2, 1e4)}

@@ -30,6 +30,7 @@ def worst(name: str, x: float, loop: dict[str, Any]) -> float:
     )
 
 
+@pytest.mark.long("swing")
 @pytest.mark.parametrize("name", ["decay", "swing"])
 def test_no_placement_of_a_scan_is_better(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # Points that are looked at first: enough for this part.
@@ -54,6 +55,7 @@ def test_no_placement_of_a_scan_is_better(name: str, monkeypatch: pytest.MonkeyP
     assert told_there == [f"{name} {number(value, 4)} {found.unit}" for value in found.V]
 
 
+@pytest.mark.long
 def test_gains_are_chosen_with_the_placement() -> None:
     """Beside differential evolution over placement and gains, in one elbow's zone."""
     ranges = {"kp": (1e3, 1e5), "kv": (1e2, 1e4)}
@@ -79,6 +81,7 @@ def test_what_does_not_go_together() -> None:
             flexopt.select_stand(EXCAVATOR, TARGETS, **options)
 
 
+@pytest.mark.long
 def test_bounds_hold_at_every_target() -> None:
     loop = LOOP
     found = flexopt.select_stand(

@@ -89,6 +89,7 @@ def test_between_the_targets(excavator: flexopt.Machine, plan: BasePlan) -> None
     assert value <= plan.worth + 1e-12
 
 
+@pytest.mark.long
 def test_start_and_rates_bind(excavator: flexopt.Machine) -> None:
     from_here = plan_base(excavator, PATH, objective="w2", start=[-1.9], max_base_rate=0.1, duration=6.0, workers=1)
     assert from_here.base[0, 0] == -1.9
@@ -107,6 +108,7 @@ def test_a_way_that_gave_up_a_little_for_its_shortness_says_so(plan: BasePlan) -
     assert sentence in repr(better)
 
 
+@pytest.mark.long
 def test_what_stands_still_keeps_its_joints_rates() -> None:
     """A redundant arm whose best placement asks for faster joints; the next best is no worse than a scan of pairs."""
     machine, path, seconds, rate = flexopt.load("boom-stick-bucket"), [(4.0, 1.0), (4.6, 0.4)], 3.0, 0.05

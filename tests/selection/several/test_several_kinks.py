@@ -43,6 +43,7 @@ def stand() -> tuple[flexopt.Stand, Program, np.ndarray]:
     return found, program, packed(program, found.places)
 
 
+@pytest.mark.long
 def test_a_stand_on_kinks(stand: tuple[flexopt.Stand, Program, np.ndarray]) -> None:
     found, program, x = stand
     assert found.kinks
@@ -55,6 +56,7 @@ def test_a_stand_on_kinks(stand: tuple[flexopt.Stand, Program, np.ndarray]) -> N
     assert value <= found.worth + 1e-4 * program.size
 
 
+@pytest.mark.long
 def test_with_other_weights_the_same_stand_is_proved_or_left_upwards(
     stand: tuple[flexopt.Stand, Program, np.ndarray],
 ) -> None:
@@ -78,6 +80,7 @@ def test_with_other_weights_the_same_stand_is_proved_or_left_upwards(
     assert 0 < refused < len(changes)
 
 
+@pytest.mark.long
 def test_a_stand_of_shares_on_a_kink() -> None:
     """What is sought is the sum: kinks are its own, not those of a row."""
     machine, targets, options = asked(MACHINE, 1, 2)
@@ -90,6 +93,7 @@ def test_a_stand_of_shares_on_a_kink() -> None:
     assert no_better_nearby(program, packed(program, found.places), 2) >= 10
 
 
+@pytest.mark.long
 def test_a_plan_on_kinks() -> None:
     machine, targets, options = asked(MACHINE, 7, 2)
     found = flexopt.plan_base(machine, targets, duration=SECONDS, max_base_rate=RATE, starts=4, workers=1, **options)

@@ -48,6 +48,7 @@ def check_place(machine: flexopt.Tree, place: TargetConfiguration, target: np.nd
         assert value.lower - slack <= value.value <= value.upper + slack, name
 
 
+@pytest.mark.long
 def test_way_along_a_trench(excavator: flexopt.Tree, plan: BasePlan) -> None:
     for place, target in zip(plan.places, TRENCH, strict=True):
         check_place(excavator, place, target, WEIGHTS)
@@ -68,6 +69,7 @@ def test_way_along_a_trench(excavator: flexopt.Tree, plan: BasePlan) -> None:
         assert there.w.sum() == pytest.approx(value, rel=1e-9)
 
 
+@pytest.mark.long("weighted")
 @pytest.mark.parametrize("combine", ["worst", "weighted"])
 def test_stand_for_three_targets(excavator: flexopt.Tree, combine: str) -> None:
     targets = [[6.0, -2.0, 1.0], [7.0, 0.5, -1.0], [5.0, 3.0, 0.5]]
@@ -83,6 +85,7 @@ def test_stand_for_three_targets(excavator: flexopt.Tree, combine: str) -> None:
     assert stand.stationarity < 1e-5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3])
 def test_random_trees(seed: int) -> None:
     """Two passive and five actuated joints; the targets are where two of its own postures put the end-point."""
@@ -108,6 +111,7 @@ def test_random_trees(seed: int) -> None:
     assert np.abs(np.diff(plan.posture, axis=0)).max() <= 0.5 * 5.0 + 1e-7
 
 
+@pytest.mark.long
 def test_whole_turns_do_not_stand_in_the_way(excavator: flexopt.Tree) -> None:
     """Targets round the machine, which stays where it is: slew goes on beyond half a turn."""
     angles = np.linspace(0.75 * np.pi, 1.25 * np.pi, 4)
@@ -118,6 +122,7 @@ def test_whole_turns_do_not_stand_in_the_way(excavator: flexopt.Tree) -> None:
     assert np.ptp(plan.posture[:, 0]) < np.pi
 
 
+@pytest.mark.long("how1")
 @pytest.mark.parametrize("how", [{"objective": "w1"}, {"objective": "allowance", "loop": {"kp": 50.0, "kv": 10.0}}])
 def test_a_stand_holds_no_joint_a_whole_turn_farther_than_it_needs(how: dict[str, Any]) -> None:
     machine = flexopt.load("mobile-manipulator")

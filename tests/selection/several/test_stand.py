@@ -205,6 +205,7 @@ def test_targets_too_far_apart(excavator: flexopt.Machine, far: float) -> None:
     assert "no placement reaches all of the 2 targets" in str(caught.value)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 2])
 def test_three_times_as_many_starts_find_hardly_more(seed: int) -> None:
     """Three joints leave two degrees of freedom and many summits; the scale is what V is divided by."""
