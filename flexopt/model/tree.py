@@ -58,11 +58,6 @@ class Tree(AnyMachine):
         """Bodies on passive joints, in order."""
         return self.kinematic_tree.passive
 
-    @property
-    def actuated_bodies(self) -> tuple[TreeBody, ...]:
-        """Bodies on actuated joints, in order."""
-        return self.kinematic_tree.actuated
-
     def build_tree(self) -> KinematicTree:
         """The tree as it stands in the file."""
         at = {body.joint.name: i for i, body in enumerate(self.bodies)}

@@ -69,7 +69,6 @@ def partial_fractions(machine, posture, control):
     return np.array(poles), np.array(n0), np.array(n1)
 
 
-@pytest.mark.long("(4, ('x', 'y', 'rotation'), (3,))-True-inverse", "(4, ('x', 'y', 'rotation'), (3,))-True-transpose")
 @CONTROLS
 @pytest.mark.parametrize("joint_damping", [False, True])
 @pytest.mark.parametrize("structure", STRUCTURES, ids=str)

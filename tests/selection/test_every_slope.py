@@ -290,8 +290,8 @@ def constrained():
     return flexopt.build_selection(machine, (3.5, 1.0, 1.2), **options)
 
 
-@pytest.mark.long("objectives1")
-@pytest.mark.parametrize("objectives", [[(1.0, 0.0)], [(1.0, 0.0), (0.0, 1.0)]])
+@pytest.mark.long("two")
+@pytest.mark.parametrize("objectives", [[(1.0, 0.0)], [(1.0, 0.0), (0.0, 1.0)]], ids=["one", "two"])
 def test_every_kind_of_constraint(walk, objectives):
     for stage, start in every_stage(maximising(constrained(), *objectives)):
         walk(stage, start)
@@ -536,8 +536,12 @@ def test_all_solvers_were_walked(walk):
     assert walked >= {"selection IpoptInterface", "model MXFunction", "several IpoptInterface"}
 
 
-@pytest.mark.long("excavator-measures0")
-@pytest.mark.parametrize(("name", "measures"), [("excavator", tuple(MEASURES)), ("slewing-excavator", ("decay",))])
+@pytest.mark.long("excavator")
+@pytest.mark.parametrize(
+    ("name", "measures"),
+    [("excavator", tuple(MEASURES)), ("slewing-excavator", ("decay",))],
+    ids=["excavator", "slewing-excavator"],
+)
 def test_the_real_loop(name, measures):
     """LoopPoint measures as Functions by everything they depend on."""
     machine, rng = flexopt.load(name), np.random.default_rng(5)

@@ -117,8 +117,12 @@ def test_the_base_stops_exactly_at_the_end_of_its_range(machine, posture_a, unli
     assert again.stop is Stop.BASE_RANGE
 
 
-@pytest.mark.long("stopped0", "stopped1")
-@pytest.mark.parametrize("stopped", [{}, {"base_range": (-1.5, 1.0)}, {"duration": 5.0}, {"duration": 0.004}])
+@pytest.mark.long("freely", "range")
+@pytest.mark.parametrize(
+    "stopped",
+    [{}, {"base_range": (-1.5, 1.0)}, {"duration": 5.0}, {"duration": 0.004}],
+    ids=["freely", "range", "duration", "at once"],
+)
 def test_with_an_acceleration_limit_it_starts_and_ends_at_rest(machine, posture_a, unlimited, stopped):
     limit, rate = 0.1, 200.0
     free = flexopt.nullspace_trajectory(machine, posture_a, **stopped)
