@@ -133,6 +133,7 @@ def test_pictures_of_a_run(tmp_path: Path, names: tuple[str, ...]) -> None:
     assert written.strip()
 
 
+@pytest.mark.long
 def test_every_other_picture(tmp_path: Path) -> None:
     """Of a machine whose name is half a formula and wants another font."""
     name = HOSTILE["half a formula"] + HOSTILE["Japanese"]
@@ -227,6 +228,7 @@ def tags(text: str) -> list[str]:
     return reader.tags
 
 
+@pytest.mark.long
 def test_pages(tmp_path: Path) -> None:
     """A whole report on a machine with a hostile name."""
     name = HOSTILE["tags"]

@@ -29,6 +29,7 @@ def test_names_in_html_are_text_wherever_they_stand():
     assert page.count("&lt;script&gt;") == 2  # the title and the heading; the document's quotes are JSON's
 
 
+@pytest.mark.long
 def test_no_module_writes_with_another_dialect():
     """`string.Template`, own marks for places and documents in strings are what templates replaced."""
     faults, words = [], ("<td", "<html", "#include <", "typedef ")

@@ -63,6 +63,7 @@ def below(kind: type) -> Iterator[type]:
         yield from below(each)
 
 
+@pytest.mark.long
 def test_every_result_is_a_table_that_scrolls(objects: dict[str, object]) -> None:
     # The explorer shows its page.
     shown = {name: found for name, found in objects.items() if name not in TOOLS | {"Explorer"}}

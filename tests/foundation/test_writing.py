@@ -276,6 +276,7 @@ def test_parts_are_one_file_or_none(tmp_path: Path) -> None:
     assert [each.name for each in tmp_path.iterdir()] == ["file"]
 
 
+@pytest.mark.long
 def test_nothing_else_writes_files() -> None:
     found: list[str] = []
     for path in sorted(ROOM.rglob("*.py")):
@@ -342,6 +343,7 @@ print("watched", len(writers))
 """
 
 
+@pytest.mark.long
 def test_every_writer_goes_through_it(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", WATCHED, str(tmp_path)], capture_output=True, text=True, check=False, timeout=600,
@@ -366,6 +368,7 @@ def _at_once(task: Callable[..., None], path: Path, count: int) -> list[int | No
     return [process.exitcode for process in processes]
 
 
+@pytest.mark.long
 def test_two_exports_of_one_fmu_at_once(tmp_path: Path) -> None:
     assert _at_once(_export_often, tmp_path / "loop.fmu", 2) == [0, 0]
     assert _names(tmp_path) == ["loop.fmu", "loop_reference.csv"]

@@ -42,6 +42,7 @@ def identified() -> flexopt.Identification:
     return flexopt.identify(swung.machine, swung.log(*PLANAR), posture=swung.posture)
 
 
+@pytest.mark.long
 def test_a_machine_in_the_plane() -> None:
     swung, found = planar(), identified()
     check(found, swung)
@@ -68,6 +69,7 @@ def _matrix(swung: Swung) -> np.ndarray:
     return np.array([(swung.swing.rate(0, at + e) - swung.swing.rate(0, at - e)) / (2 * h) for e in steps]).T
 
 
+@pytest.mark.long
 def test_a_machine_in_space_and_what_its_log_leaves_open() -> None:
     swung = spatial()
     found = flexopt.identify(swung.machine, swung.log(*SPATIAL), posture=swung.posture)
@@ -93,6 +95,7 @@ def test_a_machine_in_space_and_what_its_log_leaves_open() -> None:
     assert "not identifiable from this log" in repr(alone)
 
 
+@pytest.mark.long
 def test_a_direction_that_is_open() -> None:
     """The machine's gravity moves nothing that swings without it: asked for, it is said to be open."""
     swung = planar()
@@ -111,6 +114,7 @@ def one_turn(swung: Swung) -> tuple[AnyMachine, dict[str, object]]:
     return with_parameters(swung.machine, known), {"posture": swung.posture, "unknown": TURN}
 
 
+@pytest.mark.long
 def test_units_of_headers_and_a_file(tmp_path: Path) -> None:
     swung = planar()
     machine, asked = one_turn(swung)

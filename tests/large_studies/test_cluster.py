@@ -23,6 +23,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return files(folder)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_the_files_are_those_of_one_process(tmp_path: Path) -> None:
     flexopt.run_study(small(), tmp_path / "alone", workers=1)
@@ -32,6 +33,7 @@ def test_the_files_are_those_of_one_process(tmp_path: Path) -> None:
     assert files(tmp_path / "cluster") == files(tmp_path / "alone")
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("dies", ["worker", "scheduler"])
 def test_whoever_dies(dies: str, tmp_path: Path, expected: dict[str, bytes]) -> None:

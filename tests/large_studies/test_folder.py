@@ -142,6 +142,7 @@ def wait_for(folder: Path, chunks: int) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_a_driver_that_ends_loses_what_is_in_flight_at_most(
@@ -160,6 +161,7 @@ def test_a_driver_that_ends_loses_what_is_in_flight_at_most(
     assert files(folder) == slow_files
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_a_worker_that_is_killed_is_replaced(tmp_path: Path, slow_files: dict[str, bytes]) -> None:
     folder = tmp_path / "study"

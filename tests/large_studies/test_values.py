@@ -83,6 +83,7 @@ def test_simulations(tmp_path: Path) -> None:
     assert float(found["end_error"][3]) == pytest.approx(one.end_error, rel=1e-6)
 
 
+@pytest.mark.long
 def test_a_machine_of_another_kind_under_its_weight(tmp_path: Path) -> None:
     study = flexopt.Study(
         name="hangs", machine="boom-stick-bucket", compute="measures", gravity=True, posture=[-0.8, -1.2, -0.5], points="random",

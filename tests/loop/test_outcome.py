@@ -310,6 +310,7 @@ def test_dead_times_beside_whole_samples():
     assert OneSample(parts, 0.005, 0.0151).waiting == (4, pytest.approx(1e-4))
 
 
+@pytest.mark.long
 def test_a_loop_that_alternates_from_sample_to_sample_is_told_why() -> None:
     """Gains and dampers that a rate is too slow for; growth of a mode of the base is none of these."""
 

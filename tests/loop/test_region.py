@@ -103,6 +103,7 @@ def test_the_characteristic_function_is_that_of_the_sampled_loop(loop: dict[str,
     assert np.array(found) == pytest.approx(found[0], rel=1e-8)
 
 
+@pytest.mark.long("slewing-excavator-False", "slewing-excavator-True", "truck-crane-True")
 @pytest.mark.parametrize(
     ("name", "braked"),
     [("boom-stick-bucket", False), ("slewing-excavator", False), ("slewing-excavator", True), ("truck-crane", True)],
@@ -233,6 +234,7 @@ def test_random_machines(seed: int) -> None:
     assert wrong(loop, proof, samples=40) == 0
 
 
+@pytest.mark.long
 def test_words_and_what_they_rest_on() -> None:
     proven = flexopt.stable_region(EXCAVATOR, B, loop=GAINS, ranges=SPRINGS, points=16)
     assert proven.stable
@@ -262,6 +264,7 @@ def test_machines_are_of_first_degree_or_refused() -> None:
     assert "first degree" in certify(uncertain([{"of": "stick.com", "value": (0.5, 0.7)}])).sentence
 
 
+@pytest.mark.long
 def test_degrees_do_not_depend_on_how_stiff_springs_are() -> None:
     """One factor of two springs, one ten digits softer: a degree too few leaves out what grows."""
     slow = 9e4 * float(np.sqrt(7e-10))

@@ -80,6 +80,7 @@ def test_faults_are_named_together(table, fields):
     assert [str(fault) for fault in of_file.value.faults] == [str(fault) for fault in of_call.value.faults]
 
 
+@pytest.mark.long
 def test_control_is_one():
     assert flexopt.evaluate(EXCAVATOR, POSTURE_B, loop=GAINS | {"control": "transpose"}).control == "transpose"
     with pytest.raises(InputError, match=r"loop\.control = 'transpose': is not the control that is asked for, inverse"):

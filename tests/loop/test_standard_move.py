@@ -109,6 +109,7 @@ def signals(point: LoopPoint, until: float, looks: int) -> tuple[np.ndarray, np.
     return np.array(times), np.array(errors), np.array(turns)
 
 
+@pytest.mark.long("at once", "a whole sample late")
 @pytest.mark.parametrize("name", LOOPS)
 def test_moves_are_those_of_the_loop_run_event_by_event(name: str) -> None:
     """Filters, integrals, servos, any dead time: by SciPy's exponential from one event to the next."""
@@ -135,6 +136,7 @@ def value_along(point: LoopPoint, measure: Any, by: str, along: np.ndarray, h: f
     return measure(moved(point, by, along, float(h))).value
 
 
+@pytest.mark.long("at once", "integral and filter", "drives", "redundant")
 @pytest.mark.parametrize("name", LOOPS)
 def test_derivatives_beside_differences(name: str) -> None:
     """SciPy's adaptive differences; of what the balls of `late_cases` do not have: filters, weight, servos."""
@@ -166,6 +168,7 @@ def test_derivatives_beside_differences(name: str) -> None:
     assert compared >= 5
 
 
+@pytest.mark.long("late")
 @pytest.mark.parametrize("name", CASES)
 def test_moves_are_those_of_nonlinear_runs(name: str) -> None:
     """Of 0.1 mm, along each row by itself."""
@@ -203,6 +206,7 @@ def test_what_does_not_settle_in_a_minute() -> None:
     assert point.swing().value > 0
 
 
+@pytest.mark.long
 def test_slow_motions_do_not_come_back() -> None:
     """Weak gains swing so slowly that the error is quiet for many seconds, and loud again: no settling is told then."""
     told = list[bool]()
@@ -220,6 +224,7 @@ def test_slow_motions_do_not_come_back() -> None:
     assert 3 <= sum(told) <= 14
 
 
+@pytest.mark.long
 def test_settling_jumps_where_an_excursion_leaves_the_band() -> None:
     """Along a gain, where it jumps, the peak that begins to count touches 2 %."""
 

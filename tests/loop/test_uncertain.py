@@ -32,6 +32,7 @@ def made(name: str) -> UncertainLoop:
     return UncertainLoop(settings, stand.base, stand.posture, False, UncertaintyBox(machine, KNOWN, settings.dead_time))
 
 
+@pytest.mark.long("slewing-excavator", "mobile-manipulator")
 @pytest.mark.parametrize("name", CASES)
 def test_a_member_is_the_machine_with_these_numbers(name: str) -> None:
     """Its file with the stiffness halved, evaluated by itself."""
@@ -87,6 +88,7 @@ def test_no_member_is_slower_than_the_slowest(name: str) -> None:
     assert slowest <= loop.decays(loop.box.members(200, seed=5)).min() + 1e-9
 
 
+@pytest.mark.long
 def test_regions_end_where_the_loop_grows() -> None:
     """Just inside its radius a box is stable wherever it is looked at, and just outside it grows at a named point."""
     springs = [{"of": f"base.stiffness.{name}", "factor": (0.5, 2.0)} for name in ("x", "rotation")]

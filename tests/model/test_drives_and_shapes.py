@@ -373,6 +373,7 @@ shapes = st.one_of(
 )
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*reach beyond two turns:flexopt.errors.FlexoptWarning")
 @given(shapes, st.tuples(*[st.integers(-9, 9).map(lambda k: k / 5)] * 6))
 def test_capsules_enclose_the_collision_geometry(

@@ -376,6 +376,7 @@ def spelled(path: tuple[str | int, ...]) -> str:
     return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")
 
 
+@pytest.mark.long
 @settings(max_examples=400, deadline=None, derandomize=True)
 @given(
     st.dictionaries(
@@ -407,6 +408,7 @@ def test_junk_in_place_of_tables_is_refused(junk: list[tuple[tuple[str | int, ..
     fault_fields(data)
 
 
+@pytest.mark.long
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(
     st.fixed_dictionaries(

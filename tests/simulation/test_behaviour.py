@@ -139,6 +139,7 @@ def test_a_mode_that_is_dragged_along_is_not_told():
     assert result.growth_rate[0] == pytest.approx(0.4, rel=1e-6)
 
 
+@pytest.mark.long("article-move-17.0")
 @pytest.mark.parametrize(
     ("name", "duration"), [("article-b", 5.0), ("article-b", 10.0), ("article-b", 15.0), ("article-move", 17.0)]
 )

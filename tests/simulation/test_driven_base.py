@@ -161,6 +161,7 @@ def test_a_rotor_on_the_springs_is_not_turned():
     assert "base_path.points: cannot turn a base whose joints g0 have an armature" in message
 
 
+@pytest.mark.long
 def test_a_planned_way_that_turns_is_simulated():
     """What `plan_base` gives is what `simulate` takes: the end-point stays near its path while the base turns."""
     machine = flexopt.load("truck-crane")

@@ -273,6 +273,7 @@ def test_self_motion_that_nobody_damps():
         flexopt.simulate(THREE, (0.3, 0.8, -0.7), duration=0.05, kp=1.0, kv=1.0, rate=1e4)
 
 
+@pytest.mark.long
 def test_rk4_too_slow_for_a_servo():
     """|R(−y)| passes 1 at y = 2.785, which a mode's limit would not tell."""
     servo = {"actuator": {"bandwidth_hz": 200.0}, "duration": 2.0}

@@ -76,6 +76,7 @@ def test_articles_poles():
     assert flexopt.sampled_loop(EXCAVATOR, POSTURE_B, **gains).growth_rate == pytest.approx(-0.013, abs=5e-4)
 
 
+@pytest.mark.long
 def test_a_border_is_where_the_growth_rate_changes_sign():
     border = flexopt.stability_border(EXCAVATOR, POSTURE_B, kv=2e3)
     (low, high) = border.intervals[-1]
@@ -93,6 +94,7 @@ def test_a_border_is_where_the_growth_rate_changes_sign():
     assert by_ratio.largest < 1e3
 
 
+@pytest.mark.long
 def test_verdicts_agree_with_the_linear_loop_over_a_grid_of_gains():
     """60 s, small start, both by RK4; where they differ the growth rate is within 0.01/s, which such a run does not tell from 0."""
     best = flexopt.select(EXCAVATOR, (0.0, 1.6)).best.evaluation

@@ -60,6 +60,7 @@ def compare(case: Case) -> None:
     assert np.abs(trajectory.v - v).max() <= OF_RATES * max(1.0, np.abs(v).max())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("control", ["inverse", "transpose"])
 @pytest.mark.parametrize("structure", STRUCTURES, ids=str)
 @pytest.mark.usefixtures("interpreted")

@@ -38,6 +38,7 @@ def test_decays_as_the_loop_for_small_motions(name: str, *, gravity: bool) -> No
     np.testing.assert_array_equal(run.loop.kp, told.settings.kp)
 
 
+@pytest.mark.long("mobile-manipulator", "slewing-excavator", "truck-crane")
 @pytest.mark.filterwarnings("ignore:the arm.s self-motion:flexopt.FlexoptWarning")
 @pytest.mark.parametrize("name", shipped_names("models"))
 def test_every_machine_with_what_follows_from_it(name: str) -> None:
@@ -180,6 +181,7 @@ def test_an_experiment_that_says_twice_what_its_loop_is(tmp_path):
         flexopt.run_experiment(experiment, loop={"kp": 1e4, "kv": 1e3})
 
 
+@pytest.mark.long
 def test_the_loops_of_a_report_are_those_of_its_verdict():
     """Where a controller is known and nothing else is said."""
     problem = flexopt.load_problem("article")

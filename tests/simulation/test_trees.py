@@ -91,6 +91,7 @@ def test_the_robust_law_in_space():
     same(run(scenario(EXCAVATOR, **options)), run(scenario(space, **options)), tolerance=1e-7)
 
 
+@pytest.mark.long
 def test_a_redundant_planar_arm_with_flexible_joints_sent_through_space():
     case = stable_case(1, Structure(5, ("x", "y", "rotation"), (1, 3)), "inverse", samples=300, gravity=True)
     space = tree_from_dict(in_space(case.machine.model_dump(by_alias=True)))
@@ -99,6 +100,7 @@ def test_a_redundant_planar_arm_with_flexible_joints_sent_through_space():
     same(plane, spatial)
 
 
+@pytest.mark.long("gauss-4")
 @pytest.mark.parametrize(("method", "seed"), [("dop853", 2), ("dop853", 4), ("gauss", 4), ("gauss", 9)])
 def test_undamped_trees_keep_their_energy(method, seed):
     """Slides and hinges, the arm falling freely: energy of weight and springs included."""
@@ -196,6 +198,7 @@ TIMES = (0.1, 0.3, 0.6)
 DRIVE = np.array([[0.0, 0.0], [0.2, 0.1], [0.15, -0.1]])
 
 
+@pytest.mark.long("False")
 @pytest.mark.parametrize("hold", [True, False])
 def test_a_base_driven_in_x_and_y(hold):
     """The same machine placed by x alone, by x and y, and turned: one motion, counted from the ground or the anchor."""

@@ -103,6 +103,7 @@ def test_a_mode_that_ten_seconds_do_not_show():
     assert pickle.loads(pickle.dumps(short)).verdict == "undecided"
 
 
+@pytest.mark.long
 def test_self_motion_is_no_oscillation():
     """It bends the base slowly, ever more; the end-point settles in 2.2 s and the base is still."""
     for seconds in (10.0, 60.0):
@@ -207,6 +208,7 @@ def test_eigenvalues_are_computed_when_asked_for(monkeypatch):
     assert len(calls) == 2
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("interpreted")
 def test_random_machines_are_never_contradicted():
     """A part of `python -m benchmarks.verdicts`: against eigenvalues by SciPy and python-control, and long runs."""

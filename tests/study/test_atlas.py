@@ -34,6 +34,7 @@ def whole(control: str) -> flexopt.Atlas:
     return flexopt.atlas(excavator(), control=control)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("control", CONTROLS)
 def test_doubly_robust_postures_of_the_article(control: str) -> None:
     """Without hints: six and two with w_1 = w_2 = 0, the known ones, and no others; likewise every other pair."""
@@ -97,6 +98,7 @@ def test_on_curves_the_measure_is_zero(control: str) -> None:
     assert all(np.abs(np.sin(edge.points[1])).max() < 1e-12 for edge in atlas.edges)
 
 
+@pytest.mark.long
 def test_a_finer_grid_finds_the_same() -> None:
     """Half as many cells as the default has find all that the default finds, on the shipped machines in the plane."""
     digger = flexopt.load("boom-stick-bucket")
@@ -124,6 +126,7 @@ def check_alike(one: flexopt.Atlas, other: flexopt.Atlas) -> None:
     np.testing.assert_allclose([kind[3] for kind in kinds(one)], [kind[3] for kind in kinds(other)], rtol=5e-3)
 
 
+@pytest.mark.long("1", "2")
 @pytest.mark.parametrize("seed", range(4))
 def test_random_machines(seed: int) -> None:
     """Machines of any structure: the atlas agrees with a scan of w_i by `evaluate_w` over lines of its own."""
@@ -206,6 +209,7 @@ def test_modes_that_are_parallel_everywhere() -> None:
     assert "parallel in every posture" in repr(atlas)
 
 
+@pytest.mark.long
 def test_the_same_machine_as_a_tree_in_space() -> None:
     atlas = flexopt.atlas(flexopt.tree_from_dict(in_space({**excavator().to_dict(), "gravity": 9.81})))
     for one, other in zip(atlas.doubly_robust, whole("inverse").doubly_robust, strict=True):
@@ -213,6 +217,7 @@ def test_the_same_machine_as_a_tree_in_space() -> None:
     check_alike(atlas, whole("inverse"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "joints", "others"),
     [("slewing-excavator", ["slew", "boom"], [-1.2, -0.5]), ("truck-crane", ["slew", "lift"], [-0.8, 1.5])],
@@ -266,6 +271,7 @@ def scanned(machine: Any, others: list[float], x_range: Any, y_range: Any) -> li
     return sorted(found)
 
 
+@pytest.mark.long
 def test_in_a_plane_of_symmetry_machines_in_space_have_curves() -> None:
     """Without slew the modes in the arm's plane have a × b across it, those out of it none at all."""
     machine = flexopt.load("slewing-excavator")

@@ -62,6 +62,7 @@ def test_the_table_of_mjcf_is_mujocos() -> None:
                 assert {f"{path.split('/')[-1]} {word}" for word in words - theirs[path]} <= RETIRED, path
 
 
+@pytest.mark.long
 def test_the_table_of_urdf_knows_every_published_word() -> None:
     """All URDF files of the package are read as they were: the only fault is of the one that holds no robot."""
     paths = installed("example-robot-data", lambda path: path.suffix == ".urdf")

@@ -110,6 +110,7 @@ def test_a_public_mjcf_is_mujocos(name: str) -> None:
             assert sum(body.mass for body in tree.bodies) == pytest.approx(total, rel=1e-12)
 
 
+@pytest.mark.long
 def test_every_published_file_is_read_or_refused_with_a_place() -> None:
     """All 70 URDF files of the package: one of a tree, or faults that each name file and line or a key."""
     read, refused = 0, list[str]()
