@@ -6,6 +6,7 @@ placement, posture, parameters, gains and dead time: through eigenvectors and si
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -42,6 +43,9 @@ LOW, HIGH, POINTS = -4.0, 4.0, 241
 CLOSE, LOOKS = 4, 16
 # Slowest motion that is looked at, rad in a sample, and how near to a pole in units of its damping.
 SLOWEST, NEAR = 1e-5, np.concatenate([-np.geomspace(0.01, 30.0, 24), np.zeros(1), np.geomspace(0.01, 30.0, 24)])
+# Between which multiples of its angle a crossing is looked for once a part of a sample is added, how often, and the
+# relative change of the time that ends it.
+BESIDE, ROUNDS, SETTLED = np.array([[1 - step, 1 + step] for step in (1e-3, 1e-2, 1e-1)]), 8, 1e-12
 # Relative distance up to which an eigenvalue is one of those that are known.
 SAME = 1e-6
 DEAD_TIME = "dead_time"
@@ -260,15 +264,18 @@ class LoopPoint:
     def delay_margin(self) -> Measured:
         """Dead time that may be added before the loop grows, s; NaN where it does already, infinite where at none.
 
-        Looked for up to a dead time of 100 samples. Where it may be the frequency response says, to the error of a dead
-        time that is taken as a pure one; where it is exactly, the eigenvalues.
+        Where it may be the frequency response says, to the error of a dead time that is taken as a pure one; where it
+        is exactly, up to a dead time of 100 samples the eigenvalues, beyond the frequency response again, without a
+        derivative.
         """
 
         def growth(more: float) -> float:
             return self.spectrum_of(self.sample.later(self.dead_time + more).matrix).growth_rate
 
+        if not self.loop.stable:
+            return UNDEFINED
         most = DELAY_MAX * self.period - self.dead_time
-        late = [more for more in self._late if 0 < more < most] if self.loop.stable else []
+        late = [crossing.late for crossing in self._late if 0 < crossing.late < most]
         before = 0.0
         for more in _between([0.0, *late, most], self.period / CLOSE) if late else []:
             if growth(more) >= 0:
@@ -278,42 +285,47 @@ class LoopPoint:
                 by = None if slopes is None else slopes * (-1 / slopes.dead_time)
                 return Measured(found, by and Slopes(by.parts, -1.0))
             before = more
-        return Measured(math.inf) if self.loop.stable else UNDEFINED
+        beyond = [crossing for crossing in self._late if crossing.late >= most]
+        return Measured(self._exactly(beyond[0]) if beyond else math.inf)
 
     @cached_property
-    def _late(self) -> list[float]:
+    def _late(self) -> list[_Crossing]:
         """Times by which the law's force may be late until the loop is at a border, ascending, s, nearly.
 
         Where an eigenvalue λ of L(e^{jθ}) has modulus 1, λ e^{−jθΔ} = −1 after Δ samples.
         """
-        sample = self.sample
-        balanced, scale = balance(sample.matrix)
-        opened, into, force = sample.open / scale[:, None] * scale, sample.into / scale[:, None], sample.force * scale
-
-        def eigenvalues(angles: Vector) -> Complex:
-            z = np.exp(1j * angles)[:, None, None]
-            loop = -force @ np.linalg.solve(
-                z * np.eye(len(opened)) - opened, np.broadcast_to(into, (len(z), *into.shape))
-            )
-            found = np.linalg.eigvals(loop)
-            order = np.argsort(np.abs(found), axis=1)
-            return np.asarray(np.take_along_axis(found, order, axis=1), dtype=np.complex128)
-
-        poles = np.concatenate([np.linalg.eigvals(matrix) for matrix in (opened, balanced)])
+        poles = np.concatenate([np.linalg.eigvals(balance(m)[0]) for m in (self.sample.open, self.sample.matrix)])
         near = np.abs(np.angle(poles))[:, None] + np.abs(1 - np.abs(poles))[:, None] * NEAR
         angles = np.concatenate([np.geomspace(SLOWEST, math.pi, 500), near.ravel()])
         angles = np.unique(angles[(angles >= SLOWEST) & (angles <= math.pi)])
-        sizes = np.log(np.abs(eigenvalues(angles)))
-        found: list[float] = []
+        response = _Response(self.sample)
+        sizes = np.log(np.abs(response.eigenvalues(angles)))
+        found: list[_Crossing] = []
         for k, row in np.argwhere((sizes[1:] > 0) != (sizes[:-1] > 0)).tolist():
-
-            def size(angle: float, row: int = row) -> float:
-                return float(np.log(np.abs(eigenvalues(np.array([angle]))[0, row])))
-
-            angle = root(size, angles[k], angles[k + 1])
-            phase = float(np.angle(eigenvalues(np.array([angle]))[0, row]))
-            found.append((phase + math.pi) % math.tau / angle * self.period)
+            angle = response.crossing(row, angles[k], angles[k + 1])
+            late = (response.phase(row, angle) + math.pi) % math.tau / angle
+            found.append(_Crossing(late * self.period, angle, row))
         return sorted(found)
+
+    def _exactly(self, crossing: _Crossing) -> float:
+        """A time of `_late` as it is: by the response of the loop with a part of a sample more.
+
+        Whole samples more are z⁻¹ each, exactly; what a pure dead time would still lack goes to the part, until nothing
+        does.
+        """
+        late, angle, row = crossing.late / self.period, crossing.angle, crossing.row
+        whole = max(math.floor(late) - 1, 0)
+        for _ in range(ROUNDS):
+            response = _Response(self.sample.later(self.dead_time + (late - whole) * self.period))
+            ends = next((ends for ends in BESIDE * angle if response.crosses(row, *ends)), None)
+            if ends is None:
+                break
+            angle = response.crossing(row, *ends)
+            left = ((response.phase(row, angle) - angle * whole) % math.tau - math.pi) / angle
+            late += left
+            if abs(left) <= SETTLED * late:
+                break
+        return late * self.period
 
     # Peaks over frequency, the loop broken at the law's force.
 
@@ -460,6 +472,52 @@ class LoopPoint:
         No derivative where two peaks are as large.
         """
         return UNDEFINED if self.move is None else Measured(*self.move.swing())
+
+
+class _Crossing(NamedTuple):
+    """Where an eigenvalue of L(e^{jθ}) has modulus one.
+
+    Attributes:
+        late: after which time, s, that the force is late it is −1.
+        angle: θ there.
+        row: which eigenvalue, by modulus.
+    """
+
+    late: float
+    angle: float
+    row: int
+
+
+class _Response:
+    """Eigenvalues of L(e^{jθ}) by modulus, the loop broken at the law's force."""
+
+    def __init__(self, sample: OneSample) -> None:
+        scale = balance(sample.matrix)[1]
+        self.open = sample.open / scale[:, None] * scale
+        self.into, self.force = sample.into / scale[:, None], sample.force * scale
+
+    def eigenvalues(self, angles: Vector) -> Complex:
+        """At angles θ (k,), (k, r)."""
+        z = np.exp(1j * angles)[:, None, None]
+        right = np.broadcast_to(self.into, (len(z), *self.into.shape))
+        found = np.linalg.eigvals(-self.force @ np.linalg.solve(z * np.eye(len(self.open)) - self.open, right))
+        order = np.argsort(np.abs(found), axis=1)
+        return np.asarray(np.take_along_axis(found, order, axis=1), dtype=np.complex128)
+
+    def _one(self, row: int, angle: float) -> complex:
+        return complex(self.eigenvalues(np.array([angle]))[0, row])
+
+    def phase(self, row: int, angle: float) -> float:
+        """Of one, rad."""
+        return cmath.phase(self._one(row, angle))
+
+    def crosses(self, row: int, low: float, high: float) -> bool:
+        """Whether the modulus of one passes one between two angles."""
+        return high <= math.pi and (abs(self._one(row, low)) > 1) != (abs(self._one(row, high)) > 1)
+
+    def crossing(self, row: int, low: float, high: float) -> float:
+        """Where it does."""
+        return root(lambda angle: math.log(abs(self._one(row, angle))), low, high)
 
 
 def _between(times: list[float], step: float) -> list[float]:
