@@ -110,6 +110,14 @@ def say(text: str, *, err: bool = False, colour: Colour | None = None) -> None:
     print(painted(fitted(terminal(as_options(text)), stream), colour, stream), file=stream, flush=True)
 
 
+def say_once(text: str) -> None:
+    """Print to the error stream what the command has not said yet, unless it is to be quiet."""
+    said = click.get_current_context().meta.setdefault("flexopt.said", set[str]())
+    if text not in said and not VOICE.quiet:
+        said.add(text)
+        say(text, err=True)
+
+
 def as_options(text: str) -> str:
     """A key that a sentence advises, as the command that prints it takes it."""
     context = click.get_current_context(silent=True)

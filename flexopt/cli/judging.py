@@ -22,6 +22,7 @@ from flexopt.cli.common import (
     option_names,
     progress_bar,
     read,
+    say_once,
     table,
     typed,
     value,
@@ -39,7 +40,7 @@ LOOP = value(
     "--loop",
     "NAME=VALUE|default",
     "Of the real controller, may be repeated: kp, kv, rate, dead_time and the other keys of a file's [loop], each in "
-    "place of the file's own; default: all follows from the machine.",
+    "place of the file's own; default: in place of the file's [loop] all follows from the machine.",
     multiple=True,
 )
 MEMBERS = value("--members", "N", "Points of the uncertainty that decays are computed of (64 by default).", whole)
@@ -54,12 +55,18 @@ RANGES = value(
 
 
 def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | None:
-    """The table that was given, on top of the file's own; None where none was."""
-    asked = table("--loop", tuple(entry for entry in entries if entry != DEFAULT_LOOP))
+    """The table that was given, on top of the file's own, in place of it with `default`; None where none was."""
+    asked = table("--loop", tuple(entry for entry in entries if entry != DEFAULT_LOOP)) or {}
     if not entries:
         return None
-    known = own.model_dump(exclude_unset=True) if own and DEFAULT_LOOP not in entries else {}
-    return known | (asked or {})
+    known = own.model_dump(exclude_unset=True) if own else {}
+    if DEFAULT_LOOP not in entries:
+        return known | asked
+    if left_out := [name for name in known if name not in asked]:
+        say_once(
+            f"flexopt: --loop default stands in place of the file's [loop]: its {', '.join(left_out)} do not count"
+        )
+    return asked
 
 
 @click.command("verdict", short_help="Does it pay to move, with this controller, on this ground?")

@@ -152,6 +152,7 @@ def _about(loop: LoopSettings, law: _Law) -> str:
         text += f"; measurements run through a low-pass of first order with the corner {loop.filter_hz:g} Hz before"
     if law.damped:
         text += f"; a damper on the self-motion is added, {loop.nullspace_damping:g} {loop.damping_unit}"
+        text += f", divided by the drives' servo gain, {loop.servo_gain:g} {loop.damping_unit}" if law.served else ""
     if not law.served and loop.torque_limit is not None:
         text += f"; torques within {_listed(loop.torque_limit)}"
     wait = f"for a dead time of {loop.dead_time:g} s" if loop.dead_time else "without dead time"

@@ -15,6 +15,7 @@ from flexopt.export.modal_kernels import ModalKernels
 from flexopt.export.operations import TOLERANCES, Field, Guard, Operation
 from flexopt.model.choices import WEIGHT
 from flexopt.robustness.margin import Margin, build_margin
+from flexopt.robustness.residues import MIXED, residue_unit
 
 SERVO_GAIN_RANGE = (1e-6, 1e15)
 # The joints are free to move in a mode, and the arm's inertia holds the end-point still: a_i is a small difference of
@@ -38,10 +39,12 @@ def measures(at: Context) -> tuple[Operation, ...]:
     about = _Weighted(at)
     graph, alpha, size = about.graph, about.alpha, about.size
     frequency = ca.sqrt(graph.omega_squared)
+    unit = residue_unit(at.control, at.machine.joint_units)
+    unit = "1/(kg m^2) of hinges, 1/kg of slides" if unit == MIXED else unit.replace("m2", "m^2")
     outputs = [
         (field("angular_frequency", "MODES", "rad/s", "undamped, ascending", scale="itself"), frequency, frequency),
-        (field("w", "MODES", "m/(N s^2)" if at.control == "transpose" else "1/(kg m^2)", "w_i = lambda_min(R_i + "
-               "R_i^T) = a.b - |a||b|, at most 0", scale=about.meaning), graph.w, size),
+        (field("w", "MODES", unit, "w_i = lambda_min(R_i + R_i^T) = a.b - |a||b|, at most 0", scale=about.meaning),
+         graph.w, size),
         (field("w_error", "MODES", "as w", "largest error of w_i by rounding", scale="itself over gap_i"), about.error,
          about.error_size),
         (field("w_size", "MODES", "as w", "|a_i||b_i|, the size of R_i = a_i b_i^T", scale="as of w_i"),

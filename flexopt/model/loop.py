@@ -49,8 +49,8 @@ class Loop(BuiltByCall):
             error to the rate asked for.
         kp_range, kv_range: (lower, upper) between which all entries of a gain may be chosen.
         rate: of the samples, Hz.
-        dead_time: from the end-point's measurement to command, s; any time, not only whole samples. Joints, which the
-            Jacobian and the damper of the self-motion need, are measured without.
+        dead_time: from the end-point's measurement to command, s; any time of up to 100 samples, not only whole ones.
+            Joints, which the Jacobian and the damper of the self-motion need, are measured without.
         filter_hz: corner of a first-order low-pass that the sampled measurement runs through, Hz.
         bandwidth_hz: of a first-order servo, Hz; a number, or one for each actuated joint.
         drive: `"torque"`: joints are asked for torques; `"velocity"`: for rates, which drives with levers serve by the
