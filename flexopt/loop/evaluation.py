@@ -45,8 +45,8 @@ class Outcome(Result):
         drift: growth rates of a redundant arm's self-motion, which is no part of the decay, 1/s.
         allowed_gain: largest stable Kp along the present ratio of the gains; gain_intervals: all stable intervals of
             it, (k, 2); see `LoopPoint.allowed_gain`. Infinite (JSON: null) where no border was met.
-        delay_margin: dead time that may be added, s; see `LoopPoint.delay_margin`. Infinite (JSON: null) where no time
-            of up to 100 samples is too long; NaN of a loop that grows.
+        delay_margin: dead time that may be added, s; see `LoopPoint.delay_margin`. Infinite (JSON: null) where none is
+            too long; NaN of a loop that grows. Its gradient is NaN where the dead time would exceed 100 samples.
         disk_margin, sensitivity_peak, complementary_peak: α, ‖S‖∞ and ‖T‖∞, the loop broken at the law's force.
         h2_norm: root of the end-point's variance under white noise of unit intensity in every force on the base, m; see
             `LoopPoint.h2_norm`.

@@ -55,6 +55,7 @@ def test_stands_are_table_2(stands):
     assert abs(stands[OPTIMUM].w[0]) < 1e-15
 
 
+@pytest.mark.long
 def test_poles_are_those_of_the_matrices(loops, stands):
     assert [(row.stand, row.kp, row.kv) for row in loops.rows] == [
         (name, *pair) for pair in ((1e5, 2e3), (1e4, 1e3)) for name in stands

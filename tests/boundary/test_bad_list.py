@@ -142,6 +142,7 @@ def test_every_argument_refuses_the_bad_list(rows: Rows) -> None:
     assert [row for row in taken if row["outcome"] == "accepted" and meaning(row) is None] == []
 
 
+@pytest.mark.long
 def test_refusals_name_the_argument(rows: Rows) -> None:
     """One that fails for another reason, later, is no check of the argument."""
     bare = [

@@ -52,6 +52,7 @@ def test_the_folder_names_its_origin(machine: flexopt.Machine, whole: ExportRepo
         assert name in (report.folder / "README.md").read_text()
 
 
+@pytest.mark.long
 def test_the_same_machine_gives_the_same_bytes(whole: ExportReport, tmp_path: Path) -> None:
     again = export_c(flexopt.load("excavator"), tmp_path / "b").folder
     assert contents(whole.folder) == contents(again)

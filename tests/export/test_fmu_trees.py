@@ -266,6 +266,7 @@ def test_parameters_that_fit_no_machine_are_refused(crane: FmuReport, tmp_path: 
         slave.refuses("singular: the joints do not move all 6 task rows", slave.start)
 
 
+@pytest.mark.long
 def test_the_description_holds_the_machine(crane: FmuReport, tmp_path: Path) -> None:
     description = fmpy.read_model_description(str(crane.path))
     units = {v.name: v.unit for v in description.modelVariables}

@@ -67,6 +67,7 @@ def test_beyond_a_limit_a_torque_comes_with_a_warning(library: BundleLibrary) ->
                 assert all(np.all(value == -7.0) for value in out.values())
 
 
+@pytest.mark.long
 @GCC
 def test_the_error_of_w_holds_where_a_mode_leaves_the_joints_still(library: BundleLibrary) -> None:
     """Near half a turn of the slew sideways modes do not move boom, stick and bucket, and the slew hardly in one."""

@@ -71,6 +71,7 @@ def test_same_optimum_as_ipopt_or_a_better_one(machine, control, tmp_path):
     assert_equal_or_better(lib, draw_pairs(machine, control, 25, seed=3))
 
 
+@pytest.mark.long
 def test_three_joints(three_joints, tmp_path):
     assert_equal_or_better(library(three_joints, tmp_path), draw_pairs(three_joints, "inverse", 12, seed=4))
 

@@ -169,6 +169,7 @@ def test_a_planar_machine_as_a_tree_has_the_same_optima(tmp_path):
         assert answer.value == pytest.approx(best.best.objective, abs=SAME * scale)
 
 
+@pytest.mark.long
 def test_a_climb_from_the_given_start_alone_ends_in_a_proved_optimum(excavator, some):
     for case in some:
         options = excavator.options(starts=0, budget=3000)

@@ -25,6 +25,7 @@ from tests.export.programs import GCC, MAKE
 LIGHT = ["kinematics", "controller", "simulator"]
 
 
+@pytest.mark.long("mobile-manipulator-double")
 @MAKE
 @pytest.mark.parametrize("real", ["double", "float"])
 @pytest.mark.parametrize("name", shipped_names("models"))
@@ -37,6 +38,7 @@ def test_self_test_and_example_end_well(name: str, real, tmp_path: Path) -> None
     assert re.search(r"^on target$", done.stdout, flags=re.MULTILINE)
 
 
+@pytest.mark.long
 @MAKE
 def test_a_target_out_of_reach_is_refused_at_once(tmp_path: Path) -> None:
     """In single precision; in double the self-tests of other machines' optimisers say the same."""
@@ -50,6 +52,7 @@ def test_a_target_out_of_reach_is_refused_at_once(tmp_path: Path) -> None:
     assert "TARGET_TOLERANCE" in header
 
 
+@pytest.mark.long
 @pytest.mark.needs("gcc", "make", "cmake")
 def test_the_command_follows_the_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rows, fine = examine(["boom-stick-bucket"], ["float"], ["gcc"], ["kinematics", "controller"])
@@ -74,6 +77,7 @@ def test_the_example_of_a_redundant_arm_damps_its_self_motion(name: str, stand_i
     assert np.all((start.posture > low) & (start.posture < high))
 
 
+@pytest.mark.long
 @GCC
 def test_single_precision_answers_are_on_their_targets() -> None:
     # Without the last steps onto the target two of these ten are off by more than is allowed.

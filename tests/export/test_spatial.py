@@ -22,6 +22,7 @@ from tests.oracles.spatial import grounded, pinocchio_tree, random_tree
 ZEROS = np.zeros(3)
 
 
+@pytest.mark.long
 @GCC
 def test_c_agrees_with_pinocchio_numpy_and_evaluate(tmp_path: Path) -> None:
     data = grounded(4, 1)
@@ -248,6 +249,7 @@ def small_tree(actuated: int, rows: tuple[str, ...]) -> Tree:
     return tree_from_dict(random_tree(17, rows=rows, counts=(2, actuated)))
 
 
+@pytest.mark.long
 @HOST
 @pytest.mark.parametrize(
     ("real", "parts"),
@@ -261,6 +263,7 @@ def test_everything_holds_on_the_host(real, parts: list[str], tmp_path: Path) ->
     assert result.passed and result.complete, repr(result)  # noqa: PT018
 
 
+@pytest.mark.long("small tree")
 @TARGET
 @pytest.mark.parametrize(
     ("make", "parts"),

@@ -49,6 +49,7 @@ def rows(check: VerificationCheck, title: str) -> list[dict]:
 INPUTS, CALLS = 200, 2_000
 
 
+@pytest.mark.long
 @HOST
 @pytest.mark.parametrize(
     ("real", "make", "parts", "functions", "outputs"),
@@ -84,6 +85,7 @@ def test_everything_holds_on_the_host(real: str, make, parts, functions: int, ou
     assert "cortex-m7 (not asked for)" in page
 
 
+@pytest.mark.long("float on M4F")
 @TARGET
 @pytest.mark.parametrize(
     ("real", "make", "target"),
@@ -110,6 +112,7 @@ def test_everything_holds_on_emulated_processors(real: str, make, target, tmp_pa
         assert plain["instructions"] >= 10 * kernel["instructions"] > 0
 
 
+@pytest.mark.long
 @TARGET
 def test_software_double_on_a_processor_without_it(tmp_path: Path) -> None:
     folder = exported(tmp_path / "b", parts=["kinematics", "controller", "measures"], baked=True)
@@ -117,6 +120,7 @@ def test_software_double_on_a_processor_without_it(tmp_path: Path) -> None:
     assert result.passed and result.complete, repr(result)  # noqa: PT018
 
 
+@pytest.mark.long
 @HOST
 def test_a_wrong_constant_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = exported(tmp_path / "b", parts=["controller"])

@@ -84,6 +84,7 @@ def test_every_result_is_a_table_that_scrolls(objects: dict[str, object]) -> Non
         assert not own or any("overflow-x: auto" in style for style in blocks) == wide, name
 
 
+@pytest.mark.long
 def test_texts_are_short(objects: dict[str, object]) -> None:
     for name, found in objects.items():
         text = repr(found)

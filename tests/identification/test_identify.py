@@ -133,6 +133,7 @@ def test_units_of_headers_and_a_file(tmp_path: Path) -> None:
     assert [column.samples for column in found.columns] == [301, 300, 301]
 
 
+@pytest.mark.long
 def test_a_unit_that_is_told_wrongly() -> None:
     swung = planar()
     log = swung.log(*PLANAR)
@@ -150,6 +151,7 @@ def test_a_unit_that_is_told_wrongly() -> None:
     assert not any("in mm" in doubt for doubt in near.doubts)
 
 
+@pytest.mark.long
 def test_gaps_spikes_and_uneven_samples() -> None:
     swung = planar()
     log, rng = swung.log(*PLANAR), np.random.default_rng(5)
@@ -199,6 +201,7 @@ def test_swing_and_stop() -> None:
     check(found, swung, times=3.0)
 
 
+@pytest.mark.long
 def test_residuals_that_are_not_white_widen_the_intervals() -> None:
     """Slow noise, strongest where the slowest mode is."""
     swung, name = planar(), "base.stiffness.rotation"
@@ -232,6 +235,7 @@ def test_a_fit_that_trusts_a_wrong_damper_says_so() -> None:
     assert "not asked for" not in doubts("base.*.rotation")
 
 
+@pytest.mark.long
 def test_other_numbers_that_fit_as_well_are_told() -> None:
     """One column tells poles alone, and which spring makes which of them it does not say."""
     swung = planar()
@@ -274,6 +278,7 @@ def refused(machine: object, log: object, sentence: str, **more: object) -> None
         flexopt.identify(machine, log, **{"posture": planar().posture} | more)
 
 
+@pytest.mark.long
 def test_a_swing_too_short_to_show_its_decay_is_told_with_a_doubt() -> None:
     """Dampers as the article's excavator has them take 1 % of a swing in 5 s; its springs are known all the same."""
     machine = flexopt.load("excavator")
@@ -288,6 +293,7 @@ def test_a_swing_too_short_to_show_its_decay_is_told_with_a_doubt() -> None:
     assert high - low < 0.01 * truth
 
 
+@pytest.mark.long
 def test_a_motion_that_the_noise_hides_tells_nothing() -> None:
     """The fit puts its frequency where the noise has one: the spring that it alone feels was told 19 % off, to .5 %."""
     machine, truth, log = pushed(CASES["planar, gyroscope alone"], np.random.default_rng([1, 22]))
@@ -314,6 +320,7 @@ def test_joints_that_swing_along_are_told(along: float) -> None:
     assert all("0.0003 rad" in doubt for doubt in told)
 
 
+@pytest.mark.long
 def test_what_is_refused(tmp_path: Path) -> None:
     machine, t, rng = planar().machine, np.arange(0, 4, 0.01), np.random.default_rng(0)
     swing = np.exp(-0.5 * t) * np.sin(20 * t) * 1e-2
@@ -355,6 +362,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
     refused(machine, tmp_path / "frf.uff", "UFF")
 
 
+@pytest.mark.long
 def test_a_column_with_the_wrong_sign_is_told_as_such() -> None:
     """The springs that come nearest to it are no springs: the machine's own modes are not to blame."""
     swung = planar()
@@ -362,6 +370,7 @@ def test_a_column_with_the_wrong_sign_is_told_as_such() -> None:
     refused(swung.machine, log | {"gyro_z": -log["gyro_z"]}, "are signs and units of its columns right")
 
 
+@pytest.mark.long
 def test_axes_of_an_accelerometer_that_are_not_those_of_the_body_are_told(capfd: pytest.CaptureFixture[str]) -> None:
     """Its weight shows where it points: springs of two directions would change places unseen."""
     swung = planar()
@@ -383,6 +392,7 @@ def test_axes_of_an_accelerometer_that_are_not_those_of_the_body_are_told(capfd:
     assert "DLASCL" not in "".join(capfd.readouterr())
 
 
+@pytest.mark.long
 def test_an_accelerometer_that_sits_beyond_the_machine_is_told() -> None:
     """In mm for m it would take turns for accelerations, and the springs with them."""
     swung, sentence = planar(), "imu is 500 m from the body's origin"
@@ -417,6 +427,7 @@ def test_springs_that_fall_over_on_the_way_are_passed_by(
     assert {spring: found.values[spring] for spring in truth} == pytest.approx(truth, rel=0.01)
 
 
+@pytest.mark.long
 def test_joints_in_degrees_are_told() -> None:
     swung = planar()
     names = ("boom", "stick", "bucket")

@@ -154,6 +154,7 @@ def test_nonlinear_runs_along_the_slowest_motion(number):
     assert nonlinear_growth(case) == pytest.approx(-case.outcome.decay().value, rel=1e-3, abs=1e-4)
 
 
+@pytest.mark.long
 def test_gradients_of_every_measure():
     """Beside differences in balls; of 60 loops `benchmarks.outcome` tells."""
     found = list(slopes_off(draw_case(7), np.random.default_rng(7)))
@@ -256,6 +257,22 @@ def test_margins_say_when_the_loop_grows(late):
     for factors in ((low, low), (high, high), (low, high), (high, low)):
         gains = {"kp": 1e4 * np.array(factors), "kv": 1e3 * np.array(factors)}
         assert outcome(EXCAVATOR, POSTURE_B, late, **gains).loop.stable
+
+
+@pytest.mark.parametrize("number", [3, 7, 14, 26, 27, 31])
+def test_a_border_in_dead_time_by_the_response_is_that_of_the_eigenvalues(number, monkeypatch):
+    by_eigenvalues = draw_case(number).outcome.delay_margin().value
+    monkeypatch.setattr("flexopt.loop.outcome.DELAY_MAX", 0)
+    assert draw_case(number).outcome.delay_margin().value == pytest.approx(by_eigenvalues, rel=1e-10)
+
+
+@pytest.mark.parametrize("number", [4, 12, 24, 37])
+def test_a_border_beyond_a_hundred_samples_is_found(number):
+    here = draw_case(number).outcome
+    margin = here.delay_margin().value
+    assert 100 < (here.dead_time + margin) / here.period < 400
+    assert replace(here, dead_time=here.dead_time + margin * (1 - 1e-4)).loop.stable
+    assert not replace(here, dead_time=here.dead_time + margin * (1 + 1e-4)).loop.stable
 
 
 def test_peaks_over_a_fine_grid():

@@ -375,6 +375,7 @@ def test_the_shipped_excavators_drives_belong_together() -> None:
     np.testing.assert_allclose(lengths[:half], lengths[half:], rtol=0, atol=2e-3)
 
 
+@pytest.mark.long
 def test_selected_postures_keep_the_strokes() -> None:
     data = digger()
     free = flexopt.machine_from_dict(data)

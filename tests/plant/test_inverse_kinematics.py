@@ -55,6 +55,7 @@ def wrapped(angle):
     return (np.asarray(angle) + math.pi) % TURN - math.pi
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=12)
 @given(drawn=machines(), seed=seeds)
 def test_every_branch_reaches_the_target(drawn, seed):

@@ -42,6 +42,7 @@ def test_curves_and_points(atlas: flexopt.Atlas, tmp_path: Path) -> None:
     assert any(np.isnan(line).any() for line in drawn)
 
 
+@pytest.mark.long
 def test_names_of_all_that_is_drawn(atlas: flexopt.Atlas) -> None:
     (legend,) = atlas.plot().legends
     texts = [text.get_text() for text in legend.get_texts()]

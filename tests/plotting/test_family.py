@@ -65,6 +65,13 @@ def test_no_text_lies_on_another_and_every_axis_has_a_unit(name):
     assert not without_units(figure)
 
 
+@pytest.mark.long(
+    "problem pipe-laying-paper",
+    "problem stations-paper",
+    "problem trench-paper",
+    "atlas truck-crane-paper",
+    "identification excavator-paper",
+)
 @pytest.mark.parametrize("size", ["paper", "slide"])
 @pytest.mark.parametrize("name", DENSE)
 def test_other_sizes_have_room_too(name, size):
@@ -82,6 +89,7 @@ def test_faults_are_found():
     assert without_units(figure) == ["y axis 'height' of ''"]
 
 
+@pytest.mark.long
 def test_every_kind_of_picture_is_looked_at():
     kinds = {kind for kind, form in drawers() if form == "picture"}
     # One of each group; problems have answers of several kinds.

@@ -199,6 +199,7 @@ def test_gradient_by_posture_over_random_machines(control):
     assert max(error for error, _ in found) <= 1e-7
 
 
+@pytest.mark.long("inverse")
 @pytest.mark.parametrize("control", CONTROLS)
 def test_gradient_by_parameters_and_gain(control):
     for number, (margin, posture, p, gain) in enumerate(regular_cases(control, 40)):

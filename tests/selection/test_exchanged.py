@@ -42,6 +42,7 @@ def test_the_best_at_an_edge_is_found_and_told(name: str) -> None:
     assert list(selection.edges) == selection.to_dict()["edges"]
 
 
+@pytest.mark.long("fifth mode free")
 @pytest.mark.parametrize("name", KNOWN)
 def test_beyond_the_edge_v_is_what_the_sentence_says(name: str) -> None:
     """Points on the rows a little farther than the edge: V takes values near both, and none is above the best."""

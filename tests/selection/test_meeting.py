@@ -58,6 +58,7 @@ def test_every_constraint_is_kept_and_it_is_faster_than_the_best_of_modes() -> N
     assert found.best.objective > other.decay
 
 
+@pytest.mark.long
 def test_it_is_proven_where_no_rate_has_a_slope() -> None:
     """The two slowest are one to half of the digits; apart their slopes are huge, and the proof of one by one fails."""
     found = chosen()

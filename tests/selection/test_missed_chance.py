@@ -36,6 +36,7 @@ def test_values_found_once(found: flexopt.Selection) -> None:
     assert with_values(found, [-size, -2 * size, -size, -3 * size, None]) == 0.5
 
 
+@pytest.mark.long
 def test_on_average_it_is_the_chance_itself(found: flexopt.Selection) -> None:
     """Of 12 draws from 20 values of unequal chance: Good and Turing's estimate has no more than the bias of one draw."""
     rng, size = np.random.default_rng(0), found.problem.objective_scale

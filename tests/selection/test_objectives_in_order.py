@@ -29,6 +29,7 @@ def selected(name: str):
     return flexopt.select(loaded, target, objective=objective, weights=weights, workers=1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", list(HARD))
 def test_a_later_objective_is_solved_and_no_point_nearby_is_better(name: str) -> None:
     found = selected(name)
@@ -107,6 +108,7 @@ def test_an_optimum_of_the_objective_before_may_be_one_of_the_next(monkeypatch: 
     np.testing.assert_allclose(twice.best.w[0], whole.best.w[0], atol=1e-9 * whole.problem.objective_scale)
 
 
+@pytest.mark.long
 def test_a_minimum_along_what_is_kept_is_refused() -> None:
     """Where w1 is held at a level by its multiplier and V is least along that level, the proof finds better points."""
     machine = flexopt.load("boom-stick-bucket")

@@ -42,6 +42,7 @@ def _chosen(objective: str, options: str) -> OutcomeSelection:
     return found
 
 
+@pytest.mark.long
 def test_the_best_decay_of_given_gains_is_that_of_a_scan() -> None:
     """Placements along both elbows, 1,001 each; gains of the article's loop with 20 ms of dead time."""
     found = chosen(loop=FIXED | {"dead_time": 0.02}, starts=FEW)
@@ -63,6 +64,7 @@ def test_the_best_decay_of_given_gains_is_that_of_a_scan() -> None:
     assert f"  {doubted.remarks[0]}\n" in f"{doubted!r}\n"
 
 
+@pytest.mark.long
 def test_gains_are_chosen_with_the_configuration() -> None:
     """Not worse than an evolution strategy about the best zone, and what is said is what the loop does."""
     found = chosen(loop=RANGED | {"dead_time": 0.02}, starts=2 * FEW)
@@ -82,6 +84,7 @@ def test_gains_are_chosen_with_the_configuration() -> None:
     assert found.radii[0] < 1.5
 
 
+@pytest.mark.long
 def test_the_worst_case_is_no_better_anywhere_in_its_box() -> None:
     ranges = {"stiffness": (0.5, 2.0), "dead_time": (0.0, 0.01)}
     found = chosen(loop=FIXED, ranges=ranges, starts=FEW)
@@ -141,6 +144,7 @@ def test_slopes_at_points_that_are_no_optimum(
     assert first_order(program, y, program.value(y))[0] == math.inf
 
 
+@pytest.mark.long("truck-crane")
 @pytest.mark.parametrize("name", ["excavator", "truck-crane"])
 def test_under_gravity_the_target_is_reached(name: str) -> None:
     target = {"excavator": (0.0, 1.6), "truck-crane": (4.75, 1.47, 4.14)}[name]
@@ -167,6 +171,7 @@ def test_what_does_not_go_together() -> None:
         flexopt.certify(chosen(loop=FIXED, starts=FEW))
 
 
+@pytest.mark.long
 def test_a_verdict_on_it_has_the_gains_that_were_chosen() -> None:
     loop = RANGED | {"dead_time": 0.02}
     found = chosen(loop=loop, base=0.0, starts=2 * FEW)
@@ -175,6 +180,7 @@ def test_a_verdict_on_it_has_the_gains_that_were_chosen() -> None:
     assert judged.word in {"move", "change gains"}
 
 
+@pytest.mark.long
 def test_a_problem_file_and_the_command(tmp_path: Any, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     monkeypatch.chdir(tmp_path)
     text = "\n".join([

@@ -15,6 +15,7 @@ from tests.selection.loops import EXCAVATOR, TARGET, posture_at, told, worth
 LOOP = {"kp": 1e4, "kv": 1e3, "dead_time": 0.0031}
 
 
+@pytest.mark.long("w1,decay", "decay,w1", "decay,epsilon_max")
 @pytest.mark.parametrize("objective", ["w1,decay", "decay,w1", "decay,allowance", "decay,epsilon_max"])
 def test_no_point_of_a_scan_keeps_the_first_and_has_more_of_the_second(objective: str) -> None:
     first, second = objective.split(",")
@@ -45,6 +46,7 @@ def test_no_point_of_a_scan_keeps_the_first_and_has_more_of_the_second(objective
     assert found.to_dict()["kept"][0]["at_least"] == kept.at_least
 
 
+@pytest.mark.long
 def test_gains_are_kept_with_the_configuration() -> None:
     """The largest decay by gains, then of all that decay nearly as fast the one that bears most."""
     loop = {"kp_range": (1e3, 1e5), "kv_range": (1e2, 1e4), "dead_time": 0.01}
@@ -68,6 +70,7 @@ def test_what_does_not_go_together() -> None:
         flexopt.build_selection(EXCAVATOR, TARGET, objective="w1,decay")
 
 
+@pytest.mark.long
 def test_robust_margins_beside_what_a_loop_must_do() -> None:
     """Of a small part of the redundancy: ε_max first, a weighted sum with it, and ε_max where the decay is bounded."""
     options = {"loop": LOOP, "base_range": (-2.1, -1.4), "starts": 2, "workers": 1}

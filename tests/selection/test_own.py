@@ -59,6 +59,7 @@ def test_an_increasing_function_of_a_measure_is_best_where_the_measure_is(machin
     assert value == pytest.approx(theirs.best.objective, abs=1e-8 * size)
 
 
+@pytest.mark.long("machine1-target1")
 @pytest.mark.parametrize(("machine", "target"), [(EXCAVATOR, TARGET), (ARM, BELOW)])
 def test_a_measure_given_as_a_function_is_that_measure(machine: Any, target: Any) -> None:
     """What is known of w_1 holds: that 0 is the most there is, and the surface that has it."""
@@ -104,6 +105,7 @@ def kind_and_own(kind: str) -> tuple[dict[str, Any], flexopt.Constraint]:
     return {kind: 0.3}, flexopt.Constraint(function(kind, share, cylinder_forces=forces), upper=0.3)
 
 
+@pytest.mark.long("joint_margin", "holding")
 @pytest.mark.parametrize("kind", ["joint_margin", "manipulability", "holding"])
 def test_an_own_constraint_that_is_a_kind_leaves_the_same_optimum(kind: str) -> None:
     theirs, ours = kind_and_own(kind)
@@ -120,6 +122,7 @@ def test_an_own_constraint_that_is_a_kind_leaves_the_same_optimum(kind: str) -> 
         assert value.lower - 1e-7 * row.scale <= value.value <= value.upper + 1e-7 * row.scale
 
 
+@pytest.mark.long
 def test_in_order_with_others() -> None:
     """w_1 first, then the least torque among what keeps it: as the kept value bounds it as a constraint."""
     least = function("least_torque", -ca.sumsqr(Q["torques"]) / 1e9, torques=Q["torques"])
@@ -192,6 +195,7 @@ def test_a_scan_finds_nothing_better(seed: int | None) -> None:
     assert best.objective == pytest.approx(float(told), rel=1e-8, abs=1e-8)
 
 
+@pytest.mark.long("slewing-excavator-0")
 @pytest.mark.parametrize(("name", "number"), [("slewing-excavator", 0), ("boom-stick-bucket", 3)])
 def test_a_method_without_slopes_finds_nothing_better(name: str, number: int) -> None:
     """With constraints of both kinds; `python -m benchmarks.own` tries more."""
@@ -218,6 +222,7 @@ def pipe_laying(**changes: Any) -> dict[str, Any]:
     return arguments | {"constraints": constraints, "base_range": base_range, "starts": 8} | changes
 
 
+@pytest.mark.long
 def test_a_kink_of_a_measure_is_one_of_its_functions_and_proved() -> None:
     theirs = flexopt.select(**pipe_laying())
     assert theirs.best.kinks
@@ -235,6 +240,7 @@ def test_a_kink_of_a_measure_is_one_of_its_functions_and_proved() -> None:
     assert "kink of w5, on which V falls with it" in violations
 
 
+@pytest.mark.long
 def test_a_kink_of_a_measure_in_a_constraint_is_proved() -> None:
     """w_1 best, with Σ αi wi at least what nearly its best has, which stands on a kink: as in order with a slack."""
     theirs = flexopt.select(**pipe_laying(objective="V,w1", slack=1e-3, starts=4))
@@ -262,6 +268,7 @@ def test_frequencies_that_are_one_are_left_undecided() -> None:
 # Several targets, files, other processes, pictures.
 
 
+@pytest.mark.long
 def test_several_targets() -> None:
     targets, sag = [(0.0, 1.6), (0.2, 1.5)], Q["sag"]
     w1 = function("w1_steeper", 1e-3 * ca.sin(1e3 * Q["w1"]), w1=Q["w1"])

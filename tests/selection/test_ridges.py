@@ -33,6 +33,7 @@ def selection(machine):
     return flexopt.solve_selection(flexopt.build_selection(*machine, starts=8, **options), workers=1)
 
 
+@pytest.mark.long
 def test_a_hill_that_no_point_of_the_scan_shows(machine, selection):
     """On a surface the best points of a scan are of one wide hill; a higher one is narrow."""
     folded = np.array([1.22289, 2.73154, 0.16878, -3.07209, -3.08174, -3.02446])

@@ -131,11 +131,13 @@ def test_an_objective_that_is_not_a_number_raises(selection):
         flexopt.solve_selection(broken)
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_bytes(three_links):
     first, second = (flexopt.select(three_links, TARGET, starts=3, seed=3).to_dict() for _ in range(2))
     assert repr(first) == repr(second)
 
 
+@pytest.mark.long
 def test_a_redundant_arm_is_solved_and_flagged(three_links):
     selection = flexopt.select(three_links, TARGET, starts=5)
     assert selection.best.objective > -1e-12

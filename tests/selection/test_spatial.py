@@ -114,6 +114,7 @@ def dense(machine):
     return along_the_target(machine, z, TARGET, *BOX, 6_000, seed=2)
 
 
+@pytest.mark.long("w1")
 @pytest.mark.parametrize("objective", ["w1", "V"])
 def test_never_below_thousands_of_feasible_points(machine, dense, objective):
     weights = WEIGHTS if objective == "V" else None
@@ -131,6 +132,7 @@ def test_never_below_thousands_of_feasible_points(machine, dense, objective):
     assert selection.best.objective >= values.max() - 1e-9 * selection.problem.objective_scale
 
 
+@pytest.mark.long
 def test_the_result_does_not_depend_on_the_number_of_processes(machine, monkeypatch):
     problem = flexopt.build_selection(machine, TARGET, objective="V", weights=WEIGHTS, starts=3, seed=4)
     alone = flexopt.solve_selection(problem, workers=1)
@@ -210,6 +212,7 @@ def test_results_name_the_constraints(constrained):
     assert "w6" in repr(constrained)
 
 
+@pytest.mark.long
 def test_travel_keeps_the_machine_where_it_is(machine):
     free = flexopt.select(machine, TARGET, starts=3, **PRESENT)
     dear = flexopt.select(machine, TARGET, starts=3, constraints={"travel": {"cost": 1e3}}, **PRESENT)
@@ -223,6 +226,7 @@ def test_travel_keeps_the_machine_where_it_is(machine):
     assert dear.best.objective == pytest.approx(dear.best.w[0] - 1e3 * size * away(dear) ** 2, rel=1e-9)
 
 
+@pytest.mark.long
 def test_a_zero_of_the_objective_is_proved_next_to_where_a_vanishes(machine):
     """V = 0 is the largest value there is; differences of gradients near a_i = 0 may not reject it."""
     selection = flexopt.select(machine, TARGET, starts=4)
@@ -233,6 +237,7 @@ def test_a_zero_of_the_objective_is_proved_next_to_where_a_vanishes(machine):
     assert proof.holds
 
 
+@pytest.mark.long
 def test_what_cannot_be_kept_is_named(machine):
     """The support is 2.4 m wide: no point is 1.3 m from both edges."""
     with pytest.raises(flexopt.NoSolutionFound, match="tip-over margin from edge") as caught:

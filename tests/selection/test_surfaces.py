@@ -53,6 +53,7 @@ def test_equations_of_parallel_factors_are_zero_there_alone_and_have_their_slope
     assert np.all(Parallel.at(f, slopes, (0, 1)).values(f)[chart.equations :].reshape(-1, 2).min(axis=1) < 0)
 
 
+@pytest.mark.long("boom-stick-bucket 7")
 @pytest.mark.parametrize("case", [*list(cases(6))[2::2], list(cases(8))[7]], ids=lambda case: case[0])
 def test_dimensions_are_those_of_a_walk(case) -> None:
     """By least squares of SciPy's with its own differences; V = 0 at each of these."""
@@ -67,6 +68,7 @@ def slewing(seed: int) -> flexopt.Selection:
     return flexopt.select(flexopt.load("slewing-excavator"), (6, 2, 1), objective="w1", seed=seed, starts=4, workers=1)
 
 
+@pytest.mark.long
 def test_chance_does_not_decide_what_is_recommended() -> None:
     """Nor how many surfaces there are."""
     first, second = slewing(0), slewing(3)
@@ -79,6 +81,7 @@ def test_chance_does_not_decide_what_is_recommended() -> None:
         assert "worst of the other w_i" in repr(found)
 
 
+@pytest.mark.long
 def test_nor_where_the_surface_has_an_edge() -> None:
     """Optima of the truck crane stand where a_1 = 0, in its plane of symmetry."""
     machine, target, options = chosen("truck-crane", 1)
@@ -153,6 +156,7 @@ def test_nothing_that_is_alike_is_nearer(name: str) -> None:
         assert travel(problem, near) <= travel(problem, other) + 1e-9
 
 
+@pytest.mark.long
 def test_nothing_to_gain_is_said_where_the_machine_stands_well() -> None:
     """And not where it does not."""
     best = slewing(0).best.z
@@ -173,6 +177,7 @@ def test_nothing_to_gain_is_said_where_the_machine_stands_well() -> None:
     assert elsewhere.nothing_to_gain == ""
 
 
+@pytest.mark.long
 def test_a_planar_arm_of_more_joints_has_curves_of_optima() -> None:
     """Dimension n + 1 − 2 − 1, and the second mode decides."""
     for seed in range(40):

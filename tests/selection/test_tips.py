@@ -53,6 +53,7 @@ def test_the_best_of_pipe_laying_stands_on_a_kink(seed: int) -> None:
     assert no_better_nearby(problem, best.z, seed) >= 10
 
 
+@pytest.mark.long
 def test_where_every_solve_stalls_at_the_kink_there_is_an_answer() -> None:
     selection = flexopt.solve_selection(
         pipe_laying(base_range={"x": (3.88, 4.48), "y": (-6.0, -5.7), "yaw": (-2.25, -1.65)})
@@ -60,6 +61,7 @@ def test_where_every_solve_stalls_at_the_kink_there_is_an_answer() -> None:
     np.testing.assert_allclose(selection.best.z, FOUND, atol=2e-3)
 
 
+@pytest.mark.long
 def test_an_optimum_at_a_equal_to_zero() -> None:
     selection = flexopt.select(SLEWING, (6.0, 2.0, 1.0), objective="V", weights=[1.0] * 6, assume="limits")
     assert any("a6 = 0" in name for name in selection.best.kinks)
@@ -80,6 +82,7 @@ def test_a_kink_does_not_prove_what_can_be_left_upwards() -> None:
         assert proof.holds == (mode == 4), mode
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_a_method_without_slopes_finds_nothing_better(number: int) -> None:
     """`python -m benchmarks.choice` tries more."""

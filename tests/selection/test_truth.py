@@ -72,6 +72,7 @@ def test_a_better_point_that_leads_nowhere_is_an_error(machine, monkeypatch):
         flexopt.solve_selection(problem)
 
 
+@pytest.mark.long
 def test_an_end_that_could_not_be_verified_is_told(machine, monkeypatch):
     problem = flexopt.build_selection(machine, TARGET, objective="epsilon_max")
     whole = flexopt.solve_selection(problem)
@@ -107,6 +108,7 @@ def test_points_are_moved_onto_the_rows_under_gravity(machine):
     assert np.abs(problem.rows(there)[:2] - problem.target).max() < 1e-8
 
 
+@pytest.mark.long("epsilon_max,w1-0.001")
 @pytest.mark.parametrize(("objective", "slack"), [("epsilon_max,w1", None), ("epsilon_max,w1", 1e-3), ("w1,w2", 1e-4)])
 def test_the_slack_is_a_share_of_the_value_and_stated(machine, objective, slack):
     share = {} if slack is None else {"slack": slack}
@@ -123,6 +125,7 @@ def test_the_slack_is_a_share_of_the_value_and_stated(machine, objective, slack)
         assert value >= kept.at_least - 1e-8 * size
 
 
+@pytest.mark.long
 def test_the_slack_decides_between_good_optima(machine):
     """The best maxima of ε_max are 4e-5 of it apart: only a slack above that lets the second objective choose."""
     fine, coarse = (

@@ -59,6 +59,7 @@ def test_doubly_robust_postures_of_the_article(control: str) -> None:
         np.testing.assert_allclose(point.scale, e.scale, rtol=1e-10)
 
 
+@pytest.mark.long("inverse")
 @pytest.mark.parametrize("control", CONTROLS)
 def test_curves_are_all_there(control: str) -> None:
     """On lines between those of the atlas's own grid: where a × b changes sign with a·b > 0 there is a curve."""

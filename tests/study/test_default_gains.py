@@ -97,6 +97,7 @@ def test_a_slow_controller_gets_slower_gains() -> None:
     assert corners[1] == pytest.approx(1.0, rel=1e-3)
 
 
+@pytest.mark.long
 def test_a_report_says_which_gains_it_chose(monkeypatch: pytest.MonkeyPatch) -> None:
     # The map of gains is about others; a coarse one will do.
     monkeypatch.setattr(gains_map, "POINTS", 5)

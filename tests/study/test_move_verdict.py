@@ -19,6 +19,7 @@ def judged(name: str, **options: object) -> flexopt.Verdict:
     return flexopt.verdict(flexopt.load_problem(name), **options)  # type: ignore[arg-type]
 
 
+@pytest.mark.long
 def test_the_articles_machine_moves() -> None:
     """Posture A grows with these gains; it drives off, and a nonlinear ensemble over its ground says the same."""
     found = judged("article", loop=ARTICLE)
@@ -67,6 +68,7 @@ def test_values_are_those_of_evaluate() -> None:
     assert "turn of the base, of a move by 0.1 m" in repr(found)
 
 
+@pytest.mark.long
 def test_the_decision_is_the_same_for_the_selection_and_its_problem() -> None:
     selection = flexopt.solve_problem(flexopt.load_problem("article"))
     assert isinstance(selection, flexopt.Selection)
@@ -104,6 +106,7 @@ def test_drives_that_give_nothing_confirm_nothing() -> None:
     assert found.word == "cannot tell"
 
 
+@pytest.mark.long
 def test_what_grows_is_not_said_to_settle_late(tmp_path: Path) -> None:
     found = judged("article", loop=ARTICLE, members=2, runs=0)
     assert found.places[0].decay.least < 0
@@ -116,6 +119,7 @@ def test_what_grows_is_not_said_to_settle_late(tmp_path: Path) -> None:
     assert found.handed_on == ""
 
 
+@pytest.mark.long
 def test_runs_that_wait_longer_than_the_loop_say_so() -> None:
     late = "nonlinear runs wait whole samples: the dead time of 0.008 s is taken as 0.01 s"
     found = judged("article", loop=ARTICLE | {"dead_time": 0.008}, runs=1, members=2, duration=1.0)
@@ -134,6 +138,7 @@ def test_gains_are_changed_where_no_place_bears_them() -> None:
         assert found.gains["kp"][0] < 1e5
 
 
+@pytest.mark.long
 def test_where_no_gains_are_found_it_says_which_were_tried_and_how_others_are() -> None:
     """With so little Kv for its Kp no multiple of the gains is stable; ranges, which are named, have some that are."""
     loop = {"kp": 1e7, "kv": 1e2, "dead_time": 0.02}
@@ -144,6 +149,7 @@ def test_where_no_gains_are_found_it_says_which_were_tried_and_how_others_are() 
     assert judged("article", loop=loop | ranges, runs=0, members=4).word == "change gains"
 
 
+@pytest.mark.long
 def test_a_damper_that_is_too_much_for_the_sampling_rate_is_named() -> None:
     """A damper d of the self-motion of inertia m alternates from d T / m = 2 on, whatever the gains."""
     digger, posture = flexopt.load("boom-stick-bucket"), np.array([-0.9, -1.2, -0.5])
@@ -159,6 +165,7 @@ def test_a_damper_that_is_too_much_for_the_sampling_rate_is_named() -> None:
     assert "half the sampling rate" not in sentence(1e3)
 
 
+@pytest.mark.long
 def test_ranges_of_gains_spare_a_drive() -> None:
     found = judged("article", loop=ARTICLE | {"kp_range": (1.0, 1e5), "kv_range": (1.0, 1e4)}, runs=0)
     assert found.word in {"move", "change gains"}
@@ -259,6 +266,7 @@ def test_a_self_motion_that_nothing_brakes_is_told(
     assert "nullspace_damping brakes it" not in repr(served)
 
 
+@pytest.mark.long
 def test_a_target_that_grows_grows() -> None:
     """At the first of these targets the present place grows with these gains, at the second it decays."""
     machine = flexopt.load("excavator")
@@ -271,6 +279,7 @@ def test_a_target_that_grows_grows() -> None:
     assert stay.stable_share == 0.0
 
 
+@pytest.mark.long
 def test_along_a_path_the_way_is_beside_standing_still() -> None:
     machine = flexopt.load("excavator")
     plan = flexopt.plan_base(machine, TARGETS, starts=1, base=0.0, workers=1, duration=20.0)

@@ -53,6 +53,7 @@ def words_alone(monkeypatch):
     monkeypatch.setattr(page, "_png", lambda figure: "")
 
 
+@pytest.mark.long
 def test_choice_and_loops_are_those_of_the_calls(article):
     best, initial = article.selection.best.evaluation, article.selection.initial
     expected = flexopt.solve_problem(flexopt.load_problem("article"))
@@ -116,6 +117,7 @@ def test_marks_are_where_the_machine_is(article):
         np.testing.assert_allclose(article.marks[name], tip - joint, atol=1e-12)
 
 
+@pytest.mark.long
 def test_files(article, tmp_path):
     web, data = article.write(tmp_path / "new" / "folder")
     assert json.loads(data.read_text(encoding="utf-8")) == json.loads(json.dumps(article.to_dict()))
@@ -146,6 +148,7 @@ def test_files(article, tmp_path):
     repr(article)
 
 
+@pytest.mark.long
 def test_both_grounds_take_little_more_room_than_one_in_all_colours(article):
     """And no point is off by more than anyone sees."""
     figures = {theme: article.figures(theme=theme) for theme in ("light", "dark")}
@@ -160,6 +163,7 @@ def test_both_grounds_take_little_more_room_than_one_in_all_colours(article):
         assert np.abs(off).max() <= 16
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("words_alone")
 def test_machine_in_space():
     machine = tree_from_dict(in_space({"gravity": 9.81} | flexopt.load("excavator").to_dict()))
@@ -207,6 +211,7 @@ def test_faults():
         flexopt.report(problem, simulation={"kp": -1.0})
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("words_alone")
 def test_command(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -232,6 +237,7 @@ def test_command(capsys, tmp_path, monkeypatch):
         assert words in outcome.stderr
 
 
+@pytest.mark.long
 def test_a_run_too_short_for_its_verdict_is_noted():
     """Next to the border of stability ten seconds do not tell; the eigenvalues do."""
     problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), base=0.0)
@@ -243,6 +249,7 @@ def test_a_run_too_short_for_its_verdict_is_noted():
     assert any("too short" in note for note in result.notes)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("words_alone")
 def test_the_verdict_is_that_of_the_call_and_its_loop_that_of_the_runs(capsys, tmp_path, monkeypatch):
     """With as many members as asked for; what `default` leaves out follows from the present place once, for all."""

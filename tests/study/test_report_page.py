@@ -105,6 +105,7 @@ def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     return report.write(tmp_path_factory.mktemp(request.param))[0]
 
 
+@pytest.mark.long
 def test_the_box_says_the_verdicts_own_numbers(judged: flexopt.Report) -> None:
     verdict = judged.verdict
     assert verdict is not None
@@ -173,6 +174,7 @@ def test_no_verdict_says_what_to_give(given: dict[str, Any], words: str, monkeyp
     assert report.to_dict()["no_verdict"] == report.no_verdict
 
 
+@pytest.mark.long
 def test_several_targets(path: Path) -> None:
     """Every shipped kind of problem has a page, headings in order, every picture with words, every table in a box."""
     page, document = Parsed(path.read_text(encoding="utf-8")), json.loads((path.parent / "report.json").read_text())
@@ -234,6 +236,7 @@ def test_a_map_of_followed_postures_says_so(name: str, followed: bool, request: 
         assert (named in words) == (mark in report.marks)
 
 
+@pytest.mark.long("crowded")
 @pytest.mark.parametrize("name", ["judged", "crowded"])
 def test_what_the_command_says_of_a_choice_is_on_the_page(
     name: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
@@ -431,6 +434,7 @@ def test_a_browser_that_prints_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path
         printing.printed("<p>page</p>")
 
 
+@pytest.mark.long
 def test_verdict_command_writes_the_page(capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     outcome = Command(capsys, tmp_path)(
@@ -447,6 +451,7 @@ def test_verdict_command_writes_the_page(capsys: Any, tmp_path: Path, monkeypatc
     assert (tmp_path / "verdict.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.long
 def test_the_edge_that_a_margin_is_from_has_a_minus_sign() -> None:
     digger, posture = flexopt.load("boom-stick-bucket"), (-0.9, -1.2, -0.5)
     target = flexopt.evaluate(digger, posture).end_point

@@ -89,6 +89,7 @@ def mujoco_distance():
     return measure
 
 
+@pytest.mark.long
 def test_capsules_and_boxes_in_mujoco(mujoco_distance):
     """Where the axis is outside: what MuJoCo calls depth beyond that is the depth of one contact, not the shortest way out."""
     rng = np.random.default_rng(0)
