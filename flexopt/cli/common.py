@@ -270,6 +270,15 @@ def check_output(option: str, path: str | None, suffixes: tuple[str, ...]) -> No
         raise InputError(f"{option} = {path!r}: there is no folder {str(target.parent)!r} to write a file into")
 
 
+def check_pdf(path: str | None) -> None:
+    """Find out that a page cannot be printed before the work is done."""
+    from flexopt.foundation.printing import find_browser  # noqa: PLC0415  (only pages need it)
+
+    check_output("--pdf", path, (".pdf",))
+    if path is not None:
+        find_browser()
+
+
 def write_output(option: str, path: str, write: Callable[[], object]) -> None:
     """Run `write`; what the system refuses is bad input of the option."""
     try:
@@ -363,6 +372,7 @@ CONTROL = option(
     help="Jacobian inverse (default), transpose, or damped inverse with LAMBDA > 0 in the unit of Jv's entries.",
 )  # fmt: skip
 GRAVITY = option("--gravity", is_flag=True, help="Measures under static deflection.")
+PDF = value("--pdf", "FILE", "Print the page to a PDF, too; needs Chromium, Chrome or Edge.")
 WEIGHTS = value("--weights", "A1,A2,…", "Weights α of the objective V = Σ αi wi, and β of ε_max after them.", numbers)
 GAIN = value("--gain", "KR", "Servo gain of the margin ε_max (5e5 by default).", number)
 BASE = value("--base", "X[,Y,YAW]", "Placement of the base, m and rad: in a choice, where it stands now.", placement)

@@ -11,8 +11,10 @@ from flexopt.cli.common import (
     CONTROL,
     ELBOW,
     JSON,
+    PDF,
     WEIGHTS,
     check_output,
+    check_pdf,
     check_picture,
     given,
     hand_out,
@@ -85,9 +87,12 @@ def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | No
 @value("--duration", "S", "Of a run, s (20 by default).", number)
 @of_picture("Draw the bands of every place: .png, .svg or .pdf.")
 @value("--html", "FILE", "Write a page: the word, the bands, the table, the rule.")
+@PDF
 @value("--out", "PATH", "Write the JSON document to a file, too.")
 @JSON
-def verdict_command(as_json: bool, problem: str, out: str | None, html: str | None, **options: Any) -> None:
+def verdict_command(
+    as_json: bool, problem: str, out: str | None, html: str | None, pdf: str | None, **options: Any
+) -> None:
     """Move, stay, change gains, or cannot tell: PROBLEM is a problem file, or a machine with --end-point and --base.
 
     The present configuration beside the best ones found, with the controller of --loop, over all that is uncertain.
@@ -97,6 +102,7 @@ def verdict_command(as_json: bool, problem: str, out: str | None, html: str | No
     check_output("--out", out, (".json",))
     draw = check_picture(options)
     check_output("--html", html, (".html",))
+    check_pdf(pdf)
     with option_names(options), warnings_to_stderr(as_json), progress_bar("stages") as progress:
         asked, own = asked_problem("verdict", problem, options)
         settings = given(options, "members", "runs", "duration")
@@ -104,6 +110,8 @@ def verdict_command(as_json: bool, problem: str, out: str | None, html: str | No
         result = verdict(asked, loop=real_loop(own, options["loop"]), ranges=ranges, progress=progress, **settings)
     if html is not None:
         write_output("--html", html, lambda: result.to_html(html))
+    if pdf is not None:
+        write_output("--pdf", pdf, lambda: result.to_pdf(pdf))
     hand_out(result, out, draw, as_json=as_json)
 
 

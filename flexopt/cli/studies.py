@@ -15,9 +15,11 @@ from flexopt.cli.common import (
     GAIN,
     GRAVITY,
     JSON,
+    PDF,
     WEIGHTS,
     check_folder,
     check_output,
+    check_pdf,
     check_picture,
     check_sheet,
     given,
@@ -176,7 +178,7 @@ def reproduce_command(as_json: bool, out: str | None, figures: str | None, **opt
     "--points", "N", "Of the map along each axis (160; 48 in space and with four passive coordinates or more).", whole
 )
 @value("--out", "DIR", "Folder of report.html and report.json (flexopt-report by default).")
-@value("--pdf", "FILE", "Print the page to a PDF, too; needs Chromium, Chrome or Edge.")
+@PDF
 @JSON
 def report_command(as_json: bool, problem: str, out: str | None, pdf: str | None, **options: Any) -> None:
     """Everything about PROBLEM (a problem file, or a machine with --end-point): verdict, choice, map, closed loops.
@@ -184,14 +186,11 @@ def report_command(as_json: bool, problem: str, out: str | None, pdf: str | None
     Writes one HTML report and one JSON file into a folder, which is made if it is missing. Where a controller is known
     (a [loop] in the file, or --loop) the page begins with whether it pays to move.
     """
-    from flexopt.foundation.printing import find_browser  # noqa: PLC0415  (only this command needs it)
-    from flexopt.study import report  # noqa: PLC0415
+    from flexopt.study import report  # noqa: PLC0415  (only this command needs it)
 
     folder = out or PROBLEM_FOLDER
     check_folder("--out", folder)
-    check_output("--pdf", pdf, (".pdf",))
-    if pdf is not None:
-        find_browser()
+    check_pdf(pdf)
     experiment = None if options["experiment"] is None else read(load_experiment, options["experiment"])
     with option_names(options), warnings_to_stderr(as_json), progress_bar("stages") as progress:
         asked, own = asked_problem("report", problem, options)

@@ -44,7 +44,8 @@ class Outcome(Result):
             nearer to 0 than this, 1/s, is neither growth nor decay. frequency_hz: of that motion.
         drift: growth rates of a redundant arm's self-motion, which is no part of the decay, 1/s.
         allowed_gain: largest stable Kp along the present ratio of the gains; gain_intervals: all stable intervals of
-            it, (k, 2); see `LoopPoint.allowed_gain`. Infinite (JSON: null) where no border was met.
+            it, (k, 2); see `LoopPoint.allowed_gain`. Infinite (JSON: null) where no border was met up to 10⁴ times the
+            present gains.
         delay_margin: dead time that may be added, s; see `LoopPoint.delay_margin`. Infinite (JSON: null) where none is
             too long; NaN of a loop that grows. Its gradient is NaN where the dead time would exceed 100 samples.
         disk_margin, sensitivity_peak, complementary_peak: α, ‖S‖∞ and ‖T‖∞, the loop broken at the law's force.
@@ -109,12 +110,12 @@ class Outcome(Result):
     @property
     def _stable(self) -> list[str]:
         """The intervals of Kp in words; an end of the search is no border."""
-        kp = next((x for x in self.settings.kp.tolist() if x > 0), 1.0)
-        words = list[str]()
+        highest, words = self.settings.highest_kp, list[str]()
         for low, high in self.gain_intervals:
-            least, most = (math.isclose(x, kp * 10**end, rel_tol=1e-6) for x, end in ((low, LOW), (high, HIGH)))
+            ends = ((low, highest * 10 ** (LOW - HIGH)), (high, highest))
+            least, most = (math.isclose(x, end, rel_tol=1e-6) for x, end in ends)
             parts = [*([] if least else [f"from {low:.4g}"]), *([] if most else [f"up to {high:.4g}"])]
-            words.append(" ".join(parts) or "without border")
+            words.append(" ".join(parts) or f"wherever it was looked at, {low:.4g} to {high:.4g}")
         return words
 
     @property
@@ -145,8 +146,9 @@ class Outcome(Result):
         lines.append(f"  sampled loop: {self._word}, {self.frequency_hz:.4g} Hz{why}")
         lines += [f"  the arm's self-motion drifts, decay {-rate:+.3g}/s" for rate in self.drift if rate > 0]
         stable = ", ".join(self._stable) or "nowhere"
-        unit = self.settings.gain_units[0] if math.isfinite(self.allowed_gain) else ""
-        lines.append(f"  allowed gain Kp {_told(self.allowed_gain)}{unit and ' ' + unit} (stable: {stable})")
+        most = f"above {self.settings.highest_kp:.4g}" if math.isinf(self.allowed_gain) else _told(self.allowed_gain)
+        unit = "" if math.isnan(self.allowed_gain) else f" {self.settings.gain_units[0]}"
+        lines.append(f"  allowed gain Kp {most}{unit} (stable: {stable})")
         margin = f"{_told(1e3 * self.delay_margin)}{' ms' if math.isfinite(self.delay_margin) else ''}"
         lines.append(
             f"  delay margin {margin}; disk margin {_told(self.disk_margin)}; "

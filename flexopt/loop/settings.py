@@ -17,7 +17,7 @@ from flexopt.foundation.control import RATE_GAIN_UNITS, Control, damping_unit, g
 from flexopt.foundation.results import Result
 from flexopt.loop.gains import DAMPING_RATIO, SHARE, rigid_gains
 from flexopt.loop.levers import servo_gain_of_efforts
-from flexopt.loop.outcome import LoopPoint
+from flexopt.loop.outcome import HIGH, LoopPoint
 from flexopt.loop.small_motions import SmallMotions, small_motions
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Drive, Loop, drive_of, rate_of
@@ -81,6 +81,11 @@ class LoopSettings(Result):
     def gain_units(self) -> tuple[str, str, str]:
         """See the class."""
         return RATE_GAIN_UNITS if self.drive == "velocity" else self.force_units
+
+    @property
+    def highest_kp(self) -> float:
+        """Up to which Kp a border of `allowed_gain` is looked for, of the first row that has one."""
+        return next((x for x in self.kp.tolist() if x > 0), 1.0) * 10**HIGH
 
     @property
     def even(self) -> bool:

@@ -443,10 +443,16 @@ class SelectionProblem:
 
 def elsewhere(problem: SelectionProblem, z: Vector) -> str:
     """Where a configuration that is not at the target holds the end-point; empty where it is there."""
-    point = problem.rows(z)[: problem.target.size]
-    if np.linalg.norm(point - problem.target) <= THERE:
+    point = reached(problem, z)
+    away = float(np.linalg.norm(point - problem.target))
+    if away <= THERE:
         return ""
-    return f"holds the end-point at ({', '.join(f'{x:.4g}' for x in point)}) m, not at the target"
+    return f"holds the end-point at ({', '.join(f'{x:.4g}' for x in point)}) m, not at the target but {away:.3g} m away"
+
+
+def reached(problem: SelectionProblem, z: Vector) -> Vector:
+    """Where a configuration holds the end-point, (n_task,), m."""
+    return problem.rows(z)[: problem.target.size]
 
 
 def broken(problem: SelectionProblem, z: Vector) -> str:

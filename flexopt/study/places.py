@@ -17,3 +17,8 @@ def told(value: float, factor: float, unit: str) -> str:
     if math.isnan(value):
         return "–"
     return f"{factor * value:.4g}{unit}" if math.isfinite(value) else "no border"
+
+
+def allowed(gain: float, unit: str, highest: float) -> str:
+    """An allowed gain as text: above the highest one that was looked at where no border was met up to it."""
+    return f"above {highest:.4g} {unit}" if math.isinf(gain) else told(gain, 1.0, f" {unit}")

@@ -16,7 +16,7 @@ from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
 from flexopt.study.decision import BETTER, gains_in_words, spoken
 from flexopt.study.page import Picture, Table, begun, coordinate, number, picture, sentence, with_minus
-from flexopt.study.places import MOVE, STAY, told
+from flexopt.study.places import MOVE, STAY, allowed, told
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 class Compared(NamedTuple):
     """A measure with a band: the attribute, how it is called, its unit and how many of it are an SI unit.
 
-    `worst`: the end of the band that is told;  `none`: what NaN means.
+    `worst`: the end of the band that is told;  `none`: what NaN means;  `highest`: up to which a border was looked for.
     """
 
     attribute: str
@@ -35,6 +35,7 @@ class Compared(NamedTuple):
     factor: float
     worst: str
     none: str
+    highest: float = math.inf
 
 
 class BoxNumber(NamedTuple):
@@ -51,7 +52,7 @@ def measures(verdict: Verdict) -> tuple[Compared, ...]:
     return (
         Compared("decay", "decay", "1/s", 1.0, "least", ""),
         Compared("settling", "settling time", "s", 1.0, "greatest", f"over {LONGEST:g} s"),
-        Compared("allowed_gain", "allowed Kp", gain, 1.0, "least", "none"),
+        Compared("allowed_gain", "allowed Kp", gain, 1.0, "least", "none", verdict.settings.highest_kp),
         Compared("delay_margin", "delay margin", "ms", 1e3, "least", "none"),
         Compared("swing", f"base swing, move of {MOVE:g} m", f"m{turns}", 1e3, "greatest", "grows"),
     )  # fmt: skip
@@ -91,6 +92,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "left_out": sentence(verdict.left_out),
         "drifts": sentence(verdict.drifts),
         "taken": verdict.taken and sentence(f"staying is judged in {verdict.taken}"),
+        "present": verdict.present_told and sentence(f"{STAY}: {verdict.present_told}"),
         "where": _where(verdict),
         "loop": with_minus(verdict.controller),
         "handed_on": sentence(verdict.handed_on),
@@ -177,7 +179,8 @@ def _worst(place: PlaceVerdict, m: Compared) -> BoxNumber:
     value = getattr(getattr(place, m.attribute), m.worst)
     unit = f" {m.unit}" if m.unit else ""
     none = "grows" if m.attribute == "settling" and place.decay.least <= 0 else m.none
-    return BoxNumber(none if math.isnan(value) else with_minus(told(value, m.factor, unit)), value)
+    text = told(value, m.factor, unit) if math.isinf(m.highest) else allowed(value, m.unit, m.highest)
+    return BoxNumber(none if math.isnan(value) else with_minus(text), value)
 
 
 def _pictures(verdict: Verdict) -> list[Picture]:

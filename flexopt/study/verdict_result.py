@@ -12,18 +12,19 @@ import numpy as np
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import path, public
 from flexopt.foundation.pictures import Pictured
+from flexopt.foundation.printing import printed
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
-from flexopt.selection.problem import broken, elsewhere
+from flexopt.selection.problem import broken, elsewhere, reached
 from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import RULE, Word, gains_in_words, spoken
 from flexopt.study.place_loops import Chosen, found_in, problems_of
-from flexopt.study.places import FIRST, MOVE, STAY, TOLD, told
+from flexopt.study.places import FIRST, MOVE, STAY, TOLD, allowed, told
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
@@ -114,6 +115,9 @@ class Verdict(Pictured, Result):
         uncertainty: intervals by name;  members: how many points of them were looked at;  proven: False: bands are what
             was found among these points, and by a search from the slowest ones.
         selection: the problem's answer;  targets: (K, n_task), m.
+        present_end_point: where staying holds the end-point at each target, (K, n_task), m; None where no posture
+            reaches them from there.  present_off: how far from its target, of several the farthest, m, or None: what
+            is more than a centimetre off is told in words, too, and the numbers of staying are those beside the target.
 
     Example:
         >>> len(answer.places) == len(answer.table)
@@ -134,8 +138,8 @@ class Verdict(Pictured, Result):
     provenance: Document = field(repr=False)
 
     DOCUMENT = """
-    word sentence place reason measure gains rule targets[m] places settings uncertainty=_uncertainty members judged
-    proven provenance
+    word sentence place reason measure gains rule targets[m] present_end_point[m] present_off[m] places settings
+    uncertainty=_uncertainty members judged proven provenance
     """
 
     @property
@@ -152,6 +156,29 @@ class Verdict(Pictured, Result):
     def targets(self) -> Vector:
         """See the class."""
         return np.array([problem.target for problem in self.problems])
+
+    @property
+    def present_end_point(self) -> Vector | None:
+        """See the class."""
+        stay = self._stay
+        if stay is None:
+            return None
+        pairs = zip(self.problems, stay.stands, strict=True)
+        return np.array([reached(problem, np.concatenate(stand)) for problem, stand in pairs])
+
+    @property
+    def present_off(self) -> float | None:
+        """See the class."""
+        points = self.present_end_point
+        return None if points is None else float(np.linalg.norm(points - self.targets, axis=1).max())
+
+    @property
+    def present_told(self) -> str:
+        """Where the present posture of one target is off it, and which constraints it breaks; empty where neither."""
+        if self._stay is None or len(self.problems) > 1:
+            return ""
+        problem, z = self.problems[0], np.concatenate(self._stay.stands[0])
+        return "; ".join(filter(None, (elsewhere(problem, z), broken(problem, z))))
 
     @property
     def sentence(self) -> str:
@@ -214,7 +241,7 @@ class Verdict(Pictured, Result):
     @property
     def handed_on(self) -> str:
         """Which gains follow from the posture, and how other calls are given them; empty where all were given."""
-        where = "the present place" if self._stays else FIRST
+        where = "the present place" if self._stay else FIRST
         return self.settings.handed_on(f"{where} at target 1" if len(self.problems) > 1 else where)
 
     @property
@@ -252,11 +279,32 @@ class Verdict(Pictured, Result):
 
         write_file(path, verdict_html(self))
 
+    @public(path=path(".pdf"))
+    def to_pdf(self, path: str | os.PathLike[str]) -> None:
+        """Write the page as it is on paper, all folds open, through a browser that is installed.
+
+        Args:
+            path: file to write, `.pdf`.
+
+        Raises:
+            InputError: there is no browser; the message says what to install.
+            FlexoptError: the browser printed nothing.
+            WriteError: the file cannot be written.
+
+        Example:
+            >>> import contextlib
+            >>> with contextlib.suppress(flexopt.InputError):  # where no browser is found
+            ...     answer.to_pdf("verdict.pdf")
+        """
+        from flexopt.study.verdict_page import verdict_html  # noqa: PLC0415
+
+        write_file(path, printed(verdict_html(self)))
+
     @property
     def taken(self) -> str:
         """In which posture staying is judged, where the problem does not say; empty where it does."""
         many, given = len(self.problems) > 1, self.problems[0].present_posture is not None
-        if not self._stays:
+        if self._stay is None:
             return ""
         if many:
             # No one posture is how the arm is held.
@@ -265,8 +313,8 @@ class Verdict(Pictured, Result):
         return "" if given else "a posture that reaches the target: how the arm is held was not given"
 
     @property
-    def _stays(self) -> bool:
-        return any(place.name == STAY for place in self.places)
+    def _stay(self) -> PlaceVerdict | None:
+        return next((place for place in self.places if place.name == STAY), None)
 
     def _where(self, place: PlaceVerdict) -> str:
         machine, many = self.problems[0].machine, len(self.problems) > 1
@@ -280,10 +328,8 @@ class Verdict(Pictured, Result):
         why = f" ({self.taken})" if place.name == STAY and self.taken else ""
         first, held = stands[0]
         if not many:
-            problem, z = self.problems[0], np.concatenate(place.stands[0])
-            told = (elsewhere(problem, z), broken(problem, z)) if place.name == STAY else ()
-            off = "; ".join(filter(None, told))
-            return f"{first}; {held}{why}{off and f' ({off})'}"
+            off = f" ({self.present_told})" if place.name == STAY and self.present_told else ""
+            return f"{first}; {held}{why}{off}"
         lines = [f"{first}{why}"]
         for k, (placed, held) in enumerate(stands):
             moved = f"{placed}; " if k and placed != stands[k - 1][0] else ""
@@ -311,7 +357,7 @@ class Verdict(Pictured, Result):
 
     def __repr__(self) -> str:
         unit = self.settings.gain_units[0]
-        wide = max(15, len(unit) + 11)
+        wide = max(15, len(unit) + 13)
         lines = [
             f"{self.problems[0].machine.name}: {self.controller}",
             *self.settings.proposed,
@@ -322,7 +368,8 @@ class Verdict(Pictured, Result):
             f"  {'place':12} {'drive':>8} {'decay, slowest':>26} {'allowed Kp':>{wide}} {'delay margin':>13} "
             f"{'settling':>10} {'turn':>11}   nonlinear runs",
         ]
-        lines += [_row(place, f" {unit}", wide) for place in self.places]
+        highest = self.settings.highest_kp
+        lines += [_row(place, allowed(place.allowed_gain.least, unit, highest), wide) for place in self.places]
         lines += [f"  {self.left_out}"] * bool(self.left_out)
         if any(place.decay.least <= 0 for place in self.places):
             lines.append("  –: there is none, for on some ground it grows")
@@ -342,11 +389,11 @@ def _interval(each: Uncertainty, machine: AnyMachine) -> str:
     return f"{each.name} {low:g} to {high:g} {' or '.join(sorted(units))}".rstrip()
 
 
-def _row(place: PlaceVerdict, gain_unit: str, wide: int) -> str:
+def _row(place: PlaceVerdict, gain: str, wide: int) -> str:
     drive = "" if place.name == STAY else "–" if math.isnan(place.drive) else f"{place.drive:.2f} m"
     decay = f"{place.decay.nominal:+.4g}, {place.decay.least:+.4g}/s"
     return (
-        f"  {place.name:12} {drive:>8} {decay:>26} {told(place.allowed_gain.least, 1, gain_unit):>{wide}} "
+        f"  {place.name:12} {drive:>8} {decay:>26} {gain:>{wide}} "
         f"{told(place.delay_margin.least, 1e3, ' ms'):>13} {told(place.settling.greatest, 1, ' s'):>10} "
         f"{told(place.swing.greatest, 1e3, ' m' + place.swing_unit):>11}   {place.shown_runs}"
     )

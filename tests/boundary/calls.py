@@ -412,7 +412,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
 }
 
 # Their good calls take minutes, or a browser; they run in the tests of their own rooms.
-LONG = ("verify_bundle", "Report.to_pdf")
+LONG = ("verify_bundle", "Report.to_pdf", "Verdict.to_pdf")
 
 CONSTRUCTORS: dict[str, Callable[[], dict[str, Any]]] = {
     "Actuator": lambda: {
@@ -671,6 +671,7 @@ METHODS: dict[str, Callable[[], dict[str, Any]]] = {
     "Tree.travel": lambda: {"cylinder": tree().cylinders[0]},
     "Verdict.plot": lambda: {"path": "verdict.png", **PICTURE},
     "Verdict.to_html": lambda: {"path": "verdict.html"},
+    "Verdict.to_pdf": lambda: {"path": "verdict.pdf"},
     "WorkspaceMap.array": lambda: {"name": "w"},
     "WorkspaceMap.fraction": lambda: {"mask": np.ones((4, 4), dtype=bool)},
     "WorkspaceMap.in_phase_fraction": lambda: {"modes": (1, 2), "strict": False},

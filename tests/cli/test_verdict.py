@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import flexopt
@@ -86,14 +87,15 @@ def test_a_present_posture_beside_the_target_is_told(command: Command) -> None:
     asked = ("excavator", "--end-point", "0,1.6", "--base", "0", "--posture", "0.5,-1.5")
     words = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--ranges", "payload.mass=0,200", "--members", "2", "--runs", "0")
     point = flexopt.evaluate(flexopt.load("excavator"), (0.5, -1.5)).end_point
-    sentence = f"holds the end-point at ({point[0]:.4g}, {point[1]:.4g}) m, not at the target"
+    sentence = f"holds the end-point at ({point[0]:.4g}, {point[1]:.4g}) m, not at the target but"
     shown = command("verdict", *asked, *words).stdout
     assert shown.count(sentence) == 1
+    assert f"{sentence} {np.hypot(*(point - (0.0, 1.6))):.3g} m away" in shown
     assert "uncertain: payload.mass 0 to 200 kg; 2 members" in shown
     for objective in ("w1", "decay"):
         chosen = command("select", *asked, "--objective", objective, "--loop", "kp=1e4", "--starts", "2").stdout
         rows = [line for line in chosen.splitlines() if line.startswith("   now ")]
-        assert [row.endswith(sentence) for row in rows] == [True]
+        assert [sentence in row for row in rows] == [True]
 
 
 def test_regions_are_those_of_python(command: Command) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ import pytest
 
 import flexopt
 from flexopt.study import page
+from flexopt.study.page import with_minus
+from flexopt.study.places import allowed, told
 
 ARTICLE = {"kp": 1e4, "kv": 1e3}
 
@@ -117,6 +120,31 @@ def test_what_grows_is_not_said_to_settle_late(tmp_path: Path) -> None:
     assert "Staying is judged in a posture that reaches the target: how the arm is held was not given." in words
     assert "Kp 1e+04 N m, Kv 1000 N m s" in words
     assert found.handed_on == ""
+
+
+def test_a_present_posture_beside_the_target_is_told_on_the_page_and_in_the_document(tmp_path: Path) -> None:
+    machine, posture = flexopt.load("excavator"), (1.02, -2.6)
+    problem = flexopt.build_selection(machine, (0.0, 1.6), base=0.0, posture=posture, starts=2)
+    found = flexopt.verdict(problem, loop={"kp": 1e4, "kv": 1e3}, members=2, runs=0)
+    point = flexopt.evaluate(machine, posture).end_point
+    off = float(np.hypot(*(point - (0.0, 1.6))))
+    document = found.to_dict()
+    np.testing.assert_allclose(document["present_end_point"], [point], atol=1e-9)
+    assert document["present_off"] == pytest.approx(off, abs=1e-9)
+    assert f"not at the target but {off:.3g} m away" in repr(found)
+    found.to_html(tmp_path / "verdict.html")
+    words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
+    assert f"<p>Stay: {with_minus(found.present_told)}.</p>" in words
+    there = flexopt.verdict(machine, (0.0, 1.6), base=0.0, loop={"kp": 1e4, "kv": 1e3}, starts=2, members=2, runs=0)
+    assert there.present_told == ""
+    assert there.to_dict()["present_off"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_no_border_of_the_gain_is_one_above_the_highest_that_was_tried() -> None:
+    assert allowed(math.inf, "N m", 1e8) == "above 1e+08 N m"
+    assert allowed(5e4, "N m", 1e8) == "5e+04 N m"
+    assert allowed(math.nan, "N m", 1e8) == "–"
+    assert told(math.inf, 1e3, " ms") == "no border"
 
 
 @pytest.mark.long

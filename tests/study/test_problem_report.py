@@ -107,7 +107,7 @@ def test_a_present_posture_beside_the_target_is_told(article):
     held = flexopt.evaluate(flexopt.load("excavator"), (0.5, -1.5))
     elsewhere = replace(article, selection=replace(article.selection, initial=held))
     x, y = held.end_point
-    assert f"Present: holds the end-point at ({x:.4g}, {y:.4g}) m, not at the target." in placed(elsewhere)[1]
+    assert f"Present: holds the end-point at ({x:.4g}, {y:.4g}) m, not at the target but" in placed(elsewhere)[1]
     assert "Present: one of the postures that reach the target from there: none was given." in placed(article)[1]
 
 

@@ -394,6 +394,16 @@ def test_pdf(judged: flexopt.Report, tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.needs("chromium")
+def test_a_verdict_alone_is_printed(judged: flexopt.Report, tmp_path: Path) -> None:
+    assert judged.verdict is not None
+    judged.verdict.to_pdf(tmp_path / "verdict.pdf")
+    text = " ".join(page.extract_text() for page in pypdf.PdfReader(tmp_path / "verdict.pdf").pages)
+    assert "Does it pay to move?" in text
+    # What is folded on the screen.
+    assert "CANNOT TELL: all else" in " ".join(text.split())
+
+
+@pytest.mark.needs("chromium")
 def test_the_page_of_a_verdict_fits(judged: flexopt.Report, tmp_path: Path, chromium: Browser) -> None:
     """On a phone, where its table scrolls in its box, and on paper, where none is cut."""
     assert judged.verdict is not None
@@ -416,9 +426,10 @@ def no_browser(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.mark.usefixtures("no_browser")
 def test_without_a_browser_one_error_before_the_work(capsys: Any, tmp_path: Path) -> None:
-    outcome = Command(capsys, tmp_path)("report", "article", "--pdf", str(tmp_path / "report.pdf"))
-    assert outcome.code == 2
-    assert "install Chromium, Google Chrome or Microsoft Edge" in outcome.stderr
+    for command in ("report", "verdict"):
+        outcome = Command(capsys, tmp_path)(command, "article", "--pdf", str(tmp_path / "page.pdf"))
+        assert outcome.code == 2
+        assert "install Chromium, Google Chrome or Microsoft Edge" in outcome.stderr
     outcome = Command(capsys, tmp_path)("report", "article", "--pdf", "report.txt")
     assert outcome.code == 2
     assert "must end in .pdf" in outcome.stderr
