@@ -175,9 +175,10 @@ class Verdict(Pictured, Result):
     @property
     def present_told(self) -> str:
         """Where the present posture of one target is off it, and which constraints it breaks; empty where neither."""
-        if self._stay is None or len(self.problems) > 1:
+        problem, several = self.problems[0], len(self.problems) > 1
+        if self._stay is None or several:
             return ""
-        problem, z = self.problems[0], np.concatenate(self._stay.stands[0])
+        z = np.concatenate(self._stay.stands[0])
         return "; ".join(filter(None, (elsewhere(problem, z), broken(problem, z))))
 
     @property
