@@ -147,7 +147,7 @@ def option_names(options: dict[str, Any]) -> Generator[None]:
         renamed: list[Fault] = []
         for fault in error.faults:
             name, rest = cast(re.Match[str], re.match(r"([\w-]*)(.*)", fault.field, re.DOTALL)).groups()
-            word = spelled.get(name, name)
+            word = name if name in asked else spelled.get(name, name)
             # What no option gave may be a file's.
             missing = word in asked and asked[word] is None and fault.value in (None, "None")
             given = asked.get(word) not in (None, ()) or (missing and fault.sentence.startswith(NEEDED))

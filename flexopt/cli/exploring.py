@@ -21,6 +21,7 @@ from flexopt.cli.common import (
     say,
     value,
     warnings_to_stderr,
+    whole,
     write_output,
 )
 from flexopt.cli.judging import LOOP, real_loop
@@ -37,13 +38,15 @@ PAGE = "flexopt-explorer.html"
 @CONTROL
 @GRAVITY
 @LOOP
+@value("--target", "K", "Of a problem of several targets: which one is shown, from 1 on (1 by default).", whole)
 @value("--out", "FILE.html", f"The page ({PAGE} by default).")
 @JSON
 def explore_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
     """Write a page on which MACHINE (a name or a file of a machine or problem) is moved with the mouse.
 
     End-point and base can be dragged; modes, w_i, a map of them and how fast the loop decays follow. The browser
-    computes it all, without network or server. Of a problem the recommended configuration is computed and shown, too.
+    computes it all, without network or server. Of a problem the recommended configuration is computed and shown, too;
+    of several targets (end_points) the placement for all, held as for one. A problem with a path is refused.
     """
     from flexopt.explorer import explore  # noqa: PLC0415  (only this command needs it)
 

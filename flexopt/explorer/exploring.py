@@ -21,10 +21,11 @@ from flexopt.explorer.graphs import explorer_functions, scripts
 from flexopt.explorer.meshes import Meshes, body_meshes
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, Document, PostureLike, Progress, Vector
-from flexopt.foundation.boundary import path, public
+from flexopt.foundation.boundary import anything, path, public
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import json_ready, provenance
 from flexopt.foundation.palette import LIGHT, PALETTES
+from flexopt.foundation.quantities import whole_number
 from flexopt.foundation.rendering import render
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
@@ -32,12 +33,14 @@ from flexopt.loop.evaluation import settings_at
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.loop import Loop, LoopLike
 from flexopt.plant import build_plant
+from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.measures import build_measures
-from flexopt.selection import SelectionProblem, select, solve_selection
-from flexopt.study.asked import one_target
+from flexopt.selection import SelectionProblem, select, select_stand, solve_selection
+from flexopt.selection.solve import initial_evaluation
+from flexopt.study.asked import one_placement
 
 # What a problem would say.
-NOTHING_ASKED: dict[str, Any] = {"target": None, "objective": None, "weights": None}
+NOTHING_ASKED: dict[str, Any] = {"target": None, "which": "", "objective": None, "weights": None}
 # Height of the page in a notebook, px.
 HEIGHT = 900
 PRESENT, BEST = "present", "recommended"
@@ -111,25 +114,30 @@ class Explorer(Result):
 
 
 def _explored(arguments: Arguments, field: str, value: Any) -> Any:
-    """A machine, or a problem of one target."""
+    """A machine, or a problem of one placement."""
     if isinstance(value, AnyMachine):
         arguments.of = value
         return value
     if isinstance(value, Problem | SelectionProblem):
-        return one_target(arguments, field, value)
+        return one_placement(arguments, field, value)
     arguments.note(field, "must be a machine or a problem, from flexopt.load or flexopt.load_problem", value)
     return value
 
 
 def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
-    """A problem brings control and configuration."""
-    if isinstance(given["machine_or_problem"], Problem | SelectionProblem):
+    """A problem brings control and configuration; one of several targets lets choose among them."""
+    asked, chosen = given["machine_or_problem"], given["target"]
+    if isinstance(asked, Problem) and asked.target.end_points is not None:
+        arguments.checked("target", 1 if chosen is None else chosen, whole_number(1, len(asked.target.end_points)), 1)
+    elif chosen is not None:
+        arguments.note("target", "goes with a problem of several targets, target.end_points", chosen)
+    if isinstance(asked, Problem | SelectionProblem):
         for name in ("posture", "base", "control", "gravity"):
             if given[name] is not None and given[name] is not False:
                 arguments.note(name, "goes with a machine; the problem brings its own", given[name])
 
 
-@public(machine_or_problem=_explored, together=_together)
+@public(machine_or_problem=_explored, target=anything, together=_together)
 def explore(
     machine_or_problem: AnyMachine | Problem | SelectionProblem,
     posture: PostureLike | None = None,
@@ -138,6 +146,7 @@ def explore(
     control: Control | None = None,
     gravity: bool = False,
     loop: LoopLike | None = None,
+    target: int | None = None,
     progress: Progress | None = None,
 ) -> Explorer:
     """One HTML page on which a machine is moved with the mouse, computed in the browser with its own graphs.
@@ -149,12 +158,14 @@ def explore(
 
     Args:
         machine_or_problem: from `flexopt.load`, `flexopt.load_problem` or `flexopt.build_selection`. Of a problem the
-            recommended configuration is computed and shown as a ghost.
+            recommended configuration is computed and shown as a ghost. Of several targets (`target.end_points`) it is
+            the placement for all of them with the posture of one; a path (`target.path`) is refused.
         posture: of a machine: the actuated joints at first, (n,), rad or m; by default one far from singular ones.
         base: of a machine: its placement at first, (n_b,), m and rad; 0 by default.
         control: of a machine: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; by default the loop's.
         gravity: of a machine: everything under static deflection, as in `flexopt.evaluate`.
         loop: the real controller, as in `flexopt.outcome`; the machine's own by default.
+        target: of a problem of several targets: the number of the one that is shown, from 1 on; the first by default.
         progress: of a problem: called with the number of starts done and of all, as it is solved.
 
     Returns:
@@ -178,18 +189,30 @@ def explore(
         start = _open_posture(machine, place) if posture is None else cast(Vector, posture)
         return _page(machine, {PRESENT: (place, start)}, control, known, gravity, {"title": machine.name})
     asked = machine_or_problem
-    if isinstance(asked, Problem):
-        found = select(**asked.select_arguments(), progress=progress)
-    else:
-        found = solve_selection(asked, progress=progress)
-    problem = found.problem
-    stands = {PRESENT: found.initial, BEST: found.best.evaluation}
+    problem, stands, which = _solved(asked, target or 1, progress)
     configurations = {name: (stand.base, stand.posture) for name, stand in stands.items() if stand is not None}
     title, own = (asked.name, asked.loop) if isinstance(asked, Problem) else (problem.machine.name, None)
     sought = problem.objectives[-1]
-    told = {"title": title, "target": problem.target.tolist(), "objective": sought.name, "weights": sought.alpha}
+    told = {"title": title, "target": problem.target.tolist(), "which": which}
+    told |= {"objective": sought.name, "weights": sought.alpha}
     known = own if known is None else known
     return _page(problem.machine, configurations, problem.control, known, problem.gravity, told)
+
+
+def _solved(
+    asked: Problem | SelectionProblem, number: int, progress: Progress | None
+) -> tuple[SelectionProblem, dict[str, Evaluation | None], str]:
+    """The problem of one target, its configurations by name, and which of several targets it is, in words."""
+    if isinstance(asked, SelectionProblem):
+        found = solve_selection(asked, progress=progress)
+    elif asked.target.end_points is not None:
+        stand = select_stand(**asked.select_arguments(), progress=progress)
+        problem, best = stand.problems[number - 1], stand.places[number - 1].evaluation
+        which = f"target {number} of {len(stand.places)}"
+        return problem, {PRESENT: initial_evaluation(problem), BEST: best}, which
+    else:
+        found = select(**asked.select_arguments(), progress=progress)
+    return found.problem, {PRESENT: found.initial, BEST: found.best.evaluation}, ""
 
 
 def _page(

@@ -136,7 +136,7 @@ def select(
         problem = next(iter(problems.values()))
         own = under_control(real or Loop(), machine, problem.control, "select")
         choose = cast(Any, room("outcome_selection_in_order"))
-        return choose(problems, own, ranges or (), _initial(problem), workers, progress, least)
+        return choose(problems, own, ranges or (), initial_evaluation(problem), workers, progress, least)
     problem = build_selection(machine, target, constraints=constraints, **keywords)
     return solve_selection(problem, workers=workers, progress=progress)
 
@@ -196,7 +196,7 @@ def solved(
     return Selection(
         best=candidates[0],
         candidates=tuple(candidates),
-        initial=_initial(problem),
+        initial=initial_evaluation(problem),
         attempts=tuple(attempts),
         kept=tuple(kept),
         problem=problem,
@@ -336,7 +336,7 @@ def _nearness(problem: SelectionProblem, candidate: Candidate) -> float:
     return -travel(problem, candidate.z)
 
 
-def _initial(problem: SelectionProblem) -> Evaluation | None:
+def initial_evaluation(problem: SelectionProblem) -> Evaluation | None:
     """The present configuration; where no posture is given, one that reaches the target from the present base."""
     base, posture = problem.present_base, problem.present_posture
     if base is None:

@@ -23,10 +23,10 @@ def any_problem(arguments: Arguments, field: str, value: Any) -> Any:
     return value
 
 
-def one_target(arguments: Arguments, field: str, value: Any) -> Any:
-    """A problem of one target."""
+def one_placement(arguments: Arguments, field: str, value: Any) -> Any:
+    """A problem of one target, or of several from one placement."""
     value = any_problem(arguments, field, value)
-    if isinstance(value, Problem) and value.target.kind != "end_point":
-        sentence = f"must have one target, target.end_point, not target.{value.target.kind}"
+    if isinstance(value, Problem) and value.target.kind == "path":
+        sentence = "must ask for one placement, by target.end_point or target.end_points, not target.path"
         arguments.faults.append(Fault(field, sentence, value.name))
     return value

@@ -199,6 +199,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         "control": "inverse",
         "gravity": False,
         "loop": {"kp": 1e4, "kv": 1e3},
+        "target": None,
         "progress": print,
     },
     "explain": lambda: _machine(

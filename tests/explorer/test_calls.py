@@ -34,8 +34,8 @@ def test_faults_are_named_together() -> None:
     assert {fault.field for fault in caught.value.faults} == {"posture", "base"}
     with pytest.raises(InputError, match="the problem brings its own"):
         flexopt.explore(flexopt.load_problem("article"), POSTURE)
-    with pytest.raises(InputError, match="must have one target"):
-        flexopt.explore(flexopt.load_problem("stations"))
+    with pytest.raises(InputError, match=r"must ask for one placement.*not target\.path"):
+        flexopt.explore(flexopt.load_problem("trench"))
     with pytest.raises(InputError, match="must be a machine or a problem"):
         flexopt.explore("excavator")
     with pytest.raises(SingularPosture):
@@ -91,3 +91,39 @@ def test_progress_of_a_problem_is_told() -> None:
     told = list[tuple[int, int]]()
     flexopt.explore(flexopt.load_problem("article"), progress=lambda *done: told.append(done))
     assert told[-1][0] == told[-1][1] > 0
+
+
+def test_of_several_targets_one_is_shown(tmp_path: Path) -> None:
+    """The placement of `select_stand` with the posture at that target, the first by default."""
+    file = tmp_path / "stand.toml"
+    file.write_text(
+        'schema = 1\nname = "stand"\nmachine = "excavator"\n[target]\nend_points = [[0.0, 1.6], [0.2, 1.4]]\n'
+        '[selection]\nobjective = "w1"\nbase = 0.0\nstarts = 2\n'
+    )
+    problem = flexopt.load_problem(str(file))
+    places = flexopt.select_stand(**problem.select_arguments()).places
+    for chosen, number in ((None, 1), (2, 2)):
+        explorer = flexopt.explore(problem, target=chosen)
+        base, posture = explorer.configurations["recommended"]
+        assert base == pytest.approx(places[number - 1].evaluation.base)
+        assert posture == pytest.approx(places[number - 1].evaluation.posture)
+        assert explorer.configurations["present"][0] == pytest.approx([0.0])
+        assert f'"which": "target {number} of 2"' in explorer.page
+    for wrong in (0, 3, 1.5, True):
+        with pytest.raises(InputError, match=r"target.*must be a whole number between 1 and 2"):
+            flexopt.explore(problem, target=wrong)
+    for other in (flexopt.load("excavator"), flexopt.load_problem("article")):
+        with pytest.raises(InputError, match=r"target.*goes with a problem of several targets") as caught:
+            flexopt.explore(other, target=1)
+        assert len(caught.value.faults) == 1
+
+
+def test_the_command_names_its_option(capsys: pytest.CaptureFixture[str]) -> None:
+    for problem, number, sentence in (
+        ("stations", "4", "--target = 4: must be a whole number between 1 and 3"),
+        ("article", "1", "--target = 1: goes with a problem of several targets"),
+    ):
+        with pytest.raises(SystemExit) as left:
+            main(["explore", problem, "--target", number])
+        assert left.value.code == 2
+        assert sentence in capsys.readouterr().err

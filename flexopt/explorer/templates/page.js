@@ -243,7 +243,7 @@ class Explorer extends Pictures {
     $("fit").addEventListener("click", () => this.touched(true));
     $("theme").addEventListener("click", () => this.setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"));
     $("reset").addEventListener("click", () => this.reset());
-    if ("recommended" in data.configurations) $("help").append(" Faint orange: the recommended configuration; cross: the target.");
+    if ("recommended" in data.configurations) $("help").append(` Faint orange: the recommended configuration${data.which && `, the same placement for all targets, at ${data.which}`}; cross: ${data.which ? "that" : "the"} target.`);
     $("recommend").hidden = !("recommended" in data.configurations);
     $("recommend").addEventListener("click", () => this.go("recommended"));
   }
