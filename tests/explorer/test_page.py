@@ -12,7 +12,7 @@ from playwright.sync_api import Browser, Page
 
 import flexopt
 from flexopt.explorer.exploring import Explorer
-from flexopt.model import AnyMachine
+from flexopt.model import AnyMachine, shipped_names
 from tests.browser import wide_tables
 from tests.explorer.browser import POSTURE, drag, explored, opened, settled, state
 
@@ -249,6 +249,59 @@ def test_arrows_of_all_modes_are_in_the_picture(name: str, width: int, chromium:
           return Math.max(-(x + u), x + u - view.width, -(y - v), y - v - view.height);
         })))"""
         assert max(page.evaluate(beyond)) < 0
+
+
+# Of each view: how far what is drawn goes beyond its edge, px, and how far handles do; negative inside.
+DRAWN = """explorer.views.map((view) => {
+  const beyond = ([x, y], r = 0) => Math.max(r - x, x + r - view.width, r - y, y + r - view.height);
+  return Math.max(...[explorer.shape, ...explorer.ghosts.map((ghost) => ghost.shape)].flatMap((shape) => [
+    ...[...shape.points, ...shape.support].map((point) => beyond(view.at(point))),
+    ...shape.capsules.flatMap(({ ends, radius }) => ends.map((end) => beyond(view.at(end), view.scale * radius))),
+  ]));
+})"""
+HANDLES = """explorer.views.flatMap((view) => [...view.box.querySelectorAll(".handle")].map((handle) => {
+  const [box, own] = [view.canvas, handle].map((each) => each.getBoundingClientRect());
+  return Math.max(box.left - own.left, own.right - box.right, box.top - own.top, own.bottom - box.bottom);
+}))"""
+
+
+@pytest.mark.parametrize("name", shipped_names("models"))
+@pytest.mark.parametrize("width", [400, 1280])
+def test_all_that_is_drawn_is_in_the_first_view(name: str, width: int, chromium: Browser, pages: Path) -> None:
+    _, explorer = explored(name)
+    with opened(chromium, explorer, pages, viewport={"width": width, "height": 900}) as page:
+        settled(page)
+        assert max(page.evaluate(DRAWN)) < 0
+        assert max(page.evaluate(HANDLES)) < 0.5
+
+
+def test_wherever_it_stands_it_is_in_the_first_view(chromium: Browser, pages: Path) -> None:
+    """Nearer to who looks than the origin, too: ground is lower in the picture there."""
+    explorer = flexopt.explore(flexopt.load("mobile-manipulator"), base=[4.0, -4.0, 0.0])
+    with opened(chromium, explorer, pages) as page:
+        assert max(page.evaluate(DRAWN)) < 0
+        assert max(page.evaluate(HANDLES)) < 0.5
+
+
+def test_a_handle_let_go_of_is_in_the_picture(chromium: Browser, pages: Path) -> None:
+    """During the drag the picture stays as it is."""
+    _, explorer = explored("slewing-excavator")
+    with opened(chromium, explorer, pages) as page:
+        page.locator("#motion").select_option("off")
+        above, beyond = page.locator(".view").nth(1), list[float]()
+        for handle in [".handle.end"] * 2 + [".handle.base"] * 4:
+            box = above.locator(handle).bounding_box()
+            assert box is not None
+            x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+            page.mouse.move(x, y)
+            page.mouse.down()
+            page.mouse.move(x, y + 60, steps=6)
+            settled(page)
+            beyond.append(max(page.evaluate(HANDLES)))
+            page.mouse.up()
+            settled(page)
+            assert max(page.evaluate(HANDLES)) < 0.5
+        assert max(beyond) > 0.5
 
 
 @pytest.mark.parametrize("name", ["excavator", "truck-crane"])

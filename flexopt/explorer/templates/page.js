@@ -154,7 +154,7 @@ class Explorer extends Pictures {
       if (last !== null) this.pull = { view, kind, from: last, dx: e.clientX - last.x, dy: e.clientY - last.y };
       if (last !== null) this.wake();
     });
-    const drop = () => { last = null; this.dragged = false; this.touched(); };
+    const drop = () => { last = null; this.dragged = false; this.released = true; this.touched(); };
     button.addEventListener("pointerup", drop);
     button.addEventListener("pointercancel", drop);
     button.addEventListener("keydown", (e) => {
@@ -163,6 +163,7 @@ class Explorer extends Pictures {
       e.preventDefault();
       const far = view.scale * STEP * this.data.size * (e.shiftKey ? FAR : 1);
       const move = (kind === "end" ? view.risen : view.level).call(view, far * way[0], -far * way[1]);
+      this.released = true;
       this.moveBy(kind, { target: this.target, base: this.base }, move);
     });
     return button;
@@ -357,7 +358,8 @@ class Explorer extends Pictures {
     }
     if (this.changed) this.recompute(now);
     if (this.resized) this.layout();
-    if (this.refit) this.fit();
+    // What is let go of must be within reach of the next drag.
+    if (this.refit || (this.released && this.views.some((view) => this.beyond(view)))) this.fit();
     if (this.axes !== null) {
       // A frame computes a part of the map or draws a new one, not both.
       if (!this.recolour) {
@@ -371,7 +373,7 @@ class Explorer extends Pictures {
       if (this.recolour && this.map.colour(this.measure)) this.legend();
     }
     this.draw(now);
-    this.changed = this.resized = this.refit = false;
+    this.changed = this.resized = this.refit = this.released = false;
     this.recolour = this.fresh;
     this.fresh = false;
     this.log.frames.push(performance.now() - begun);

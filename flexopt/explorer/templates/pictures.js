@@ -24,23 +24,22 @@ class Pictures {
     this.refit = true;
   }
 
-  // The part of the plane that holds what the arm reaches from here, and the ghost.
+  // The part of the plane that holds all that is drawn, and what the arm reaches from here, down to a little below ground.
   fit() {
-    const { model, data, base } = this, d = data.dimensions;
-    const points = [...this.shape.points, ...this.ghosts.flatMap((ghost) => ghost.shape.points),
-      ...this.meshes.extent(this.shape.places)];
+    const { model, data, base } = this, d = data.dimensions, reached = [];
     const seed = { x: 1 }, random = () => { seed.x = (seed.x * 48271) % 2147483647; return seed.x / 2147483647; };
     for (let k = 0; k < 400; k++) {
       const posture = Float64Array.from(data.ranges, ([low, high]) => low + (high - low) * random());
-      points.push(...columns(model.skeleton(model.rest(base, posture), base), d));
+      reached.push(...columns(model.skeleton(model.rest(base, posture), base), d));
     }
-    const floor = this.shape.points[0][d - 1] - 0.35 * data.size;
     for (const view of this.views) {
       view.face(this.shape.points);
-      const flat = points.map((p) => view.flat(p)), low = [0, 1].map((k) => Math.min(...flat.map((p) => p[k])));
-      const high = [0, 1].map((k) => Math.max(...flat.map((p) => p[k])));
-      if (view.upright) low[1] = Math.max(low[1], floor * Math.cos(view.elevation));
-      const room = 0.06 * data.size, show = () => view.show(low.map((x) => x - room), high.map((x) => x + room));
+      const flat = reached.map((p) => view.flat(p));
+      const floor = view.flat(this.shape.points[0])[1] - 0.35 * data.size * Math.cos(view.elevation);
+      if (view.upright) flat.forEach((p) => { p[1] = Math.max(p[1], floor); });
+      flat.push(...this.drawn(view));
+      const [low, high] = [Math.min, Math.max].map((most) => [0, 1].map((k) => most(...flat.map((p) => p[k]))));
+      const room = SHOWN_SIZE * data.size, show = () => view.show(low.map((x) => x - room), high.map((x) => x + room));
       show();
       // Arrows are so many pixels long, whatever the scale: with more room for them it gets smaller.
       const tip = view.flat(this.shape.points.at(-1));
@@ -55,6 +54,30 @@ class Pictures {
         show();
       }
     }
+  }
+
+  // Outlines of what is drawn, in the picture's plane, m: machine and ghosts with all that they stand on, and the target.
+  drawn(view) {
+    const { data } = this, round = ([x, y], w, h = w) => [[x - w, y - h], [x + w, y + h]];
+    const flat = [this.shape, ...this.ghosts.map((ghost) => ghost.shape)].flatMap(({ points, capsules, support }) => [
+      ...[...points, ...support].map((p) => view.flat(p)),
+      ...capsules.flatMap(({ ends, radius }) => ends.flatMap((end) => round(view.flat(end), radius))),
+      ...(support.length ? [] : round(view.flat(points[0]), 0.16 * data.size, (view.upright ? 0.12 : 0.16) * data.size)),
+    ]);
+    flat.push(...this.meshes.extent(this.shape.places).map((p) => view.flat(p)));
+    return data.target ? [...flat, view.flat(this.cross())] : flat;
+  }
+
+  // Where the target is; where the task leaves a coordinate open, beside the end-point.
+  cross() {
+    const { data, rows } = this;
+    return this.shape.points.at(-1).map((x, k) => (rows.includes(k) ? data.target[rows.indexOf(k)] : x));
+  }
+
+  // Whether a part of a handle is not in the picture.
+  beyond(view) {
+    const { points } = this.shape, handles = [points.at(-1), ...(view.stand ? [points[0]] : [])];
+    return handles.map((p) => view.at(p)).some(([x, y]) => Math.min(x, view.width - x, y, view.height - y) < HANDLE);
   }
 
   // Of all modes how they move the end-point and how feedback there drives them; lengths in pixels.
@@ -117,10 +140,7 @@ class Pictures {
     if (lifted) painter.springs(shape.points[0], points[0], view.scale * 0.12 * data.size);
     for (const ghost of this.ghosts) painter.machine(ghost.shape, theme.chosen, true);
     painter.machine(shape, theme.present, false, this.meshes.bodies.size && $("show-meshes").checked ? this.meshes : null);
-    if (data.target) {
-      const target = points[points.length - 1].map((x, k) => (this.rows.includes(k) ? data.target[this.rows.indexOf(k)] : x));
-      painter.cross(target, theme.text);
-    }
+    if (data.target) painter.cross(this.cross(), theme.text);
     const tip = shape.points[shape.points.length - 1];
     const shown = this.arrows(view).filter(({ mode }) => mode === this.mode || $("show-arrows").checked);
     for (const { mode, key, vector, length } of shown.sort((one, other) => (one.mode === this.mode) - (other.mode === this.mode))) {

@@ -3,6 +3,8 @@
 // so that capsules are strokes with round ends and lengths are as they are.
 
 
+// From a handle's middle to its edge, px.
+const HANDLE = 18;
 // At first so far from the arm's plane, and so far from above, rad; the ground is moved on from so far above it on.
 const TURNED = [-0.5, 0.35], FLAT = 0.15;
 
@@ -66,9 +68,9 @@ class View {
     this.pixels = scale;
   }
 
-  // The part of the plane that is seen: holds low to high, in the middle.
+  // The part of the plane that is seen: holds low to high, in the middle, and a handle about each point.
   show(low, high) {
-    this.scale = Math.min(this.width / (high[0] - low[0]), this.height / (high[1] - low[1]));
+    this.scale = Math.min((this.width - 2 * HANDLE) / (high[0] - low[0]), (this.height - 2 * HANDLE) / (high[1] - low[1]));
     this.origin = [this.width / 2 - this.scale * (low[0] + high[0]) / 2, this.height / 2 + this.scale * (low[1] + high[1]) / 2];
   }
 
