@@ -285,8 +285,9 @@ class LoopPoint:
                 by = None if slopes is None else slopes * (-1 / slopes.dead_time)
                 return Measured(found, by and Slopes(by.parts, -1.0))
             before = more
-        beyond = [crossing for crossing in self._late if crossing.late >= most]
-        return Measured(self._exactly(beyond[0]) if beyond else math.inf)
+        # A sample before the end, too: where it is nearly may lie on the other side.
+        beyond = (self._exactly(crossing) for crossing in self._late if crossing.late >= most - self.period)
+        return Measured(next((more for more in beyond if more >= most), math.inf))
 
     @cached_property
     def _late(self) -> list[_Crossing]:
