@@ -192,7 +192,7 @@ class Comparison(Result):
             blocks.insert(len(self.differences) + 1, [""])
         told = [line for block in blocks for line in block]
         if any(value is None for row in self.rows for value in row.values):
-            told.append("–: there is none, or it has no border")
+            told.append("–: there is none, or no border was met")
         return "\n".join(told)
 
 

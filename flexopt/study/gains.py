@@ -59,7 +59,7 @@ class BorderRow(Result):
         words: list[str] = []
         for start, end in self.border.intervals:
             first = "" if start <= low else f"from {start:.4g} "
-            words.append(f"{first}up to {end:.4g}" if end < high else f"{first}without a border")
+            words.append(f"{first}up to {end:.4g}" if end < high else f"{first}as far as was looked, {high:.4g}")
         return "; ".join(words) or "none"
 
 

@@ -236,8 +236,8 @@ def test_disagreements_are_found():
     [
         ((), "none"),
         (((10.0, 500.0),), "up to 500"),
-        (((10.0, 1e9),), "without a border"),
-        (((20.0, 30.0), (40.0, 1e9)), "from 20 up to 30; from 40 without a border"),
+        (((10.0, 1e9),), "as far as was looked, 1e+09"),
+        (((20.0, 30.0), (40.0, 1e9)), "from 20 up to 30; from 40 as far as was looked, 1e+09"),
     ],
 )
 def test_border_in_words(intervals, text):
