@@ -173,14 +173,22 @@ class ClosedLoop:
         """Start, iteration and end of an implicit integration step."""
         s, _, command, t, e, c = self._substep_symbols(carried=False)
         flow = Flow(self.structure, self.layouts, command, e, c)
-        parts = gauss_step(flow, gauss(), flow.of["h"], t, self._state(s))
+        parts = gauss_step(flow, gauss(), flow.of["h"], t, self._state(s), damped=self.structure.damped)
         inputs, names, k = [s, command, t, e, c], ["s", "command", "t", "e", "c"], parts.unknowns
+        factors = parts.known
         cse = {"cse": True}
         end = ca.vertcat(parts.finish.u, parts.finish.w, parts.finish.z)
         return (
-            ca.Function("stages", inputs, [parts.start], names, ["k"], cse),
-            ca.Function("iteration", [k, *inputs], [parts.iterate], ["k", *names], ["k_next"], cse),
-            ca.Function("end", [k, *inputs], [end, parts.residual], ["k", *names], ["s_next", "residual"], cse),
+            ca.Function("stages", inputs, [parts.start, parts.factors], names, ["k", "factors"], cse),
+            ca.Function("iteration", [k, factors, *inputs], [parts.iterate], ["k", "factors", *names], ["k_next"], cse),
+            ca.Function(
+                "end",
+                [k, factors, *inputs],
+                [end, parts.residual],
+                ["k", "factors", *names],
+                ["s_next", "residual"],
+                cse,
+            ),
         )
 
     def _substep_symbols(self, *, carried: bool) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -221,10 +229,10 @@ class ClosedLoop:
             t = i * h
             if parts:
                 start, iterate, finish = parts
-                k = start(state, command, t, e, c)
+                k, factors = start(state, command, t, e, c)
                 for _ in range(s.iterations):
-                    k = iterate(k, state, command, t, e, c)
-                state, rest = finish(k, state, command, t, e, c)
+                    k = iterate(k, factors, state, command, t, e, c)
+                state, rest = finish(k, factors, state, command, t, e, c)
                 residual = ca.fmax(residual, rest)
             elif substep:
                 state, turned, more = substep(state, turned, command, t, e, c)

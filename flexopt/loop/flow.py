@@ -48,6 +48,15 @@ class Flow(SampleModel):
         """See `Field`."""
         return self.motion.rates_of_momentum(u, momentum, self.motion.with_base(along))
 
+    def damping(self, u: ca.SX, along: Directions) -> ca.SX:
+        """See `Field`."""
+        w, (base, base_rate), torque = ca.SX.sym("w", self.motion.n), self.base_at(ca.SX(0)), self.motion.n_joints
+        force = self.motion.force(
+            u, w, self.motion.with_base(along), ca.SX.zeros(torque, 1), base, base_rate, gravity=False
+        )
+        # Forces of inertia are of second order in w.
+        return -ca.substitute(ca.jacobian(force, w), w, ca.SX.zeros(self.motion.n, 1))
+
     def momentum_rates(self, t: ca.SX, state: State, along: Directions) -> State:
         """See `Field`."""
         whole = self.motion.with_base(along)

@@ -2,7 +2,7 @@
 
 In: a `VectorField`, the right-hand sides as graph builders. Out: the state after h. Explicit Runge–Kutta methods take
 any `TurningFrame` of directions; Gauss's implicit one is applied to u and its momentum p = M w, where it is symplectic,
-by fixed-point iterations whose last change comes out as `residual`.
+by fixed-point iterations whose last change comes out as `residual`. Strong dampers enter these as a linear part.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import casadi as ca
+import numpy as np
 
+from flexopt.algebra.dense import solve_spd
 from flexopt.loop.directions import Computed, Heading, TurningFrame
 from flexopt.loop.tableaus import Table, Tableau
 from flexopt.plant.motion import Directions
@@ -45,6 +47,10 @@ class VectorField(Protocol):
 
     def rates_of_momentum(self, u: ca.SX, momentum: ca.SX, along: Directions) -> ca.SX:
         """M_u⁻¹ p."""
+        ...
+
+    def damping(self, u: ca.SX, along: Directions) -> ca.SX:
+        """D_u of the dampers' force −D_u w, symmetric."""
         ...
 
     def momentum_rates(self, t: ca.SX, state: State, along: Directions) -> State:
@@ -125,7 +131,7 @@ class GaussStep:
     """A step of Gauss's method in parts: `start`, then `iterate` again and again, then `finish`.
 
     The unknowns are the rates of u, p and z at all stages, stacked; one change beyond rounding remains as `residual`,
-    relative to their size.
+    relative to their size. `factors` are of the start, iterations take them as `known`; none without strong dampers.
     """
 
     start: ca.SX
@@ -133,10 +139,60 @@ class GaussStep:
     finish: State
     residual: ca.SX
     unknowns: ca.SX
+    factors: ca.SX
+    known: ca.SX
 
 
-def gauss_step(field: VectorField, tableau: Tableau, h: ca.SX, t: ca.SX, state: State) -> GaussStep:
-    """The parts of one implicit step from `state`."""
+class StrongDampers:
+    """Corrections by which iterations on momentum rates converge however strong the dampers are.
+
+    What a change of the rates K (n, s) leaves is changed by dampers as I + h A ⊗ B does, B = D_u M_u⁻¹ at the step's
+    start. That is solved: the tableau's A = T Λ T⁻¹ is taken apart into its real eigenvalues and pairs a ± ib
+    (Hairer and Wanner 1996, IV.8), each of which needs one inverse (n, n):
+
+        (I + h a B)⁻¹ = M_u (M_u + h a D_u)⁻¹,    ((I + h a B)² + (h b B)²)⁻¹ = M_u (M_u + 2 h a D_u + h² |λ|² D_u B)⁻¹.
+    """
+
+    def __init__(self, tableau: Tableau, h: ca.SX) -> None:
+        values, vectors = np.linalg.eig(tableau.a)
+        self._h, self._values = h, [value for value in values if value.imag >= 0]
+        columns: list[Table] = []
+        for value, vector in zip(values, vectors.T, strict=True):
+            if value.imag >= 0:
+                columns += [vector.real, vector.imag] if value.imag else [vector.real]
+        self._to_stages = np.stack(columns, axis=1)
+        self._from_stages = np.linalg.inv(self._to_stages)
+
+    def factors(self, mass: ca.SX, damping: ca.SX) -> ca.SX:
+        """B and the inverses side by side, (n, n (1 + eigenvalues with b ≥ 0))."""
+        h, b = self._h, solve_spd(mass, damping).T
+        inner = [
+            mass + (2 * h * v.real * damping + h**2 * abs(v) ** 2 * (b @ damping) if v.imag else h * v.real * damping)
+            for v in self._values
+        ]
+        return ca.horzcat(b, *[solve_spd(each, mass).T for each in inner])
+
+    def corrected(self, factors: ca.SX, left: ca.SX) -> ca.SX:
+        """The change of K (n, s) after which nothing of `left` (n, s) remains."""
+        n, h = left.shape[0], self._h
+        b, *inverses = ca.horzsplit(factors, n)
+        apart, solved, k = left @ ca.SX(self._from_stages.T), list[ca.SX](), 0
+        for value, inverse in zip(self._values, inverses, strict=True):
+            one = apart[:, k]
+            if value.imag:
+                two = apart[:, k + 1]
+                solved += [
+                    inverse @ (one + h * (b @ (value.real * one - value.imag * two))),
+                    inverse @ (two + h * (b @ (value.real * two + value.imag * one))),
+                ]
+            else:
+                solved.append(inverse @ one)
+            k = len(solved)
+        return ca.horzcat(*solved) @ ca.SX(self._to_stages.T)
+
+
+def gauss_step(field: VectorField, tableau: Tableau, h: ca.SX, t: ca.SX, state: State, *, damped: bool) -> GaussStep:
+    """The parts of one implicit step from `state`; `damped`: whether by `StrongDampers`."""
     n, n_z, k, stages = state.u.shape[0], state.z.shape[0], field.n_translations, len(tableau.b)
     size = 2 * n + n_z
     at_start = Computed(state.u[k:]).start.pairs
@@ -154,6 +210,18 @@ def gauss_step(field: VectorField, tableau: Tableau, h: ca.SX, t: ca.SX, state: 
         now = State(u, w, state.z + h * change[2 * n :])
         at = t + float(tableau.c[i]) * h
         renewed.append(_column(field.momentum_rates(at, now, along)))
+    factors = known = ca.SX(n, 0)
+    if damped:
+        dampers, probe = StrongDampers(tableau, h), ca.SX.sym("w", n)
+        mass = ca.jacobian(field.momentum(state.u, probe, at_start), probe)
+        factors = dampers.factors(mass, field.damping(state.u, at_start))
+        known = ca.SX.sym("factors", *factors.shape)
+        left = ca.horzcat(*[(now - was)[n : 2 * n] for now, was in zip(renewed, rates, strict=True)])
+        change = dampers.corrected(known, left)
+        renewed = [
+            ca.vertcat(now[:n], was[n : 2 * n] + change[:, i], now[2 * n :])
+            for i, (now, was) in enumerate(zip(renewed, rates, strict=True))
+        ]
     iterate = ca.vertcat(*renewed)
 
     change = sum((float(b) * rate for b, rate in zip(tableau.b, rates, strict=True)), start=ca.SX.zeros(size, 1))
@@ -169,6 +237,8 @@ def gauss_step(field: VectorField, tableau: Tableau, h: ca.SX, t: ca.SX, state: 
         finish=State(u, w, state.z + h * change[2 * n :]),
         residual=residual,
         unknowns=unknowns,
+        factors=factors,
+        known=known,
     )
 
 

@@ -33,6 +33,7 @@ class LoopStructure:
         law, order: task-space feedback, and the number of states of a state-space law.
         sampled: the command is computed at the start of each sample and held; else at every stage of the integrator.
         method, substeps, iterations: integration; iterations of the implicit method.
+        damped: whether these take dampers as strong ones, see `integrators.StrongDampers`.
         gravity, compensated: whether weight acts, and whether the command carries the arm's.
         delay: whole samples between measurement and command.
         quantised, noisy, filtered: of the measurement.
@@ -53,6 +54,7 @@ class LoopStructure:
     method: Method = "rk4"
     substeps: int = 1
     iterations: int = 0
+    damped: bool = False
     gravity: bool = False
     compensated: bool = False
     delay: int = 0

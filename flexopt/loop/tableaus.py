@@ -25,6 +25,21 @@ class Tableau:
     order: int
 
 
+def stability_polynomial(tableau: Tableau) -> Table:
+    """R of an explicit method, x after a step of ẋ = λ x as R(h λ) times x, its highest power first."""
+    coefficients, stage = [1.0], np.ones(len(tableau.b))
+    for _ in tableau.b:
+        coefficients.append(float(tableau.b @ stage))
+        stage = tableau.a @ stage
+    return np.array(coefficients[::-1])
+
+
+def classical() -> Tableau:
+    """Kutta's fourth-order method (1901)."""
+    a = np.diag([0.5, 0.5, 1.0], -1)
+    return Tableau(a, np.array([1.0, 2.0, 2.0, 1.0]) / 6, np.array([0.0, 0.5, 0.5, 1.0]), 4)
+
+
 def gauss(stages: int = 3) -> Tableau:
     """Gauss–Legendre collocation of order 2s: symmetric, symplectic, |R(iω)| = 1 (Butcher 1964)."""
     nodes, weights = np.polynomial.legendre.leggauss(stages)

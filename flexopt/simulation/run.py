@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings as python_warnings
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, Unpack, cast
@@ -19,6 +18,7 @@ from flexopt.foundation.arrays import PostureLike, Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import control_damping
 from flexopt.foundation.documents import provenance
+from flexopt.foundation.warned import warn_user
 from flexopt.loop.closed import baked, closed_loop
 from flexopt.loop.levers import feeble_levers
 from flexopt.loop.settings import LoopSettings
@@ -79,8 +79,8 @@ def simulate(
             target_path, seed, baked. One that is None counts as not given.
 
     Raises:
-        InputError: arguments are not usable (all faults in one message), or RK4's step is too long for the fastest
-            mode.
+        InputError: arguments are not usable (all faults in one message), or the step is too long for the fastest mode
+            or damper by an explicit method.
         SingularPosture: Jv loses rank in the posture.
         UnreachableTarget: no posture reaches `end_point`.
         NotStabilizable: `"robust"`: no controller can stabilise the plant.
@@ -253,7 +253,7 @@ def _trajectory(
     saturating = "" if s.options.actuator.torque_limit is not None else saturating
     sentences += beyond_the_machine(s.machine, joints, rates, torques, saturating)
     for sentence in sentences:
-        python_warnings.warn(sentence, FlexoptWarning, stacklevel=4)
+        warn_user(sentence, FlexoptWarning)
     rows = {name: value.T for name, value in outputs.items()}
     return Trajectory(
         machine=s.machine.name,

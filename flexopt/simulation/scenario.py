@@ -35,7 +35,7 @@ from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held
 from flexopt.simulation.base_path import driven_structure, moved, path_faults
 from flexopt.simulation.behaviour import STILL, Grounds
-from flexopt.simulation.stepping import stepping
+from flexopt.simulation.stepping import Fastest, Stepping, stepping
 
 OFFSET = 0.05  # rad or m
 STATIC_TOLERANCE = 1e-8
@@ -192,16 +192,16 @@ def build_scenario(
     Raises:
         SingularPosture: Jv loses rank in the design posture.
         UnreachableTarget: no posture reaches `end_point`.
-        InputError: the springs do not hold the machine; the step is too long for RK4.
+        InputError: the springs do not hold the machine; the step is too long for an explicit method.
         NoSolutionFound: the static deflection did not converge.
     """
     design = _design(machine, *design_configuration(machine, options), options.gravity, options.control)
     options = with_servo_gain(machine, options, design.posture)
     period = 1 / options.rate
-    fastest = 2 * math.pi * float(design.frequencies_hz[-1])
     servo = 2 * math.pi * max(options.actuator.bandwidth_hz or (0.0,))
-    substeps, iterations = (1, 0) if exact else stepping(options, fastest, servo, design.damper)
-    structure = _structure(machine, options, substeps, iterations)
+    fastest = Fastest(design.poles, 2 * math.pi * float(design.frequencies_hz[-1]), servo, design.damper)
+    steps = Stepping(1) if exact else stepping(options, fastest)
+    structure = _structure(machine, options, steps)
     structure = replace(structure, watched=watched, method="rk4" if exact else structure.method)
     if zeros is not None:
         structure = replace(structure, motion=replace(structure.motion, zeros=zeros), own_model=True)
@@ -210,7 +210,7 @@ def build_scenario(
     shape = motion_of(structure.motion, {})
     n, rows = shape.n_joints, shape.n_task
     parts |= {
-        "h": period / substeps,
+        "h": period / steps.substeps,
         "target": design.target - _place(shape, design.base),
     }
     held = design_constants(shape, ca.SX(design.q[:-n]), ca.SX(design.base))
@@ -284,6 +284,7 @@ class _Design:
     target: Vector
     frequencies_hz: Vector
     modes: Vector
+    poles: Vector
     damper: float
 
 
@@ -323,7 +324,10 @@ def _design(
     target = plant.end_point.call([q, placement, p])[0].full().ravel()
     dampers: Vector = plant.damping(p).full()
     damper = float(np.abs(np.linalg.eigvals(np.linalg.solve(mass, dampers))).max())
-    return _Design(angles, placement, q, target, frequencies, modes, damper)
+    motion = np.block(
+        [[np.zeros_like(mass), np.eye(len(mass))], [-np.linalg.solve(mass, np.hstack([stiffness, dampers]))]]
+    )
+    return _Design(angles, placement, q, target, frequencies, modes, np.linalg.eigvals(motion).astype(complex), damper)
 
 
 def _check_static(plant: Plant, q: Vector, base: Vector) -> None:
@@ -350,7 +354,7 @@ def _flexible_modes(stiffness: Vector, mass: Vector, m: int) -> tuple[Vector, Ve
     return frequencies, modes
 
 
-def _structure(machine: AnyMachine, options: SimulationOptions, substeps: int, iterations: int) -> LoopStructure:
+def _structure(machine: AnyMachine, options: SimulationOptions, steps: Stepping) -> LoopStructure:
     sensor, actuator = options.sensor, options.actuator
     laws: dict[str, Any] = {"robust": "state_space"}
     return LoopStructure(
@@ -359,8 +363,9 @@ def _structure(machine: AnyMachine, options: SimulationOptions, substeps: int, i
         law=laws.get(options.feedback, options.feedback),
         sampled=options.hold,
         method=options.integrator,
-        substeps=substeps,
-        iterations=iterations,
+        substeps=steps.substeps,
+        iterations=steps.iterations,
+        damped=steps.damped,
         gravity=options.gravity,
         compensated=options.gravity and options.gravity_compensation,
         delay=dead_time(options)[0],

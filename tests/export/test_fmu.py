@@ -384,6 +384,9 @@ def test_parameters_that_fit_no_machine_are_refused(report: FmuReport, folder: P
     with opened(report, folder) as slave:
         slave.set(machine__base__stiffness__x=1e9)
         slave.refuses("RK4 is unstable", slave.start)
+    with opened(report, folder) as slave:
+        slave.set(machine__stick__joint_damping=1e8)
+        slave.refuses("RK4 is unstable", slave.start)
     weak = export(tmp_path, gravity=True, duration=0.1, version=report.version)
     with opened(weak, tmp_path) as slave:
         slave.set(machine__base__stiffness__rotation=1e3)

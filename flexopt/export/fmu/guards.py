@@ -64,7 +64,7 @@ class GuardedConfiguration:
         """
         found = [self._regular(), *self._matrices(), *self._held()]
         if period is not None:
-            text = "RK4 is unstable for the fastest mode or servo: softer springs, or export with more substeps"
+            text = "RK4 is unstable for the fastest mode, damper or servo: softer springs, or export with more substeps"
             found.append((ModelGuard(text, high=STEP_SLACK), self._step(period, bandwidth)))
         return found
 
@@ -123,12 +123,15 @@ class GuardedConfiguration:
         return self.springs + self.plant.gravity_stiffness(self.q, self.base, self.p)
 
     def _step(self, period: float, bandwidth: ca.SX | None) -> ca.SX:
-        """The fastest mode and the fastest servo as shares of what RK4 can take."""
+        """The fastest mode, servo and damper of the joints as shares of what RK4 can take."""
         m, n = self.plant.n_passive, self.plant.n_coordinates
-        right = ca.vertcat(ca.densify(self._tangent), ca.SX.zeros(n - m, m))
-        mode = period * ca.sqrt(largest_eigenvalue(solve_spd(self.plant.mass(self.q, self.base, self.p), right)[:m, :]))
-        servo = 0 if bandwidth is None else ca.mmax(bandwidth) * (2 * math.pi * period / RK4_REAL_LIMIT)
-        return ca.fmax(mode / RK4_LIMIT, servo)
+        right = ca.horzcat(ca.vertcat(ca.densify(self._tangent), ca.SX.zeros(n - m, m)), self.plant.damping(self.p))
+        per_mass = solve_spd(self.plant.mass(self.q, self.base, self.p), right)
+        mode = period * ca.sqrt(largest_eigenvalue(per_mass[:m, :m]))
+        # By a little more, as of no damper at all there is no logarithm.
+        damper = period * largest_eigenvalue(per_mass[m:, 2 * m :] + 1e-9 * ca.SX.eye(n - m))
+        servo = 0 if bandwidth is None else ca.mmax(bandwidth) * (2 * math.pi * period)
+        return ca.fmax(mode / RK4_LIMIT, ca.fmax(damper, servo) / RK4_REAL_LIMIT)
 
 
 def _known(plant: Plant) -> ca.SX:
