@@ -7,7 +7,7 @@ import sys
 import pytest
 
 
-@pytest.mark.long("map", "compile")
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("subject", ["map", "export", "compile"] if sys.platform != "win32" else [])
 def test_the_older_or_the_newer_file_is_there_whole(subject: str, monkeypatch: pytest.MonkeyPatch) -> None:

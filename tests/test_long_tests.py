@@ -48,6 +48,7 @@ def collected(folder: Path, *options: str, test: str = "") -> set[str]:
     return set(re.findall(r"::(\S+)", run(folder, "--collect-only", *options, test=test)))
 
 
+@pytest.mark.long("options0-expected0", "options1-expected1")
 @pytest.mark.parametrize(
     ("options", "expected"),
     [((), QUICK), (("--tests", "long"), LONG), (("--tests", "all"), QUICK | LONG)],
@@ -56,6 +57,7 @@ def test_each_half(options: tuple[str, ...], expected: set[str], tmp_path: Path)
     assert collected(tmp_path, *options) == expected
 
 
+@pytest.mark.long
 def test_what_is_named_by_its_address_runs(tmp_path: Path) -> None:
     assert collected(tmp_path, test="::test_scan") == {"test_scan"}
 

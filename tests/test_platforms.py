@@ -28,6 +28,7 @@ sys.exit(pytest.main(["--collect-only", "-q", "-n", "0", "-p", "no:cacheprovider
 """
 
 
+@pytest.mark.long
 def test_everything_else_is_collected() -> None:
     """Without any oracle that some platform lacks: what one of them lacks alone leaves out fewer files."""
     names = tuple(name for lacking in WITHOUT.values() for name in lacking)

@@ -66,6 +66,7 @@ def test_poles_are_those_of_the_matrices(loops, stands):
         assert row.accurate.growth_rate == pytest.approx(oracle(stands[row.stand], row.kp, row.kv, "exact"), abs=1e-6)
 
 
+@pytest.mark.long
 def test_poles_of_the_second_pair(loops):
     """Printed in the theory with two digits: A +.07, B −.013."""
     rows = {(row.stand, row.kp): row for row in loops.rows}

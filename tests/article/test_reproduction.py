@@ -238,6 +238,7 @@ def test_page_stands_alone(result, files):
         assert number in text
 
 
+@pytest.mark.long
 def test_folder_is_kept(run, result, files, tmp_path, monkeypatch):
     """And what is written once more is the same; of its pictures the last is drawn again."""
     again = page.picture(lambda theme: pictures.plot_gaps(result.gaps, theme=theme), "gaps")

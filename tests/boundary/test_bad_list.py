@@ -170,6 +170,7 @@ def names(row: Mapping[str, str]) -> bool:
     return last in row["message"] or own or "cannot be written" in row["message"]
 
 
+@pytest.mark.long
 def test_every_meaning_is_used(rows: Rows) -> None:
     used = {meaning(row) for found in rows.values() for row in found if row["outcome"] == "accepted"}
     general = {number for number, entry in enumerate(MEANINGS) if entry[3] == "any text" or entry[1] in FLAGS}

@@ -118,7 +118,7 @@ def test_springs_that_are_known_stay_as_they_are(command: Command) -> None:
     assert "arm held" not in text
 
 
-@pytest.mark.long("humanoid.xml")
+@pytest.mark.long("humanoid.xml", "so101.urdf")
 @pytest.mark.parametrize(
     "robot",
     [ROBOTS / "slewing-excavator.urdf", ROBOTS / "mobile-manipulator.xml", "arm.urdf", "arm.xml", "so101.urdf", "kinova.urdf",
@@ -180,6 +180,7 @@ def test_a_grippers_finger_is_no_end_point(command: Command) -> None:
     assert "The springs carry the root link, chassis, 900 kg." in text
 
 
+@pytest.mark.long
 def test_a_site_is_the_end_point(command: Command) -> None:
     """Of several on the last link that which is named after a tool, or the one that --tip names."""
     command.write("arm.xml", MJCF)
@@ -232,6 +233,7 @@ def hand(joints: str) -> str:
     return f'<robot name="carrier">{links}{"".join(parts)}</robot>'
 
 
+@pytest.mark.long("parted-behind0")
 @pytest.mark.parametrize(("joints", "behind"), [("parted", ["a", "b", "c"]), ("named", ["gripper"])])
 def test_a_hand_is_no_part_of_the_arm(command: Command, joints: str, behind: list[str]) -> None:
     """Fingers part from a palm, or a joint is named after them; what stands beside the arm far from its end is none."""
@@ -277,6 +279,12 @@ def fixed_hand(frames: dict[str, tuple[str, float, float]]) -> str:
     return f'<robot name="stiff hand">{"".join(parts)}</robot>'
 
 
+@pytest.mark.long(
+    "frames0-wrist-like branches are fixed to it, as fingers of a hand; one of them ends in left_end",
+    "frames2-centre-a mere frame fixed to wrist, as a tool's",
+    "frames3-wrist-as fingers of a hand",
+    "frames4-wrist-as fingers of a hand",
+)
 @pytest.mark.parametrize(
     ("frames", "chosen", "why"),
     [
@@ -331,6 +339,7 @@ def test_joints_and_end_point_of_a_robot_can_be_chosen(command: Command) -> None
     assert taken == data | {"capsules": "collision"}
 
 
+@pytest.mark.long
 def test_the_loop_that_can_be_taken_suits_the_machine(command: Command) -> None:
     """Of its units as of its size: as it stands in the file it is stable where that says; a robot's is no digger's."""
 
@@ -434,6 +443,7 @@ def test_without_answers_nothing_is_written(command: Command, monkeypatch: pytes
     assert not list(command.folder.iterdir())
 
 
+@pytest.mark.long
 def test_springs_proposed_for_a_small_machine_carry_it(command: Command) -> None:
     """At 2 Hz any machine sinks by 6 cm, which is much where it reaches 40 cm."""
     command.write("arm.urdf", small(hand("named"), 0.25))

@@ -51,6 +51,7 @@ def test_document(command: Command) -> None:
     assert document["provenance"]["options"]["kp"] == [1e5]
 
 
+@pytest.mark.long
 def test_text_and_files(command: Command) -> None:
     gains = "--kp", "1e5", "--kv", "2e3"
     outcome = command(*POSTURE, *gains, "--duration", "1", "--out", "r.nc", "--plot", "r.png", "--animate", "r.gif")
@@ -184,6 +185,7 @@ def test_verdicts_that_a_run_alone_gets_wrong(command: Command) -> None:
     assert warning.endswith("actuator.torque_limit lets drives saturate")
 
 
+@pytest.mark.long("article-move")
 @pytest.mark.parametrize(
     "name",
     [

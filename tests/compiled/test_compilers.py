@@ -106,6 +106,7 @@ PROGRAMS = {
 }
 
 
+@pytest.mark.long("@leaving-took longer than 1 s|wrote no library")
 @pytest.mark.parametrize(("command", "reason"), ODD)
 def test_odd_commands_are_told_and_the_virtual_machine_serves(
     empty_cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, command: str, reason: str

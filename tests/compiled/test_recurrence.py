@@ -446,6 +446,7 @@ def _compilers() -> list[str]:
     return found + ([f"'{sys.executable}' -m ziglang c++"] if find_spec("ziglang") else [])
 
 
+@pytest.mark.long("g++", "g++ -mno-avx512f", "g++ -mno-avx -mno-fma", "clang++", "clang++ -mno-avx512f")
 @pytest.mark.parametrize("name", _compilers())
 def test_each_compiler(fresh: None, monkeypatch: pytest.MonkeyPatch, chain: Chain, name: str) -> None:
     monkeypatch.setenv("FLEXOPT_CXX", name)
@@ -463,6 +464,7 @@ def test_each_compiler(fresh: None, monkeypatch: pytest.MonkeyPatch, chain: Chai
         np.testing.assert_array_equal(alone.x[..., 0], together.x[..., i])
 
 
+@pytest.mark.long("clang++")
 @pytest.mark.parametrize("name", [name for name in ("g++", "clang++") if shutil.which(name)])
 def test_what_runs_briefly_is_compiled_sooner_to_the_same_bits(
     empty_cache: Path, monkeypatch: pytest.MonkeyPatch, chain: Chain, name: str

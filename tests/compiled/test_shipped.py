@@ -50,6 +50,7 @@ def _quickly(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     "measures of maps-mobile-manipulator",
     "measures of maps-slewing-excavator",
     "measures of maps-truck-crane",
+    "measures of maps-excavator",
 )
 @pytest.mark.parametrize(
     ("what", "name"), [(what, name) for what in BATCHED for name in MACHINES if what != "w" or name == "excavator"]
@@ -58,13 +59,7 @@ def test_at_many_points(what: str, name: str) -> None:
     assert BATCHED[what](flexopt.load(name)).compiled == (find_compiler() is not None)
 
 
-@pytest.mark.long(
-    "excavator-inverse",
-    "mobile-manipulator-inverse",
-    "slewing-excavator-inverse",
-    "truck-crane-inverse",
-    "excavator-transpose",
-)
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "control"), [*((name, "inverse") for name in MACHINES), ("excavator", "transpose")])
 def test_margin_is_the_compact_form(name: str, control: str) -> None:
     margin = build_margin(flexopt.load(name), control)
@@ -78,7 +73,7 @@ def test_margin_is_the_compact_form(name: str, control: str) -> None:
     assert used.function.serialize() != margin.values.serialize()
 
 
-@pytest.mark.long("mobile-manipulator", "slewing-excavator", "truck-crane")
+@pytest.mark.long
 @pytest.mark.parametrize("name", MACHINES)
 @pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
 def test_closed_loop(name: str, monkeypatch: pytest.MonkeyPatch) -> None:

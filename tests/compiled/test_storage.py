@@ -79,6 +79,7 @@ def test_a_second_process_loads_what_the_first_built(empty_cache: Path) -> None:
     assert seconds < 1.0  # 5 ms on an idle machine
 
 
+@pytest.mark.long
 def test_processes_at_once(empty_cache: Path) -> None:
     compiled = [_finished(process)[0] for process in [_start() for _ in range(3)]]
     assert len(_libraries(empty_cache)) == (LIBRARIES if compiled[0] else 0), "one process compiles, the others wait"
@@ -87,6 +88,7 @@ def test_processes_at_once(empty_cache: Path) -> None:
     assert [path.name for path in empty_cache.glob(".lock*")] in ([".lock"], [])
 
 
+@pytest.mark.long("emptied", "cut", "text")
 @pytest.mark.parametrize("damage", ["emptied", "cut", "changed", "text"])
 def test_a_damaged_cache_is_built_again(empty_cache: Path, damage: str) -> None:
     compiled, _ = _finished(_start())

@@ -64,6 +64,7 @@ def test_unstable_ill_posed_and_signs():
     assert ncf_margin(2.0, 2.0) == pytest.approx(1.0, rel=1e-14)
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=15)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_margin_is_the_least_over_a_dense_grid(seed, n, dt):
@@ -102,6 +103,7 @@ def test_controllers_in_closed_form():
     assert pytest.approx(np.array([[3.0], [1.0]]), rel=1e-14) == optimal_controller([], [], [], [[3.0, 1.0]]).D
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=30)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_optimal_controller_attains_and_is_smaller_than_the_plant(seed, n, dt):

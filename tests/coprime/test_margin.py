@@ -216,6 +216,7 @@ def badly_conditioned(count):
         yield in_coordinates(plain, rng.normal(size=(6, 6)))
 
 
+@pytest.mark.long
 def test_badly_conditioned_plants_are_within_their_bound():
     apart = 0
     for plant in badly_conditioned(60):

@@ -78,7 +78,9 @@ def test_everything_public_has_an_example() -> None:
     assert without({"Bare": Bare, "Bare.skipped": Bare.skipped}) == ["Bare", "Bare.skipped"]
 
 
-@pytest.mark.long("report", "verdict", "verify_bundle")
+@pytest.mark.long(
+    "report", "verdict", "verify_bundle", "map_workspace", "Ensemble", "SelectionProblem", "simulate_ensemble"
+)
 @pytest.mark.parametrize("first", SEQUENCES)
 def test_the_examples_run(first: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In an empty folder, with what the reference's first page says is imported."""

@@ -24,7 +24,7 @@ LONG = ("stand", "selection-in-space", "plan", "map-of-the-base", "map", "atlas"
 QUICK = [exhibit for exhibit in gallery.EXHIBITS if exhibit.name not in LONG]
 
 
-@pytest.mark.long("selection", "base-trajectory", "verdict")
+@pytest.mark.long("selection", "base-trajectory", "verdict", "run", "film", "ensemble", "explanation", "identification")
 @pytest.mark.parametrize("exhibit", QUICK, ids=lambda exhibit: exhibit.name)
 def test_its_lines_draw_it(exhibit: gallery.Exhibit, tmp_path: Path):
     assert type(gallery.draw(exhibit, tmp_path)).__name__ == exhibit.kind
@@ -62,6 +62,7 @@ def test_the_page_shows_all_of_it(tmp_path: Path):
     assert "FILE" not in page
 
 
+@pytest.mark.long
 def test_what_is_newer_than_the_code_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(gallery, "EXHIBITS", [e for e in gallery.EXHIBITS if e.name == "run"])
     gallery.write_pictures(tmp_path)

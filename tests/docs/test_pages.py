@@ -93,6 +93,7 @@ def test_a_block_that_fails_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     "studies",
     "unknown-soil",
     "tutorial",
+    "README",
 )
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
 def test_the_blocks_of_a_page_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -108,6 +108,7 @@ def cross(p: np.ndarray, q: np.ndarray) -> np.ndarray:
     return p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
 
 
+@pytest.mark.long
 @pytest.mark.needs("chromium")
 def test_meshes_are_where_python_has_them(chromium: Browser, pages: Path, robot: Tree) -> None:
     """In both views, after drags of the end-point, keys, and turns of the picture."""
@@ -127,6 +128,7 @@ def test_meshes_are_where_python_has_them(chromium: Browser, pages: Path, robot:
         agree(robot, page, 1)
 
 
+@pytest.mark.long
 @pytest.mark.needs("chromium")
 def test_meshes_stand_for_the_capsules_of_their_bodies(chromium: Browser, pages: Path, robot: Tree) -> None:
     explorer = flexopt.explore(robot, [0.4, 0.7])

@@ -23,6 +23,7 @@ MACHINES = ("excavator", "boom-stick-bucket", "slewing-excavator")
 NODE = shutil.which("node")
 
 
+@pytest.mark.long("boom-stick-bucket", "slewing-excavator")
 @pytest.mark.needs("chromium")
 @pytest.mark.parametrize("name", MACHINES)
 def test_the_browser_computes_what_python_computes(name: str, chromium: Browser, pages: Path) -> None:
@@ -40,6 +41,7 @@ def test_the_browser_computes_what_python_computes(name: str, chromium: Browser,
         assert {value["decay"] > 0 for value in known} == {True, False}
 
 
+@pytest.mark.long("boom-stick-bucket", "slewing-excavator")
 @pytest.mark.needs("chromium")
 @pytest.mark.parametrize("name", MACHINES)
 def test_under_the_weight_too(name: str, chromium: Browser, pages: Path) -> None:
@@ -80,6 +82,7 @@ def test_springs_that_do_not_hold_the_weight(chromium: Browser, pages: Path) -> 
         flexopt.evaluate(flexopt.machine_from_dict(soft), POSTURE, gravity=True)
 
 
+@pytest.mark.long
 @pytest.mark.needs("chromium")
 def test_a_problem_brings_its_weight(chromium: Browser, pages: Path) -> None:
     problem = flexopt.load_problem("article")

@@ -41,6 +41,7 @@ def pressed(page: Page, handle: str, *keys: str) -> dict[str, Any]:
     return state(page)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["boom-stick-bucket", "slewing-excavator"])
 def test_drags_and_keys_move_end_point_and_base(name: str, chromium: Browser, pages: Path) -> None:
     machine, explorer = explored(name)
@@ -73,6 +74,7 @@ def test_drags_and_keys_move_end_point_and_base(name: str, chromium: Browser, pa
         assert np.allclose(end_point(machine, by_key_base), by_key["target"], rtol=0, atol=1e-6)
 
 
+@pytest.mark.long
 def test_limits_and_reach_are_kept(chromium: Browser, pages: Path) -> None:
     machine, explorer = explored("boom-stick-bucket")
     with opened(chromium, explorer, pages) as page:
@@ -84,6 +86,7 @@ def test_limits_and_reach_are_kept(chromium: Browser, pages: Path) -> None:
         assert np.allclose(end_point(machine, at), at["target"], rtol=0, atol=1e-9)
 
 
+@pytest.mark.long
 def test_sliders_change_the_verdict_as_python_has_it(chromium: Browser, pages: Path) -> None:
     machine, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
     with opened(chromium, flexopt.explore(machine, POSTURE, loop=loop), pages) as page:
@@ -110,6 +113,7 @@ def test_sliders_change_the_verdict_as_python_has_it(chromium: Browser, pages: P
         assert state(page)["decay"] == pytest.approx(first["decay"], rel=1e-12)
 
 
+@pytest.mark.long
 def test_the_map_holds_what_python_computes(chromium: Browser, pages: Path) -> None:
     machine, explorer = explored("excavator")
     with opened(chromium, explorer, pages) as page:
@@ -132,7 +136,7 @@ def test_the_map_holds_what_python_computes(chromium: Browser, pages: Path) -> N
         assert np.allclose(state(page)["posture"], [np.pi / 2, np.pi / 2], atol=0.1)
 
 
-@pytest.mark.long("slewing-excavator")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["excavator", "slewing-excavator"])
 def test_the_map_of_decay_is_that_of_the_loop(name: str, chromium: Browser, pages: Path) -> None:
     """Of the loop that the sliders ask for, from coarse to fine."""
@@ -169,6 +173,7 @@ def test_the_map_of_decay_is_that_of_the_loop(name: str, chromium: Browser, page
         page.wait_for_function("explorer.map.shown.gains === null")
 
 
+@pytest.mark.long
 def test_the_picture_in_space_turns(chromium: Browser, pages: Path) -> None:
     """By what is dragged beside the handles and by keys, about the ground point; the machine stays as it is."""
     _, explorer = explored("truck-crane")
@@ -202,6 +207,7 @@ def test_the_picture_in_space_turns(chromium: Browser, pages: Path) -> None:
         assert np.allclose(np.array(after["axes"]) @ moved * at["scale"], [15, 20], atol=1e-6)
 
 
+@pytest.mark.long
 def test_a_problem_shows_its_recommendation(chromium: Browser, pages: Path) -> None:
     problem = flexopt.load_problem("article")
     explorer = flexopt.explore(problem)
@@ -215,6 +221,7 @@ def test_a_problem_shows_its_recommendation(chromium: Browser, pages: Path) -> N
     assert np.allclose([mode["w"] for mode in at["modes"]], best.w, rtol=0, atol=1e-9 * np.abs(best.w).max() + 1e-12)
 
 
+@pytest.mark.long("1280")
 @pytest.mark.parametrize("width", [400, 1280])
 def test_it_fits_light_and_dark_and_takes_touches(width: int, chromium: Browser, pages: Path) -> None:
     _, explorer = explored("excavator")
@@ -238,6 +245,7 @@ def test_it_fits_light_and_dark_and_takes_touches(width: int, chromium: Browser,
         assert np.allclose(moved, [20, -20], atol=1e-6)
 
 
+@pytest.mark.long("400-mobile-manipulator")
 @pytest.mark.parametrize("name", ["excavator", "mobile-manipulator", "slewing-excavator"])
 @pytest.mark.parametrize("width", [400, 1280])
 def test_arrows_of_all_modes_are_in_the_picture(name: str, width: int, chromium: Browser, pages: Path) -> None:
@@ -265,6 +273,9 @@ HANDLES = """explorer.views.flatMap((view) => [...view.box.querySelectorAll(".ha
 }))"""
 
 
+@pytest.mark.long(
+    "400-mobile-manipulator", "400-truck-crane", "1280-mobile-manipulator", "1280-slewing-excavator", "1280-truck-crane"
+)
 @pytest.mark.parametrize("name", shipped_names("models"))
 @pytest.mark.parametrize("width", [400, 1280])
 def test_all_that_is_drawn_is_in_the_first_view(name: str, width: int, chromium: Browser, pages: Path) -> None:
@@ -275,6 +286,7 @@ def test_all_that_is_drawn_is_in_the_first_view(name: str, width: int, chromium:
         assert max(page.evaluate(HANDLES)) < 0.5
 
 
+@pytest.mark.long
 def test_wherever_it_stands_it_is_in_the_first_view(chromium: Browser, pages: Path) -> None:
     """Nearer to who looks than the origin, too: ground is lower in the picture there."""
     explorer = flexopt.explore(flexopt.load("mobile-manipulator"), base=[4.0, -4.0, 0.0])
@@ -283,6 +295,7 @@ def test_wherever_it_stands_it_is_in_the_first_view(chromium: Browser, pages: Pa
         assert max(page.evaluate(HANDLES)) < 0.5
 
 
+@pytest.mark.long
 def test_a_handle_let_go_of_is_in_the_picture(chromium: Browser, pages: Path) -> None:
     """During the drag the picture stays as it is."""
     _, explorer = explored("slewing-excavator")
@@ -304,6 +317,7 @@ def test_a_handle_let_go_of_is_in_the_picture(chromium: Browser, pages: Path) ->
         assert max(beyond) > 0.5
 
 
+@pytest.mark.long("truck-crane")
 @pytest.mark.parametrize("name", ["excavator", "truck-crane"])
 def test_on_paper_it_is_light_and_has_nothing_to_press(name: str, chromium: Browser, pages: Path) -> None:
     """What was dark on the screen is so again afterwards; pictures have the shape that they were drawn in."""
@@ -325,6 +339,7 @@ def test_on_paper_it_is_light_and_has_nothing_to_press(name: str, chromium: Brow
         assert page.evaluate(f"[{ground}, explorer.theme.text]") == [dark, text]
 
 
+@pytest.mark.long
 def test_a_notebook_shows_it(chromium: Browser, pages: Path) -> None:
     _, explorer = explored("excavator")
     cell = pages / "cell.html"

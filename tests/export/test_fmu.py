@@ -108,7 +108,7 @@ def report(folder: Path, request: pytest.FixtureRequest) -> FmuReport:
     return export(folder, name=f"excavator-{request.param}", version=request.param)
 
 
-@pytest.mark.long("2.0-model-exchange")
+@pytest.mark.long("2.0-model-exchange", "2.0-co-simulation", "3.0-model-exchange")
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
 @pytest.mark.parametrize("version", VERSIONS)
 def test_fmpy_finds_no_problem(tmp_path: Path, version: str, kind: str) -> None:
@@ -128,7 +128,15 @@ def test_ten_seconds_are_those_of_simulate(report: FmuReport) -> None:
 
 
 # The versions differ in what is around the loop: that is in both, with everything in it, other loops in turns.
-@pytest.mark.long("everything-3.0", "continuous, dop853-2.0")
+@pytest.mark.long(
+    "everything-3.0",
+    "continuous, dop853-2.0",
+    "robust-2.0",
+    "transpose, gauss-3.0",
+    "three joints-3.0",
+    "wrist-2.0",
+    "everything-2.0",
+)
 @pytest.mark.parametrize(
     ("case", "version"),
     [*((case, VERSIONS[k % 2]) for k, case in enumerate(CASES)), ("everything", VERSIONS[0])],
@@ -144,6 +152,7 @@ def test_other_loops_are_those_of_simulate(tmp_path: Path, case: str, version: s
     assert worst(result, expected, made.outputs) < TOLERANCE
 
 
+@pytest.mark.long("2.0")
 @pytest.mark.parametrize("version", VERSIONS)
 def test_model_exchange_agrees_as_far_as_cvode_is_accurate(tmp_path: Path, version: str) -> None:
     made = export(tmp_path, version=version, kind="model-exchange", duration=10.0)
@@ -169,6 +178,7 @@ def test_model_exchange_with_states_of_actuators_and_law(tmp_path: Path) -> None
     assert worst(result, expected, [n for n in made.outputs if n.startswith(("q.", "end_point"))]) < 1e-10
 
 
+@pytest.mark.long("2.0")
 def test_changed_parameters_are_a_changed_machine(report: FmuReport, folder: Path) -> None:
     data = EXCAVATOR.to_dict()
     stick = data["links"][1] | {"length": 1.2, "com_offset": 0.03, "joint_damping": 15.0}
@@ -216,6 +226,7 @@ def test_gains_change_during_a_run(report: FmuReport, folder: Path) -> None:
         slave.refuses("machine.payload.mass must not change now", slave.set, machine__payload__mass=1.0)
 
 
+@pytest.mark.long("2.0")
 @pytest.mark.parametrize("version", VERSIONS)
 def test_paths_of_base_and_target_are_inputs(tmp_path: Path, version: str) -> None:
     paths = {
@@ -377,6 +388,7 @@ def test_bad_calls_are_refused(report: FmuReport, folder: Path) -> None:
         slave.refuses(unknown[1], getattr(slave.fmu, unknown[0]), [0])
 
 
+@pytest.mark.long("2.0")
 def test_parameters_that_fit_no_machine_are_refused(report: FmuReport, folder: Path, tmp_path: Path) -> None:
     with opened(report, folder) as slave:
         slave.set(posture__stick=0.0)
@@ -449,6 +461,7 @@ def test_an_unknown_unit_is_no_unit() -> None:
         unit_of("furlong/s")
 
 
+@pytest.mark.long("3.0-co-simulation")
 @pytest.mark.needs("gcc", "clang")
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
 @pytest.mark.parametrize("version", VERSIONS)
@@ -616,6 +629,7 @@ def test_the_library_runs_on_any_processor_of_its_kind(tmp_path: Path, monkeypat
     assert not any("native" in part for part in built[-1])
 
 
+@pytest.mark.long
 def test_noise_is_an_input(tmp_path: Path) -> None:
     made = export(tmp_path, duration=1.0, sensor={"noise": 1e-3, "rate_noise": 1e-2})
     names = ["sensor.noise.x", "sensor.noise.y", "sensor.noise.x_rate", "sensor.noise.y_rate"]

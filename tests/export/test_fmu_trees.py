@@ -123,7 +123,7 @@ def export(folder: Path, machine: Tree = CRANE, name: str = "model", **options: 
 
 
 # The robust law asks the slew for more than its effort.
-@pytest.mark.long("slewing excavator", "everything", "levers, damped", "robust")
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:nothing in this run:flexopt.errors.FlexoptWarning")
 @pytest.mark.parametrize("case", CASES)
 def test_loops_are_those_of_simulate(tmp_path: Path, case: str) -> None:
@@ -174,6 +174,7 @@ def test_model_exchange_with_states_of_actuators_and_law(tmp_path: Path) -> None
     assert worst(result, reference(made), placed) < 1e-11
 
 
+@pytest.mark.long
 def test_paths_of_a_turned_base_and_of_the_target_are_inputs(tmp_path: Path) -> None:
     start = flexopt.simulate(CRANE, REACH["truck-crane"], base=[1.0, 2.0, 0.8], duration=0.1, **CRANED).target[0]
     end = np.add(start, [0.1, -0.05, 0.1])
@@ -397,6 +398,7 @@ def test_unknowns_depend_on_what_the_description_says_and_on_nothing_else(tmp_pa
     assert {"state.base.x", "der(state.extend_rate)", "torque.lift", "rest_end_point.z"} <= unknowns
 
 
+@pytest.mark.long
 @settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 10**6), st.booleans())
 def test_setup_is_what_a_scenario_computes(seed: int, gravity: bool) -> None:
@@ -412,7 +414,7 @@ def test_setup_is_what_a_scenario_computes(seed: int, gravity: bool) -> None:
     check_setup(scenario, 5.0)
 
 
-@pytest.mark.long("model-exchange")
+@pytest.mark.long
 @pytest.mark.needs("gcc", "clang")
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
 def test_the_sources_compile_without_a_warning(tmp_path: Path, kind: str) -> None:

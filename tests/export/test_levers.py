@@ -76,6 +76,7 @@ def test_pins_are_parameters_and_a_linkage_that_does_not_close_is_refused(tmp_pa
     assert np.all(out["lever"] == -7.0)
 
 
+@pytest.mark.long
 def test_machines_without_speeds_have_no_levers(tmp_path: Path) -> None:
     machine = flexopt.load("excavator")
     with pytest.raises(flexopt.InputError, match="the levers of boom, stick need a cylinder or a speed"):

@@ -26,7 +26,7 @@ LOOPS: dict[str, tuple[str, Any, dict[str, Any]]] = {
 }
 
 
-@pytest.mark.long("damped", "self-motion", "rates")
+@pytest.mark.long("damped", "self-motion", "rates", "limits and dead time", "integral and filter")
 @pytest.mark.needs("gcc")
 @pytest.mark.parametrize("name", list(LOOPS))
 def test_c_asks_for_what_the_simulation_does(name: str, tmp_path: Path) -> None:
@@ -81,6 +81,7 @@ def test_what_a_bundle_says_of_its_loop(tmp_path: Path) -> None:
     assert again.header(report.bundle_sha256) == (tmp_path / "include" / "excavator_control.h").read_text()
 
 
+@pytest.mark.long("rates")
 @pytest.mark.parametrize("name", list(LOOPS))
 def test_states_are_spoken_of_where_there_are_some(name: str, tmp_path: Path) -> None:
     shipped, posture, loop = LOOPS[name]

@@ -40,7 +40,7 @@ def rigid_jacobian(machine: flexopt.Machine, posture: np.ndarray) -> np.ndarray:
 
 
 # Each bundle has the transposed and the inverse law; what `control` changes are the measures, by way of one matrix.
-@pytest.mark.long("redundant-damped:0.25", "excavator-transpose")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("make", "control"), [(redundant, "inverse"), (redundant, "damped:0.25"), (excavator, "transpose")]
 )

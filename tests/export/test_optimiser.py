@@ -65,6 +65,7 @@ def assert_equal_or_better(lib: Library, pairs: list[Any], share: float = 1.0) -
     assert good >= share * len(pairs)
 
 
+@pytest.mark.long("transpose")
 @pytest.mark.parametrize("control", ["inverse", "transpose"])
 def test_same_optimum_as_ipopt_or_a_better_one(machine, control, tmp_path):
     lib = library(machine, tmp_path, control=control)
@@ -76,11 +77,13 @@ def test_three_joints(three_joints, tmp_path):
     assert_equal_or_better(library(three_joints, tmp_path), draw_pairs(three_joints, "inverse", 12, seed=4))
 
 
+@pytest.mark.long
 def test_a_random_machine(random_one, tmp_path):
     # Four joints: the surface of configurations has three dimensions, and a sample of it finds not every peak.
     assert_equal_or_better(library(random_one, tmp_path), draw_pairs(random_one, "inverse", 12, seed=5), share=0.9)
 
 
+@pytest.mark.long
 def test_joint_limits(machine, tmp_path):
     data = machine.to_dict()
     data["links"][0]["limits"], data["links"][1]["limits"] = [-0.5, 1.2], [-2.6, -0.4]
@@ -88,6 +91,7 @@ def test_joint_limits(machine, tmp_path):
     assert_equal_or_better(library(limited, tmp_path), draw_pairs(limited, "inverse", 15, seed=6))
 
 
+@pytest.mark.long
 def test_a_climb_from_the_given_start_alone_ends_in_a_proved_optimum(machine, excavator):
     """First- and second-order conditions by functions that the C code does not contain."""
     for pair in draw_pairs(machine, "inverse", 15, seed=7):
@@ -140,6 +144,7 @@ def test_parameters_at_run_time(machine, excavator):
     assert answer.value == pytest.approx(value_of(selection, answer.z)[0], rel=1e-10)
 
 
+@pytest.mark.long
 def test_every_budget_gives_a_feasible_point_and_more_never_a_worse_one(machine, excavator, three_joints, tmp_path):
     cases = [(excavator, pair) for pair in draw_pairs(machine, "inverse", 4, seed=8)]
     lib = library(three_joints, tmp_path)
@@ -298,7 +303,7 @@ def test_what_the_workspace_held_before_does_not_matter(machine, excavator):
     assert len({answer.cost for answer in answers}) == 1
 
 
-@pytest.mark.long("gcc-c99-False", "gcc-c99-True")
+@pytest.mark.long("gcc-c99-False", "gcc-c99-True", "clang-c99-False")
 @pytest.mark.parametrize(
     ("compiler", "standard", "in_space"),
     [
@@ -324,7 +329,7 @@ def test_compiles_without_a_warning(three_joints, tmp_path, compiler, standard, 
     assert done.returncode == 0, done.stderr[:2000]
 
 
-@pytest.mark.long("slewing-excavator-float")
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "real"), [("excavator", "double"), ("slewing-excavator", "float")])
 def test_the_search_is_plain_c_that_tools_can_read(name, real, tmp_path):
     """Every file compiles by itself with the generated configuration; bundles hold the same text in one file."""
@@ -350,6 +355,7 @@ def test_the_search_is_plain_c_that_tools_can_read(name, real, tmp_path):
     assert defined[0] == defined[1]
 
 
+@pytest.mark.long
 def test_single_precision(machine, tmp_path):
     """On the target to 32 roundings of the reach times the largest angle, 36 µm; V within 1e-5 of the scale of IPOPT's."""
     lib = library(machine, tmp_path, real="float")

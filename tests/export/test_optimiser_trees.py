@@ -181,6 +181,7 @@ def test_a_climb_from_the_given_start_alone_ends_in_a_proved_optimum(excavator, 
         assert answer.value >= value_of(case.problem, case.start)[0] - SAME * case.problem.objective_scale
 
 
+@pytest.mark.long
 def test_angles_without_bounds_are_unwound(excavator, some):
     case, turn = some[0], 2 * math.pi
     free = ~np.isfinite(case.problem.lower)
@@ -322,6 +323,7 @@ def test_bad_input_is_refused_and_the_result_left_alone(excavator, some, status,
     assert (answer.value, answer.cost) == (7.0, 11)
 
 
+@pytest.mark.long
 def test_single_precision(slewing, some, tmp_path):
     """On the target to some roundings of the reach, as a bundle allows; V near that of the doubles."""
     lib = library(slewing, tmp_path, real="float")

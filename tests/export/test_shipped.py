@@ -25,7 +25,15 @@ from tests.export.programs import GCC, MAKE
 LIGHT = ["kinematics", "controller", "simulator"]
 
 
-@pytest.mark.long("mobile-manipulator-double")
+@pytest.mark.long(
+    "mobile-manipulator-double",
+    "boom-stick-bucket-float",
+    "mobile-manipulator-float",
+    "slewing-excavator-double",
+    "slewing-excavator-float",
+    "truck-crane-double",
+    "truck-crane-float",
+)
 @MAKE
 @pytest.mark.parametrize("real", ["double", "float"])
 @pytest.mark.parametrize("name", shipped_names("models"))

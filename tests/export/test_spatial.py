@@ -112,6 +112,7 @@ def one_step(data, q, v, torque, h) -> tuple[np.ndarray, np.ndarray]:
     return after[:10], after[10:]
 
 
+@pytest.mark.long
 @GCC
 def test_what_cannot_be_computed_is_refused(tmp_path: Path) -> None:
     machine = tree_from_dict(grounded(4, 1))
@@ -166,6 +167,7 @@ def end_point_over_the_axis(machine) -> list[float]:
     return [0.0, low, 0.3, 0.2]
 
 
+@pytest.mark.long("placement1")
 @GCC
 @pytest.mark.parametrize("placement", [[], ["yaw"]])
 def test_placements_slides_and_orientation_rows(placement: list[str], tmp_path: Path) -> None:
@@ -263,7 +265,7 @@ def test_everything_holds_on_the_host(real, parts: list[str], tmp_path: Path) ->
     assert result.passed and result.complete, repr(result)  # noqa: PT018
 
 
-@pytest.mark.long("small tree")
+@pytest.mark.long
 @TARGET
 @pytest.mark.parametrize(
     ("make", "parts"),

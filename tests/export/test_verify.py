@@ -85,7 +85,7 @@ def test_everything_holds_on_the_host(real: str, make, parts, functions: int, ou
     assert "cortex-m7 (not asked for)" in page
 
 
-@pytest.mark.long("float on M4F")
+@pytest.mark.long
 @TARGET
 @pytest.mark.parametrize(
     ("real", "make", "target"),
@@ -146,6 +146,7 @@ def examined(folder: Path, scratch: Path, inputs: int = 10, fuzz_calls: int = 10
     return Bench(folder, scratch, manifest, library_of(manifest), inputs, fuzz_calls)
 
 
+@pytest.mark.long("(step < CLIMB_STEPS)-(step < 1)-answers are worse than IPOPT's")
 @GCC
 @pytest.mark.parametrize(
     ("right", "wrong", "sentence"),

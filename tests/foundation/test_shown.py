@@ -115,6 +115,7 @@ def test_the_short_text_names_the_first_keys_with_units() -> None:
     assert len(Result.shortly(found)) < 260
 
 
+@pytest.mark.long
 def test_completion_offers_what_a_table_has(objects: dict[str, object]) -> None:
     tables = [found for found in objects.values() if isinstance(found, FileModel)]
     assert len(tables) > 5

@@ -56,7 +56,7 @@ print(json.dumps([before, seen, threads()]))
 """
 
 
-@pytest.mark.long("2")
+@pytest.mark.long
 @pytest.mark.parametrize("asked", ["", "2", "1"])
 def test_public_calls_compute_with_one_thread_in_libraries_that_are_loaded_meanwhile_too(asked: str) -> None:
     environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}

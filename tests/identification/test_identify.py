@@ -180,6 +180,7 @@ def test_no_spikes_where_there_are_none() -> None:
         assert not spikes(t, np.exp(-0.5 * t) * np.sin(40 * t) + 0.01 * noise).any()
 
 
+@pytest.mark.long
 def test_swing_and_stop() -> None:
     """What comes before the arm stands still is not used; the joints say how it is held."""
     swung = planar()
@@ -219,6 +220,7 @@ def test_residuals_that_are_not_white_widen_the_intervals() -> None:
     check(found, swung, [name])
 
 
+@pytest.mark.long
 def test_a_fit_that_trusts_a_wrong_damper_says_so() -> None:
     machine = flexopt.load("excavator")
     t = np.arange(0.0, 5.0, 0.01)
@@ -306,6 +308,7 @@ def test_a_motion_that_the_noise_hides_tells_nothing() -> None:
         assert low < truth[name] < high
 
 
+@pytest.mark.long("0.0003")
 @pytest.mark.parametrize("along", [0.0, 3e-4])
 def test_joints_that_swing_along_are_told(along: float) -> None:
     """An arm that is not held moves other masses; its joints' own noise says nothing."""
@@ -406,6 +409,7 @@ def test_an_accelerometer_that_sits_beyond_the_machine_is_told() -> None:
     assert not any(sentence in doubt for doubt in right.doubts)
 
 
+@pytest.mark.long("mobile-manipulator-posture1-0.7-columns1")
 @pytest.mark.parametrize(
     ("name", "posture", "softer", "columns"),
     [

@@ -39,6 +39,7 @@ def test_measures(tmp_path: Path) -> None:
     assert (found["posture.stick"].values[singular] == 0).all()
 
 
+@pytest.mark.long
 def test_outcomes(tmp_path: Path) -> None:
     study = flexopt.Study(
         name="loops", machine="excavator", compute="outcome", quantities=["decay", "delay_margin"], posture=[0.0448, -2.0499],

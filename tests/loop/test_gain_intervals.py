@@ -20,6 +20,12 @@ CASES: list[tuple[str, tuple[float, ...], Any]] = [
 ]
 
 
+@pytest.mark.long(
+    "slewing-excavator-posture0-loop0",
+    "slewing-excavator-posture1-loop1",
+    "slewing-excavator-posture2-loop2",
+    "mobile-manipulator-posture4-default",
+)
 @pytest.mark.parametrize(("name", "posture", "loop"), CASES)
 def test_batch_and_one_by_one(name: str, posture: tuple[float, ...], loop: Any) -> None:
     machine = flexopt.load(name)

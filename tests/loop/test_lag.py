@@ -55,6 +55,7 @@ def test_the_allowance_is_the_smallest_gain_that_excites(posture):
         assert growth(0.998 * kappa) < 0 < growth(1.002 * kappa)
 
 
+@pytest.mark.long
 def test_what_nothing_excites_allows_every_gain():
     """Turned by π the machine is as symmetric as at 0, but sines are rounding there, and so is w."""
     machine = flexopt.load("slewing-excavator")
@@ -68,6 +69,7 @@ def test_what_nothing_excites_allows_every_gain():
         assert np.all(np.isfinite(turned.outcome.allowance[~rounding])), name
 
 
+@pytest.mark.long
 def test_allowances_beside_each_other():
     for name in STANDS:
         loop = stand(name)[0]
@@ -177,6 +179,7 @@ def test_names_of_inputs_and_outputs():
     assert set(modes.slopes.name_out()) == {f"{name}_{by}" for name in modes.NAMES for by in BY}
 
 
+@pytest.mark.long
 def test_a_plant_that_the_cache_has_dropped():
     """Motions keep the plant that they were made of; measures asked for later may be of a plant built anew."""
     evaluation, settings, here = stand("boom-stick-bucket")

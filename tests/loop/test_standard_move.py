@@ -136,7 +136,7 @@ def value_along(point: LoopPoint, measure: Any, by: str, along: np.ndarray, h: f
     return measure(moved(point, by, along, float(h))).value
 
 
-@pytest.mark.long("at once", "integral and filter", "drives", "redundant")
+@pytest.mark.long
 @pytest.mark.parametrize("name", LOOPS)
 def test_derivatives_beside_differences(name: str) -> None:
     """SciPy's adaptive differences; of what the balls of `late_cases` do not have: filters, weight, servos."""
@@ -168,7 +168,7 @@ def test_derivatives_beside_differences(name: str) -> None:
     assert compared >= 5
 
 
-@pytest.mark.long("late")
+@pytest.mark.long("late", "filtered")
 @pytest.mark.parametrize("name", CASES)
 def test_moves_are_those_of_nonlinear_runs(name: str) -> None:
     """Of 0.1 mm, along each row by itself."""

@@ -396,6 +396,7 @@ def test_junk_in_single_keys_is_named(junk: dict[tuple[str | int, ...], Any]) ->
             assert spelled(path) in named
 
 
+@pytest.mark.long
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(st.lists(st.tuples(st.sampled_from(TABLES + SPARE + UNKNOWN), JUNK), min_size=1, max_size=3))
 def test_junk_in_place_of_tables_is_refused(junk: list[tuple[tuple[str | int, ...], Any]]) -> None:

@@ -159,6 +159,7 @@ def test_includes_that_double(tmp_path: Path) -> None:
     assert message.count("is included twice") == 30
 
 
+@pytest.mark.long
 def test_many_includes(tmp_path: Path) -> None:
     for i in range(600):
         tmp_path.joinpath(f"f{i}.xml").write_text(f'<mujoco><include file="f{i + 1}.xml"/></mujoco>')

@@ -32,7 +32,7 @@ def test_text_and_notebook_have_the_same_cells(path: Path):
 
 
 # The kernel's own libraries warn about their internals.
-@pytest.mark.long(*(path.stem for path in texts() if path.stem != "the_idea"))
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("path", texts(), ids=lambda path: path.stem)
 def test_notebook_runs(path: Path):

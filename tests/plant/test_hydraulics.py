@@ -267,6 +267,7 @@ def test_rates_and_levers_are_inverse_outside_the_dead_band(seed: int, lever: np
     np.testing.assert_allclose(again, expected, rtol=1e-14, atol=1e-15)
 
 
+@pytest.mark.long
 @given(seeds, rates_drawn)
 def test_uniform_saturation_keeps_the_end_points_direction(seed: int, rates: np.ndarray) -> None:
     machine, found, p = hydraulics()

@@ -140,6 +140,7 @@ def check_limits(machine, target, free, limits):
         assert np.all(got <= limits[:, 1] + 1e-11)
 
 
+@pytest.mark.long("structure1", "structure2")
 @pytest.mark.parametrize("structure", [Structure(3, ("x",), ()), Structure(4, ("y",), ()), Structure(5, ("x",), (2,))])
 def test_redundant_arm_gets_many_postures_and_repeats_them(structure):
     rng = np.random.default_rng(11)
@@ -154,6 +155,7 @@ def test_redundant_arm_gets_many_postures_and_repeats_them(structure):
         assert not any(np.array_equal(a, b) for a in first for b in other)
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=6)
 @given(drawn=machines(frequency=(4.0, 10.0)), seed=seeds)
 def test_under_gravity_the_deflected_end_point_is_on_the_target(drawn, seed):

@@ -42,6 +42,7 @@ def test_numbers_have_a_minus_sign():
     assert "-" not in titles
 
 
+@pytest.mark.long
 def test_in_space_both_views_show_their_parts():
     """What one view cannot see the other does: squares of the parts seen add up."""
     found = explanation("truck-crane")
@@ -74,6 +75,7 @@ def test_where_there_is_nothing_to_move_it_says_why():
     assert not faults(figure)
 
 
+@pytest.mark.long("slewing-excavator")
 @pytest.mark.parametrize("name", OF["explanation"])
 def test_every_arrow_is_inside_its_axes(name):
     figure = explanation(name).plot()
@@ -85,6 +87,7 @@ def test_every_arrow_is_inside_its_axes(name):
             assert low <= y <= high
 
 
+@pytest.mark.long("slewing-excavator")
 @pytest.mark.parametrize("name", OF["explanation"])
 def test_scenes_below_each_other_have_the_same_limits(name):
     """Only the lowest one's numbers are shown."""

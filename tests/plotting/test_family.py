@@ -57,6 +57,13 @@ def made(name: str) -> Any:
     "map base truck-crane",
     "verdict pipe-laying",
     "explanation slewing-excavator",
+    "problem article-transpose",
+    "experiment article-move",
+    "run slewing-excavator",
+    "ensemble excavator",
+    "way truck-crane",
+    "map end_point mobile-manipulator",
+    "map base mobile-manipulator",
 )
 @pytest.mark.parametrize("name", SPECIMENS)
 def test_no_text_lies_on_another_and_every_axis_has_a_unit(name):
@@ -71,6 +78,12 @@ def test_no_text_lies_on_another_and_every_axis_has_a_unit(name):
     "problem trench-paper",
     "atlas truck-crane-paper",
     "identification excavator-paper",
+    "problem pipe-laying-slide",
+    "problem stations-slide",
+    "problem trench-slide",
+    "way truck-crane-slide",
+    "atlas truck-crane-slide",
+    "identification excavator-slide",
 )
 @pytest.mark.parametrize("size", ["paper", "slide"])
 @pytest.mark.parametrize("name", DENSE)
@@ -120,7 +133,7 @@ def test_sizes(size, inches, dots, tmp_path):
         assert picture.size == dots
 
 
-@pytest.mark.long("explanation excavator")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["explanation excavator", "loop excavator"])
 def test_places_found_once_are_those_found_again(name, tmp_path):
     """A page's dark picture takes them from the light one; a file is not drawn a first time for them."""
@@ -321,6 +334,7 @@ def test_bad_arguments_are_one_clear_error(given, words):
         assert word in str(caught.value)
 
 
+@pytest.mark.long
 def test_settings_of_matplotlib_stay_the_user_s():
     code = (
         "import flexopt, matplotlib as mpl; mpl.rcParams['font.size'] = 17.0; before = dict(mpl.rcParams.copy()); "

@@ -53,6 +53,7 @@ def test_map(maps, tmp_path):
     assert any("workspace frame" in axes.get_xlabel() for axes in figure.axes)
 
 
+@pytest.mark.long
 def test_on_a_slide_rows_of_a_map_are_columns(maps):
     """Eleven panels in four rows were a fifteenth of its width each."""
     figure = maps["inverse"].plot(size="slide")
@@ -89,6 +90,7 @@ def test_figure_5_draws_the_intersection_and_both_postures(maps):
         assert (low, high) == (0.0, 1.0)
 
 
+@pytest.mark.long
 def test_the_article_s_figures_fit_a_page_and_a_slide(maps):
     transpose, inverse = maps["transpose"].dataset, maps["inverse"].dataset
     own = article.plot_figure7(transpose, inverse)
@@ -144,7 +146,7 @@ def test_figure_8(excavator):
     )
 
 
-@pytest.mark.long("paper")
+@pytest.mark.long
 @pytest.mark.parametrize("size", ["screen", "paper"])
 def test_names_in_figure_8_lie_on_no_line(excavator, size):
     marks = {"A": -0.1733, "B, printed point": 1.32687, "B, point of its measures": 1.5575}
@@ -158,6 +160,7 @@ def test_names_in_figure_8_lie_on_no_line(excavator, size):
         assert not any(box.x0 < x < box.x1 for x in lines)
 
 
+@pytest.mark.long
 def test_curves_are_broken_where_the_arm_does_not_reach(excavator):
     low = curve(excavator, 0.3, control="inverse", elbow="up")
     figure = article.plot_figure8(low, low, {})

@@ -27,6 +27,7 @@ CAPSULES = [
 ]
 
 
+@pytest.mark.long
 def test_the_names_of_a_target_and_of_an_obstacle_beside_it_are_apart():
     """The target is before a wall whose middle is as high as it."""
     wall = {"name": "wall", "kind": "box", "center": [0.45, 1.7], "size": [0.3, 2.0]}
@@ -123,6 +124,7 @@ def lines(axes):
     return {line.get_label(): line.get_xydata() for line in axes.lines}
 
 
+@pytest.mark.long
 def test_selection_picture(selection, tmp_path):
     figure = selection.plot(tmp_path / "a.png")
     assert (tmp_path / "a.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
@@ -217,6 +219,7 @@ def test_run_in_space(run, tmp_path):
     assert deflection_panel({"a": run}, 1).label == "base y, mm"
 
 
+@pytest.mark.long
 def test_film_in_space(run, tmp_path):
     run.animate(tmp_path / "run.gif", magnify=2.0)
     image = Image.open(io.BytesIO((tmp_path / "run.gif").read_bytes()))

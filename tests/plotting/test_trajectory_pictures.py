@@ -134,6 +134,7 @@ def test_partly_rigid_base(excavator, rigid, tmp_path):
     assert film(tmp_path / "rigid.gif").n_frames == 5
 
 
+@pytest.mark.long
 def test_diverged_run_is_drawn_up_to_its_last_number(diverged, tmp_path):
     t = diverged
     figure = t.plot(tmp_path / "diverged.png")
@@ -228,6 +229,7 @@ def test_long_runs_are_thinned_to_their_extremes():
     np.testing.assert_array_equal(same, [time[: 2 * BINS], values[: 2 * BINS]])
 
 
+@pytest.mark.long
 def test_long_run_in_a_small_file(excavator, tmp_path):
     t = flexopt.simulate(excavator, STABLE, duration=500.0)
     assert t.time.size == 100_001
@@ -361,6 +363,7 @@ def test_no_display_and_no_settings():
     subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True)
 
 
+@pytest.mark.long
 def test_legends_stay_inside_the_picture():
     """The names of six joints take two rows above their panel."""
     arm = flexopt.load("mobile-manipulator")

@@ -69,6 +69,7 @@ def partial_fractions(machine, posture, control):
     return np.array(poles), np.array(n0), np.array(n1)
 
 
+@pytest.mark.long("(4, ('x', 'y', 'rotation'), (3,))-True-inverse", "(4, ('x', 'y', 'rotation'), (3,))-True-transpose")
 @CONTROLS
 @pytest.mark.parametrize("joint_damping", [False, True])
 @pytest.mark.parametrize("structure", STRUCTURES, ids=str)
@@ -121,6 +122,7 @@ def test_pairs_and_rigid_part_recombine_to_the_transfer_function(control, drawn,
         assert np.linalg.norm(sum(terms) - direct) <= 1e-9 * sum(np.linalg.norm(term) for term in terms)
 
 
+@pytest.mark.long("(2, ('x', 'y', 'rotation'), ())-False-inverse")
 @CONTROLS
 @pytest.mark.parametrize(
     ("structure", "gravity"),

@@ -16,6 +16,7 @@ TOLERANCE = 1e-9
 BATCHES, PER_BATCH = 3, 30  # 90 machines and postures, both controllers each
 
 
+@pytest.mark.long("1", "2")
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_posture_gradients_equal_appendix_b(batch):
     compared, seen = 0, set()

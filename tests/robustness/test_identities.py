@@ -200,6 +200,7 @@ def test_turning_an_isotropic_machine_changes_no_measure(control, data, seed, tu
 
 
 # Of machines at the edge of what has a gradient; that is not what is tested here.
+@pytest.mark.long("transpose")
 @pytest.mark.filterwarnings("ignore:the gradient of ε_max")
 @CONTROLS
 @settings(derandomize=True, deadline=None, max_examples=10)

@@ -66,6 +66,7 @@ def test_random_postures_of_the_excavator_against_scipy(excavator, control):
         np.testing.assert_allclose(epsilon, scipy_epsilons(margin, 0, posture, p, gain), rtol=1e-9)
 
 
+@pytest.mark.long("inverse")
 @pytest.mark.parametrize("control", CONTROLS)
 def test_random_machines_against_scipy(control):
     compared = 0
@@ -93,6 +94,7 @@ def test_the_graph_agrees_with_the_general_solver(excavator):
         assert ours == pytest.approx(float(general), rel=1e-9)
 
 
+@pytest.mark.long
 def test_the_left_out_self_motion_changes_nothing(excavator):
     """The transfer function of a redundant arm from 2 (m + 2) states equals that of the whole plant."""
     data = excavator.to_dict()
@@ -190,7 +192,7 @@ def gradient_errors(control, count):
         yield error, size
 
 
-@pytest.mark.long("inverse")
+@pytest.mark.long
 @pytest.mark.parametrize("control", CONTROLS)
 def test_gradient_by_posture_over_random_machines(control):
     """Some 40 machines and postures for each controller; `python -m benchmarks.margin_accuracy` tries 200."""
@@ -199,7 +201,7 @@ def test_gradient_by_posture_over_random_machines(control):
     assert max(error for error, _ in found) <= 1e-7
 
 
-@pytest.mark.long("inverse")
+@pytest.mark.long
 @pytest.mark.parametrize("control", CONTROLS)
 def test_gradient_by_parameters_and_gain(control):
     for number, (margin, posture, p, gain) in enumerate(regular_cases(control, 40)):

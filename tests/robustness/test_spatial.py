@@ -89,7 +89,7 @@ def regular_case(seed: int, counts: tuple[int, int], rows: tuple[str, ...]) -> D
     raise AssertionError("no regular tree found")
 
 
-@pytest.mark.long("11-12-6")
+@pytest.mark.long("11-12-6", "7-8-6")
 @pytest.mark.parametrize(("k", "m", "r"), [(k, *counts) for k, counts in enumerate(COUNTS)][:12])
 def test_modes_residues_and_w_are_those_of_the_dense_eigenproblem(k, m, r):
     # Every other machine has a joint more than task rows.
@@ -185,6 +185,7 @@ def test_margin_of_six_and_four_joints_against_slicot():
     assert np.abs(result.gradient.epsilon_max[:3]).max() < 1e-10
 
 
+@pytest.mark.long("counts0-rows0", "counts2-rows2")
 @pytest.mark.parametrize(("counts", "rows"), [((12, 3), ROWS[3]), ((12, 2), ROWS[2]), ((9, 6), ROWS[6])])
 def test_margin_of_thirty_states_against_slicot(counts, rows):
     case = regular_case(7 * counts[1], counts, rows)
@@ -205,7 +206,7 @@ def margin_case(k: int) -> tuple[Dense, float]:
 
 
 # 1 to 12 passive coordinates, all rows, the largest together; `python -m benchmarks.margin_accuracy` tries 200 machines.
-@pytest.mark.long("11")
+@pytest.mark.long("11", "10", "20")
 @pytest.mark.parametrize("k", [0, 5, 10, 11, 14, 17, 20, 23])
 def test_margins_of_random_trees_up_to_36_states(k):
     case, kr = margin_case(k)

@@ -182,6 +182,7 @@ def test_a_bent_kink_is_followed_quadratically() -> None:
     assert found[1] <= 20
 
 
+@pytest.mark.long("epsilon_max")
 @pytest.mark.parametrize("objective", ["epsilon_max", "V"])
 def test_steps_never_lead_down_nor_off_the_rows(objective: str) -> None:
     weights = [1.0, 0.3, 0.3, 1e-3] if objective == "V" else None

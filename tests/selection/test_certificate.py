@@ -63,7 +63,7 @@ def holds(certificate: flexopt.Certificate, selection: flexopt.Selection, gap: f
     assert checking.check(json.loads(json.dumps(certificate.log, allow_nan=False)))[0] == []
 
 
-@pytest.mark.long("nearly straight", "in order")
+@pytest.mark.long("nearly straight", "in order", "sum")
 @pytest.mark.parametrize(
     ("options", "gap"),
     [
@@ -111,6 +111,7 @@ def test_the_file_a_machine_comes_from_proves_nothing_else(tmp_path: Path) -> No
     assert np.ptp(list(told.values()), axis=0).max() < 1e-5
 
 
+@pytest.mark.long
 def test_a_gap_of_any_size() -> None:
     loose, tight = (flexopt.certify(selected(**SUM), gap=gap) for gap in (1e-3, 1e-10))
     assert loose.proven
@@ -121,6 +122,7 @@ def test_a_gap_of_any_size() -> None:
     assert tight.cells < loose.cells + 100
 
 
+@pytest.mark.long
 def test_constraints_leave_cells_out() -> None:
     area = {"region": [[-1.0, 1.0]], "joint_margin": 0.3}
     selection = flexopt.select(flexopt.load("excavator"), TARGET, **SUM, constraints=area, workers=1)
@@ -132,7 +134,7 @@ def test_constraints_leave_cells_out() -> None:
     assert trusted == sum(cell[3] == "constraint" for cell in certificate.log["cells"]) > 0
 
 
-@pytest.mark.long("51")
+@pytest.mark.long("51", "0", "5")
 @pytest.mark.parametrize("number", [0, 5, 17, 51])
 def test_w_over_cells(number: int) -> None:
     """V of random places in random cells, by balls of 128 bits and other formulas, lies between the bounds."""
@@ -228,6 +230,7 @@ def _no_cells(log: dict[str, Any]) -> None:
     log["cells"] = []
 
 
+@pytest.mark.long("_without_a_cell", "_shorter", "_lower_bound", "_called_straight", "_lighter")
 @pytest.mark.parametrize(
     "spoil", [_without_a_cell, _shorter, _lower_bound, _called_straight, _lighter, _beyond, _no_cells]
 )

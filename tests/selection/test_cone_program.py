@@ -183,6 +183,7 @@ def test_conditions_of_an_optimum_with_cones(seed: int) -> None:
     assert abs(float(again.rise - again.d @ bend @ again.d / 2 - found.rise + found.d @ bend @ found.d / 2)) <= 1e-9
 
 
+@pytest.mark.long("4")
 @pytest.mark.parametrize("seed", range(12))
 def test_scipy_finds_nothing_better_with_cones(seed: int) -> None:
     """SLSQP on the same program with heights h_i, h_i² ≥ |c_i + C_i d|²; where it ends off the rows it tells nothing."""

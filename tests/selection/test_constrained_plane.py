@@ -128,6 +128,7 @@ def _killing(number: int, which: tuple[int, ...], times: int, folder: str) -> in
     return number
 
 
+@pytest.mark.long("5-None")
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere these are too few to start processes for")
 @pytest.mark.parametrize(("workers", "ahead"), [(2, None), (3, int), (5, None)])
 def test_what_a_killed_process_worked_on_is_done_again(tmp_path, workers, ahead):
@@ -154,6 +155,7 @@ def test_what_kills_every_process_is_named_and_the_rest_is_done(tmp_path):
     assert not multiprocessing.active_children()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere these are too few to start processes for")
 def test_a_start_whose_processes_are_killed_costs_the_others_nothing(monkeypatch):
     """Of the processes that solve, each that comes to the third start is killed."""

@@ -37,6 +37,7 @@ def free(**options) -> SelectionProblem:
     )
 
 
+@pytest.mark.long
 def test_a_turn_about_the_target_is_no_new_optimum() -> None:
     problem = free()
     points = [standing(problem, yaw) for yaw in (0.2, -2.9, 3.0, 1.0)]

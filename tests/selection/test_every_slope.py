@@ -126,6 +126,7 @@ def test_solvers_are_made_in_one_place():
     assert {place for path in sources(".") for place in calls_in(path, {"make_solver"})} == ASKED
 
 
+@pytest.mark.long
 def test_every_derivative_is_walked():
     taken = {place for path in sources(*ROOMS) for place in calls_in(path, DERIVATIVES)}
     assert taken == set(TAKEN)
@@ -254,7 +255,7 @@ def maximising(problem, *objectives):
 SHIPPED = ("excavator", "boom-stick-bucket", "slewing-excavator", "truck-crane", "mobile-manipulator")
 
 
-@pytest.mark.long("slewing-excavator", "truck-crane")
+@pytest.mark.long("slewing-excavator", "truck-crane", "mobile-manipulator")
 @pytest.mark.parametrize("name", [*SHIPPED, 1, 4])
 def test_single(walk, name):
     """w_i with exact second derivatives, and a mix with ε_max."""
@@ -265,6 +266,7 @@ def test_single(walk, name):
     walk(maximising(problem, (1.0, problem.objective_scale)), start)
 
 
+@pytest.mark.long("objectives2-transpose-True")
 @pytest.mark.parametrize(
     ("objectives", "control", "gravity"),
     [
@@ -298,7 +300,7 @@ def test_every_kind_of_constraint(walk, objectives):
 
 
 # In space under gravity there is all that is without it, and what it adds.
-@pytest.mark.long("excavator-True", "slewing-excavator-True")
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "gravity"), [("excavator", False), ("excavator", True), ("slewing-excavator", True)])
 def test_own_ones(walk, name, gravity):
     """Every quantity, squared and times another, as objective and as constraint, and in order with others."""
@@ -407,7 +409,7 @@ def test_the_independent_ones(problem):
     assert max(found.values()) < FIRST, found
 
 
-@pytest.mark.long("False")
+@pytest.mark.long
 @pytest.mark.parametrize("spatial", [False, True])
 def test_the_nullspace_law(spatial):
     machine, posture = flexopt.load("excavator"), np.array([0.9, -1.3])
@@ -536,7 +538,7 @@ def test_all_solvers_were_walked(walk):
     assert walked >= {"selection IpoptInterface", "model MXFunction", "several IpoptInterface"}
 
 
-@pytest.mark.long("excavator")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "measures"),
     [("excavator", tuple(MEASURES)), ("slewing-excavator", ("decay",))],

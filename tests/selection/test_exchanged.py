@@ -42,7 +42,7 @@ def test_the_best_at_an_edge_is_found_and_told(name: str) -> None:
     assert list(selection.edges) == selection.to_dict()["edges"]
 
 
-@pytest.mark.long("fifth mode free")
+@pytest.mark.long
 @pytest.mark.parametrize("name", KNOWN)
 def test_beyond_the_edge_v_is_what_the_sentence_says(name: str) -> None:
     """Points on the rows a little farther than the edge: V takes values near both, and none is above the best."""
@@ -64,6 +64,7 @@ def test_beyond_the_edge_v_is_what_the_sentence_says(name: str) -> None:
     assert max(seen) < best.objective + 1e-4 * problem.first_scale
 
 
+@pytest.mark.long
 def test_frequencies_are_kept_apart_only_where_it_matters() -> None:
     selection = chosen("fifth mode free")
     problem = selection.problem

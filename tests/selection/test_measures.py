@@ -36,7 +36,7 @@ def _few(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(type(measure), "stages", ((12, 6), (5, 10)))
 
 
-@pytest.mark.long("allowed_gain", "delay_margin", "radius")
+@pytest.mark.long
 @pytest.mark.parametrize("name", LOOPS)
 def test_nothing_that_a_scan_sees_is_better(name: str, request: pytest.FixtureRequest) -> None:
     """From all points by the allowed gain alone: what is looked at is the same of all."""
@@ -112,7 +112,7 @@ GAINS = {"excavator": {"kp": 1e4, "kv": 1e3}, "slewing-excavator": {"kp": 3e6, "
 TARGETS = {"excavator": TARGET, "slewing-excavator": (6.0, 2.0, 1.0)}
 
 
-@pytest.mark.long("radius-slewing-excavator", "settling-excavator", "swing-excavator")
+@pytest.mark.long("radius-slewing-excavator", "settling-excavator", "swing-excavator", "decay-slewing-excavator")
 @pytest.mark.parametrize(("name", "which"), CASES)
 def test_slopes_at_points_that_are_no_optimum(name: str, which: str) -> None:
     """Of what must stay above zero, by everything that varies and by the level, beside differences."""

@@ -75,6 +75,7 @@ def test_it_is_proven_where_no_rate_has_a_slope() -> None:
     assert first_order(own, y, own.value(y))[0] > 1e-4
 
 
+@pytest.mark.long
 def test_nothing_near_it_is_better() -> None:
     """Random steps of many sizes, put back onto the constraints: no derivative is asked."""
     own, y = program()

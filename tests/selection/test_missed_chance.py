@@ -57,6 +57,7 @@ def test_a_redundancy_that_was_seen_whole_has_none() -> None:
     assert selection.to_dict()["missed_chance"] is None
 
 
+@pytest.mark.long
 def test_every_start_tells_its_value(found: flexopt.Selection) -> None:
     ended = [attempt.value for attempt in found.attempts if attempt.value is not None]
     assert ended

@@ -28,6 +28,7 @@ def _off(program: Program, x: np.ndarray) -> float:
     return float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
 
 
+@pytest.mark.long("epsilon_max")
 @pytest.mark.parametrize("objective", ["w1", "epsilon_max"])
 def test_a_point_beside_an_optimum_is_led_back_to_it(objective: str) -> None:
     selection = flexopt.select(EXCAVATOR, (0.0, 1.6), objective=objective, workers=1)

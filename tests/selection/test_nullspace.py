@@ -79,6 +79,7 @@ def test_from_a_it_climbs_to_the_optimum_that_theory_names(machine, posture_a, u
     np.testing.assert_array_equal(unlimited.final.base, unlimited.base[-1])
 
 
+@pytest.mark.long
 def test_values_and_gradients_are_those_of_evaluate(machine, unlimited):
     for k in (0, 700, 1500, unlimited.time.size - 1):
         e = flexopt.evaluate(machine, unlimited.posture[k], base=unlimited.base[k])
@@ -86,7 +87,7 @@ def test_values_and_gradients_are_those_of_evaluate(machine, unlimited):
         np.testing.assert_allclose(unlimited.gradient[k], e.gradient.w[0], rtol=1e-8, atol=1e-14)
 
 
-@pytest.mark.long("inverse")
+@pytest.mark.long
 @CONTROLS
 def test_the_end_agrees_with_select_and_with_scipy(machine, posture_a, control):
     end = flexopt.nullspace_trajectory(machine, posture_a, control=control, min_gain=0.0, duration=30.0)
@@ -117,7 +118,7 @@ def test_the_base_stops_exactly_at_the_end_of_its_range(machine, posture_a, unli
     assert again.stop is Stop.BASE_RANGE
 
 
-@pytest.mark.long("freely", "range")
+@pytest.mark.long("freely", "range", "duration")
 @pytest.mark.parametrize(
     "stopped",
     [{}, {"base_range": (-1.5, 1.0)}, {"duration": 5.0}, {"duration": 0.004}],
@@ -156,6 +157,7 @@ def test_duration_and_rate(machine, posture_a):
     assert np.abs(np.diff(slow.posture, axis=0)).max() * 200 == pytest.approx(0.02, rel=1e-3)
 
 
+@pytest.mark.long
 def test_joint_limits(machine, posture_a):
     data = machine.to_dict()
     boom, stick = data["links"]

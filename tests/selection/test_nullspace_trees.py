@@ -21,6 +21,7 @@ def excavator() -> flexopt.Tree:
     return machine
 
 
+@pytest.mark.long
 def test_climbs_and_keeps_the_end_point(excavator: flexopt.Tree) -> None:
     t = nullspace_trajectory(excavator, POSTURE, objective="V", weights=[1.0] * 6, **START)
     assert np.all(np.diff(t.V) >= 0)

@@ -154,6 +154,7 @@ def test_under_gravity_the_target_is_reached(name: str) -> None:
     assert e.end_point == pytest.approx(target, abs=1e-8)
 
 
+@pytest.mark.long
 def test_what_does_not_go_together() -> None:
     for options, sentence in (
         ({"objective": "decay", "weights": [1, 0, 0]}, "weights"),

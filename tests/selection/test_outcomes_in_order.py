@@ -15,7 +15,7 @@ from tests.selection.loops import EXCAVATOR, TARGET, posture_at, told, worth
 LOOP = {"kp": 1e4, "kv": 1e3, "dead_time": 0.0031}
 
 
-@pytest.mark.long("w1,decay", "decay,w1", "decay,epsilon_max")
+@pytest.mark.long
 @pytest.mark.parametrize("objective", ["w1,decay", "decay,w1", "decay,allowance", "decay,epsilon_max"])
 def test_no_point_of_a_scan_keeps_the_first_and_has_more_of_the_second(objective: str) -> None:
     first, second = objective.split(",")

@@ -47,6 +47,7 @@ def not_seen_through(machine: Any, alpha: Any, size: float) -> ca.Function:
     return function("own", size * ca.atan(ca.dot(ca.DM(alpha), w) / size), w=w)
 
 
+@pytest.mark.long("machine1-target1")
 @pytest.mark.parametrize(("machine", "target"), [(EXCAVATOR, TARGET), (SLEWING, AHEAD)])
 def test_an_increasing_function_of_a_measure_is_best_where_the_measure_is(machine: Any, target: Any) -> None:
     m = flexopt.build_plant(machine).n_passive
@@ -105,7 +106,7 @@ def kind_and_own(kind: str) -> tuple[dict[str, Any], flexopt.Constraint]:
     return {kind: 0.3}, flexopt.Constraint(function(kind, share, cylinder_forces=forces), upper=0.3)
 
 
-@pytest.mark.long("joint_margin", "holding")
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["joint_margin", "manipulability", "holding"])
 def test_an_own_constraint_that_is_a_kind_leaves_the_same_optimum(kind: str) -> None:
     theirs, ours = kind_and_own(kind)
@@ -195,7 +196,7 @@ def test_a_scan_finds_nothing_better(seed: int | None) -> None:
     assert best.objective == pytest.approx(float(told), rel=1e-8, abs=1e-8)
 
 
-@pytest.mark.long("slewing-excavator-0")
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "number"), [("slewing-excavator", 0), ("boom-stick-bucket", 3)])
 def test_a_method_without_slopes_finds_nothing_better(name: str, number: int) -> None:
     """With constraints of both kinds; `python -m benchmarks.own` tries more."""
@@ -286,6 +287,7 @@ def test_several_targets() -> None:
     assert min(place.objective for place in plan.places) >= bound.worth - 1e-12
 
 
+@pytest.mark.long
 def test_results_are_data_and_drawn(tmp_path: Path) -> None:
     least = function("least_torque", -ca.sumsqr(Q["torques"]) / 1e9, torques=Q["torques"])
     at_most = flexopt.Constraint(function("sag_length", ca.norm_2(Q["sag"]), sag=Q["sag"]), upper=0.005, unit="m")

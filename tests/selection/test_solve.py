@@ -172,6 +172,7 @@ def test_joint_limits_hold(machine):
     assert selection.best.objective <= free.best.objective + 1e-15
 
 
+@pytest.mark.long
 def test_weighted_objective_and_single_modes(machine):
     weights = (0.2, 0.5, 0.3)
     weighted = flexopt.select(machine, TARGET, objective="V", weights=weights)
@@ -215,6 +216,7 @@ def test_unreachable_target_of_three_joints(three_links):
         flexopt.select(three_links, TARGET, base_range=(50.0, 51.0))
 
 
+@pytest.mark.long
 @settings(max_examples=8, deadline=None, derandomize=True)
 @given(x=st.floats(-3.0, 3.0), y=st.floats(-1.5, 3.2), control=st.sampled_from(["inverse", "transpose"]))
 def test_any_reachable_target_gives_verified_candidates_or_one_clear_error(x, y, control):

@@ -114,7 +114,7 @@ def dense(machine):
     return along_the_target(machine, z, TARGET, *BOX, 6_000, seed=2)
 
 
-@pytest.mark.long("w1")
+@pytest.mark.long
 @pytest.mark.parametrize("objective", ["w1", "V"])
 def test_never_below_thousands_of_feasible_points(machine, dense, objective):
     weights = WEIGHTS if objective == "V" else None
@@ -143,6 +143,7 @@ def test_the_result_does_not_depend_on_the_number_of_processes(machine, monkeypa
     assert repr(again.to_dict()) == repr(alone.to_dict())
 
 
+@pytest.mark.long
 def test_every_kind_of_constraint_is_kept_by_independent_formulas(machine, constrained):
     """Pinocchio's frames and gravity, plain geometry."""
     data = slewing()
@@ -332,6 +333,7 @@ def test_random_trees_reach_what_pinocchio_says_they_do(seed):
         np.testing.assert_allclose(again, target, atol=1e-8)
 
 
+@pytest.mark.long
 def test_a_curve_whose_best_third_is_one_point_is_started_from_all_along() -> None:
     """A crane that stands still: much of the sample lies on the telescope's limit, and there w_1 is best."""
     crane, still = flexopt.load("truck-crane"), {"x": [0.0, 0.0], "y": [0.0, 0.0], "yaw": [0.0, 0.0]}

@@ -53,7 +53,7 @@ def test_equations_of_parallel_factors_are_zero_there_alone_and_have_their_slope
     assert np.all(Parallel.at(f, slopes, (0, 1)).values(f)[chart.equations :].reshape(-1, 2).min(axis=1) < 0)
 
 
-@pytest.mark.long("boom-stick-bucket 7")
+@pytest.mark.long("boom-stick-bucket 7", "2: random-5-x-y-")
 @pytest.mark.parametrize("case", [*list(cases(6))[2::2], list(cases(8))[7]], ids=lambda case: case[0])
 def test_dimensions_are_those_of_a_walk(case) -> None:
     """By least squares of SciPy's with its own differences; V = 0 at each of these."""
@@ -95,6 +95,7 @@ def test_nor_where_the_surface_has_an_edge() -> None:
     assert max(np.abs(away).max(), 2 * np.abs(turned).max()) <= 1e-3
 
 
+@pytest.mark.long
 def test_no_point_of_the_surface_nearby_has_better_other_modes() -> None:
     """Points that least squares, with differences of SciPy's, move onto the surface from around the best."""
     found = slewing(0)

@@ -32,7 +32,7 @@ def test_every_public_call_takes_turns():
             assert call.__code__ is turn, f"{name} may be called by two threads at once"
 
 
-@pytest.mark.long("all of them, mixed")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["select", "all of them, mixed"])
 def test_threads_at_once(name):
     """In a process of its own: what goes wrong is a crash."""

@@ -41,6 +41,7 @@ def no_better_nearby(problem: flexopt.SelectionProblem, z: np.ndarray, seed: int
     return compared
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0])
 def test_the_best_of_pipe_laying_stands_on_a_kink(seed: int) -> None:
     selection = pipe_laid(seed)

@@ -23,6 +23,7 @@ def machine():
     return flexopt.load("excavator")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [6])
 def test_never_below_a_scan_of_its_own(seed):
     rows = examined(2000, 1, next(iter(machines([seed]))), ("inverse",))
@@ -108,7 +109,7 @@ def test_points_are_moved_onto_the_rows_under_gravity(machine):
     assert np.abs(problem.rows(there)[:2] - problem.target).max() < 1e-8
 
 
-@pytest.mark.long("epsilon_max,w1-0.001")
+@pytest.mark.long("epsilon_max,w1-0.001", "epsilon_max,w1-None")
 @pytest.mark.parametrize(("objective", "slack"), [("epsilon_max,w1", None), ("epsilon_max,w1", 1e-3), ("w1,w2", 1e-4)])
 def test_the_slack_is_a_share_of_the_value_and_stated(machine, objective, slack):
     share = {} if slack is None else {"slack": slack}
@@ -135,6 +136,7 @@ def test_the_slack_decides_between_good_optima(machine):
     assert fine.best.evaluation.epsilon_max > coarse.best.evaluation.epsilon_max
 
 
+@pytest.mark.long
 def test_the_slack_in_a_file_and_on_the_command_line(tmp_path, capsys):
     text = f"""
 schema = 1

@@ -50,6 +50,7 @@ def path(way=WAY, base=BASE, times=TIMES):
     return {"times": times, "points": base + way}
 
 
+@pytest.mark.long("3-False", "5-True")
 @pytest.mark.parametrize(("seed", "gravity"), [(3, False), (4, True), (5, True)])
 def test_a_base_that_turns_against_driven_joints(seed, gravity):
     data = tracks(seed=seed)
@@ -89,6 +90,7 @@ def test_other_integrators_agree(integrator):
     assert np.abs(exact.v).max() > 0.1
 
 
+@pytest.mark.long("names0")
 @pytest.mark.parametrize("names", [("x", "yaw"), ("yaw", "y"), ("yaw",)])
 def test_a_placement_that_names_less(names):
     """Driving what is named is driving all three with the others held, and they count from 0."""

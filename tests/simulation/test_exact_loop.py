@@ -143,6 +143,7 @@ def test_an_interval_narrower_than_the_search_is_found(monkeypatch):
     assert border.intervals[0] == pytest.approx((1.28e5, 1.32e5), rel=5e-3)
 
 
+@pytest.mark.long
 def test_self_motion_is_told_apart():
     free = flexopt.sampled_loop(DIGGER, STAND, **HEAVY)
     assert (free.neutral, free.drift, free.stable) == (2, (), True)

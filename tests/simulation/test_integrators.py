@@ -129,6 +129,7 @@ def test_order_with_a_held_command(method, parts):
     check_order(errors, ORDERS[method])
 
 
+@pytest.mark.long("3-transpose")
 @pytest.mark.parametrize(("seed", "control"), list(enumerate(["inverse", "transpose"] * 2)))
 # Eight samples: to compile their loop takes longer.
 @pytest.mark.usefixtures("interpreted")

@@ -73,11 +73,13 @@ def in_turns(structures: list[Structure]) -> list[tuple[Structure, str]]:
     return [(structure, ("inverse", "transpose")[k % 2]) for k, structure in enumerate(structures)]
 
 
+@pytest.mark.long("(4, ('x', 'y'), (2,))-inverse", "(5, ('x', 'y', 'rotation'), (1, 3))-transpose")
 @pytest.mark.parametrize(("structure", "control"), in_turns(STRUCTURES), ids=str)
 def test_compiled(structure, control):
     compare(stable_case(1, structure, control, samples=STEPS))
 
 
+@pytest.mark.long("(5, ('x', 'y', 'rotation'), ())-transpose")
 @pytest.mark.parametrize(("structure", "control"), in_turns(MORE), ids=str)
 @pytest.mark.usefixtures("interpreted")
 def test_more_machines(structure, control):

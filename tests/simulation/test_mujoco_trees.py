@@ -59,6 +59,7 @@ def compare(case: Case, tolerance: float = 1.0) -> None:
 
 
 # The inverse on every tree: `test_under_gravity`.
+@pytest.mark.long("15001-counts3-rows3-transpose")
 @pytest.mark.parametrize(
     ("seed", "counts", "rows", "control"), [(*TREES[0], "inverse"), *((*tree, "transpose") for tree in TREES)]
 )
@@ -67,6 +68,7 @@ def test_positions(seed, counts, rows, control):
     compare(stable_tree(seed, counts, control, rows, samples=STEPS))
 
 
+@pytest.mark.long("24001-counts2-rows2-inverse")
 @pytest.mark.parametrize("control", ["inverse", "transpose"])
 @pytest.mark.parametrize(("seed", "counts", "rows"), TURNING)
 @pytest.mark.usefixtures("interpreted")
@@ -74,6 +76,7 @@ def test_orientations(seed, counts, rows, control):
     compare(stable_tree(seed, counts, control, rows, samples=STEPS), TURNED)
 
 
+@pytest.mark.long("15001-counts3-rows3-True")
 @pytest.mark.parametrize(
     ("seed", "counts", "rows", "compensation"), [(*TREES[1], False), *((*tree, True) for tree in TREES)]
 )

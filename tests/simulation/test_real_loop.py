@@ -56,6 +56,7 @@ def test_every_machine_with_what_follows_from_it(name: str) -> None:
     assert "dead_time: none is given" in repr(run)
 
 
+@pytest.mark.long("velocity-False")
 @pytest.mark.parametrize(("drive", "drifts"), [("torque", True), ("velocity", False)])
 def test_drives_that_follow_rates_hold_the_self_motion(drive: str, *, drifts: bool) -> None:
     """A warning speaks of it where, set going, it goes on: not where it has ended after a second."""
@@ -125,6 +126,7 @@ def test_another_control_than_the_loops_is_refused() -> None:
         flexopt.simulate(flexopt.load("excavator"), POSTURE, control="inverse", loop={"control": "transpose"})
 
 
+@pytest.mark.long
 def test_an_fmu_holds_the_same_loop(tmp_path: Path) -> None:
     machine, loop = flexopt.load("excavator"), LOOPS["servo"]
     report = flexopt.export_fmu(machine, tmp_path / "loop.fmu", POSTURE, loop=loop, duration=0.2)

@@ -100,7 +100,7 @@ def test_a_redundant_planar_arm_with_flexible_joints_sent_through_space():
     same(plane, spatial)
 
 
-@pytest.mark.long("gauss-4")
+@pytest.mark.long("gauss-4", "dop853-4", "gauss-9")
 @pytest.mark.parametrize(("method", "seed"), [("dop853", 2), ("dop853", 4), ("gauss", 4), ("gauss", 9)])
 def test_undamped_trees_keep_their_energy(method, seed):
     """Slides and hinges, the arm falling freely: energy of weight and springs included."""

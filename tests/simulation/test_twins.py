@@ -92,6 +92,7 @@ def test_folded_constants_change_nothing(name):
     assert folded.verdict == parametric.verdict
 
 
+@pytest.mark.long("(4, ('y',), (1,))")
 @pytest.mark.parametrize("structure", [Structure(4, ("y",), (1,)), Structure(3, ("x", "y"), ())], ids=str)
 def test_random_machines_compiled_and_interpreted(structure):
     case = stable_case(31, structure, "transpose", samples=400)

@@ -117,6 +117,7 @@ def test_self_motion_is_no_oscillation():
     assert flexopt.simulate(EXCAVATOR, POSTURE_B, duration=1.0).self_motion_rate is None
 
 
+@pytest.mark.long
 def test_an_integrator_that_damps_a_growing_loop_decides_nothing():
     """At B, Kp 1e4, Kv 1e3 and 20 ms the loop grows; a minute of RK4 decays, one of order 8 does not say either yet."""
     late = {"kp": 1e4, "kv": 1e3, "sensor": {"delay": 0.02}, "offset": (1e-4, -1e-4), "duration": 60.0}

@@ -59,7 +59,7 @@ def test_doubly_robust_postures_of_the_article(control: str) -> None:
         np.testing.assert_allclose(point.scale, e.scale, rtol=1e-10)
 
 
-@pytest.mark.long("inverse")
+@pytest.mark.long
 @pytest.mark.parametrize("control", CONTROLS)
 def test_curves_are_all_there(control: str) -> None:
     """On lines between those of the atlas's own grid: where a × b changes sign with a·b > 0 there is a curve."""
@@ -80,6 +80,7 @@ def test_curves_are_all_there(control: str) -> None:
     assert count > 300
 
 
+@pytest.mark.long("inverse")
 @pytest.mark.parametrize("control", CONTROLS)
 def test_on_curves_the_measure_is_zero(control: str) -> None:
     atlas = whole(control)
@@ -127,7 +128,7 @@ def check_alike(one: flexopt.Atlas, other: flexopt.Atlas) -> None:
     np.testing.assert_allclose([kind[3] for kind in kinds(one)], [kind[3] for kind in kinds(other)], rtol=5e-3)
 
 
-@pytest.mark.long("1", "2")
+@pytest.mark.long("1", "2", "0")
 @pytest.mark.parametrize("seed", range(4))
 def test_random_machines(seed: int) -> None:
     """Machines of any structure: the atlas agrees with a scan of w_i by `evaluate_w` over lines of its own."""

@@ -88,6 +88,7 @@ def test_units_of_gains_and_measures(command: Command, tmp_path: Path) -> None:
     assert "w1, 1/(kg m2) or 1/kg  " in both
 
 
+@pytest.mark.long
 def test_selections_and_verdicts(command: Command, tmp_path: Path) -> None:
     found = [flexopt.solve_problem(flexopt.load_problem(name)) for name in ("article", "article-transpose")]
     files = [save(tmp_path, name, each) for name, each in zip(("inverse", "transpose"), found, strict=True)]

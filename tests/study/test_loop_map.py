@@ -49,6 +49,7 @@ def test_over_gain_and_dead_time_each_point_is_that_loop(tmp_path: Path) -> None
     assert [axes.get_ylabel() for axes in drawn if axes.get_title()] == 2 * ["dead time of the loop, s"]
 
 
+@pytest.mark.long
 def test_over_soil_and_payload_the_machine_is_another() -> None:
     vary = {"stiffness": (0.5, 2.0), "payload.mass": (0.0, 200.0)}
     field = flexopt.map_loop(EXCAVATOR, B, vary, loop=LOOP, points=(3, 3))
@@ -102,6 +103,7 @@ def test_bad_axes_are_told(vary: Any, loop: Any, told: str) -> None:
         flexopt.map_loop(EXCAVATOR, B, vary, loop=loop, points=(3, 3))
 
 
+@pytest.mark.long
 def test_the_command(command: Command, tmp_path: Path) -> None:
     given = ["map", "excavator", "--posture", "0.0448,-2.0499", "--vary", "kp=1e3,1e5", "--vary", "dead_time=0,0.02"]
     found = command(*given, "--loop", "kv=1e3", "--points", "4,3", "--json")

@@ -18,6 +18,7 @@ def command(capsys, tmp_path, monkeypatch):
     return Command(capsys, tmp_path)
 
 
+@pytest.mark.long
 def test_document_and_files(command, tmp_path):
     outcome = command(
         *MAP, "--control", "transpose", "--gain", "3e5", "--elbow", "down", "--x-range", "-2,2.5", "--y-range", "0.5,2",

@@ -95,6 +95,7 @@ def test_the_decision_is_the_same_for_the_selection_and_its_problem() -> None:
     assert recommended.decay.nominal == pytest.approx(alone.decay)
 
 
+@pytest.mark.long
 def test_a_present_place_that_no_integrator_follows_grows() -> None:
     """With the gains that suit the machine the present place grows faster than steps of the run bear."""
     found = judged("article", runs=2, members=4)
@@ -103,6 +104,7 @@ def test_a_present_place_that_no_integrator_follows_grows() -> None:
     assert found.word == "move"
 
 
+@pytest.mark.long
 def test_drives_that_give_nothing_confirm_nothing() -> None:
     found = judged("article", loop=ARTICLE | {"torque_limit": 0.0}, runs=2, members=4)
     assert all(place.runs is not None and place.runs.confirming == 0.0 for place in found.places)
@@ -122,6 +124,7 @@ def test_what_grows_is_not_said_to_settle_late(tmp_path: Path) -> None:
     assert found.handed_on == ""
 
 
+@pytest.mark.long
 def test_a_present_posture_beside_the_target_is_told_on_the_page_and_in_the_document(tmp_path: Path) -> None:
     machine, posture = flexopt.load("excavator"), (1.02, -2.6)
     problem = flexopt.build_selection(machine, (0.0, 1.6), base=0.0, posture=posture, starts=2)
@@ -218,6 +221,7 @@ def alone(machine: flexopt.Machine, stand: tuple[Any, Any]) -> flexopt.Outcome:
     return flexopt.outcome(machine, stand[1], base=stand[0], loop=ARTICLE)
 
 
+@pytest.mark.long
 def test_of_several_targets_the_worst_counts() -> None:
     """Each number is the worst of those that `outcome` and ensembles give at the targets one by one."""
     machine = flexopt.load("excavator")
@@ -258,6 +262,7 @@ def test_of_several_targets_the_worst_counts() -> None:
     assert sum(line.endswith("(the slowest)") for line in lines) == len(found.places)
 
 
+@pytest.mark.long
 def test_a_posture_that_was_given_is_not_called_missing() -> None:
     """Of several targets no one posture is how the arm is held; only where none is known that is said."""
     machine, words = flexopt.load("excavator"), "how the arm is held was not given"
@@ -270,6 +275,7 @@ def test_a_posture_that_was_given_is_not_called_missing() -> None:
         assert ("posture: decides nothing" in repr(stand)) != missing
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("damping", "told"), [(0.0, True), (1e4, False)])
 def test_a_self_motion_that_nothing_brakes_is_told(
     damping: float, told: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -81,6 +81,7 @@ def test_choice_and_loops_are_those_of_the_calls(article):
     assert article.notes == ()
 
 
+@pytest.mark.long
 def test_document(article):
     document = json.loads(json.dumps(article.to_dict(), allow_nan=False))
     machine = flexopt.load("excavator")
@@ -184,6 +185,7 @@ def test_machine_in_space():
     assert result.to_dict()["constraints"]["region"] is not None
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("words_alone")
 def test_what_cannot_be_run_is_noted():
     problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))

@@ -93,7 +93,10 @@ def page_text(report: flexopt.Report) -> str:
     return _pages[id(report)]
 
 
-@pytest.fixture(scope="module", params=["judged", "crowded", "stations", "trench"])
+LONG = [pytest.param(name, marks=pytest.mark.long) for name in ("crowded", "stations", "trench")]
+
+
+@pytest.fixture(scope="module", params=["judged", *LONG])
 def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     if request.param in ("judged", "crowded"):
         report = request.getfixturevalue(request.param)
@@ -199,6 +202,7 @@ def test_several_targets(path: Path) -> None:
         assert document["mode_shares"].keys() == {"worst target"}
 
 
+@pytest.mark.long
 def test_many_constraints_fold(crowded: flexopt.Report) -> None:
     page = Parsed(page_text(crowded))
     best = crowded.selection.best
@@ -216,6 +220,7 @@ def test_many_constraints_fold(crowded: flexopt.Report) -> None:
     assert max(map(room, near)) <= min(room(name) for name in named if name not in near)
 
 
+@pytest.mark.long("crowded")
 @pytest.mark.parametrize("name", ["judged", "crowded"])
 def test_candidates_without_a_column_of_constraints_are_counted(name: str, request: pytest.FixtureRequest) -> None:
     report = request.getfixturevalue(name)
@@ -226,6 +231,7 @@ def test_candidates_without_a_column_of_constraints_are_counted(name: str, reque
     assert len(columns) + (int(told[1]) if told else 0) == len(report.selection.candidates)
 
 
+@pytest.mark.long("crowded-True")
 @pytest.mark.parametrize(("name", "followed"), [("judged", False), ("crowded", True)])
 def test_a_map_of_followed_postures_says_so(name: str, followed: bool, request: pytest.FixtureRequest) -> None:
     report = request.getfixturevalue(name)
@@ -377,6 +383,7 @@ def test_text_can_be_read_in_both_themes() -> None:
 
 
 @pytest.mark.needs("chromium")
+@pytest.mark.long
 def test_pdf(judged: flexopt.Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = page_text(judged)
     monkeypatch.setattr(problem_page, "report_html", lambda _: text)

@@ -365,6 +365,7 @@ def test_random_urdfs_are_pinocchios(
     assert_same(oracle.end_point(), peer.frame(f"l{last}"))
 
 
+@pytest.mark.long
 @given(st.lists(bodies(), min_size=1, max_size=6), st.integers(0, 10**6))
 @settings(max_examples=40, deadline=None)
 def test_random_mjcfs_are_mujocos(

@@ -77,6 +77,7 @@ def test_trees_among_obstacles():
     assert overlapping > 100
 
 
+@pytest.mark.long
 def test_chains_among_obstacles():
     """The same machine in space: discs become balls, rectangles long boxes across the plane."""
     overlapping = 0

@@ -137,6 +137,7 @@ def test_points_and_boxes():
     assert all_finite(with_derivatives(function), np.ones(3), np.ones(3))
 
 
+@pytest.mark.long("3")
 @pytest.mark.parametrize("d", [2, 3])
 def test_gradient_agrees_with_central_differences(d):
     rng = np.random.default_rng(10 + d)
@@ -150,6 +151,7 @@ def test_gradient_agrees_with_central_differences(d):
     assert max(errors) < 2.0
 
 
+@pytest.mark.long("3")
 @pytest.mark.parametrize("d", [2, 3])
 def test_gradient_is_clean_where_segment_and_box_are_nearly_parallel(d):
     """No end can change the distance faster than it moves, however small the tilt."""
@@ -268,7 +270,7 @@ def pair_oracle(a, b, c, e) -> float:
     return float(min(nearest(low), nearest(0.0), nearest(1.0)))
 
 
-@pytest.mark.long("2")
+@pytest.mark.long
 @pytest.mark.parametrize("d", [2, 3])
 def test_distance_of_segments(d):
     rng = np.random.default_rng(d)

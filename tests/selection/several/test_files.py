@@ -68,6 +68,7 @@ def test_stations() -> None:
         assert low - 1e-8 <= x <= high + 1e-8
 
 
+@pytest.mark.long
 def test_file_is_the_call(tmp_path: Path) -> None:
     options = '[selection]\nobjective = "w2"\ncombine = "weighted"\nshares = [1.0, 3.0]\n'
     file = written(tmp_path, STATIONS + options)
@@ -111,6 +112,7 @@ def test_faults_of_a_file(tmp_path: Path, text: str, words: list[str]) -> None:
         assert word in str(caught.value)
 
 
+@pytest.mark.long
 def test_command_line(command: Command) -> None:
     command.write("p.toml", HEAD + STATIONS + '[selection]\nobjective = "w2"\n')
     document = command.json("select", "p.toml", "--starts", "3", "--workers", "1", "--plot", "p.png", "--out", "p.json")

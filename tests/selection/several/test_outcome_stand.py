@@ -30,7 +30,7 @@ def worst(name: str, x: float, loop: dict[str, Any]) -> float:
     )
 
 
-@pytest.mark.long("swing")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["decay", "swing"])
 def test_no_placement_of_a_scan_is_better(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # Points that are looked at first: enough for this part.

@@ -30,6 +30,7 @@ def plan(excavator: flexopt.Machine) -> BasePlan:
     return plan_base(excavator, PATH, objective="V", weights=[1, 1, 1], duration=6.0, workers=1)
 
 
+@pytest.mark.long
 def test_way_reaches_every_target_and_keeps_to_the_rates(excavator: flexopt.Machine, plan: BasePlan) -> None:
     assert plan.time == pytest.approx(np.linspace(0, 6, 7))
     for place, target in zip(plan.places, PATH, strict=True):
@@ -49,6 +50,7 @@ def test_moving_is_not_worse_than_standing_still(excavator: flexopt.Machine, pla
     assert plan.worth == plan.V.min() == plan.V[plan.worst]
 
 
+@pytest.mark.long
 def test_no_way_of_a_dense_grid_is_better(excavator: flexopt.Machine, plan: BasePlan) -> None:
     """An exhaustive search over 161 placements and both elbows for each target, within the same rates."""
     bases = np.linspace(-2.2, 3.6, 161)

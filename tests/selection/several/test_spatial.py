@@ -69,7 +69,7 @@ def test_way_along_a_trench(excavator: flexopt.Tree, plan: BasePlan) -> None:
         assert there.w.sum() == pytest.approx(value, rel=1e-9)
 
 
-@pytest.mark.long("weighted")
+@pytest.mark.long
 @pytest.mark.parametrize("combine", ["worst", "weighted"])
 def test_stand_for_three_targets(excavator: flexopt.Tree, combine: str) -> None:
     targets = [[6.0, -2.0, 1.0], [7.0, 0.5, -1.0], [5.0, 3.0, 0.5]]
@@ -122,7 +122,7 @@ def test_whole_turns_do_not_stand_in_the_way(excavator: flexopt.Tree) -> None:
     assert np.ptp(plan.posture[:, 0]) < np.pi
 
 
-@pytest.mark.long("allowance")
+@pytest.mark.long
 @pytest.mark.parametrize(
     "how", [{"objective": "w1"}, {"objective": "allowance", "loop": {"kp": 50.0, "kv": 10.0}}], ids=["w1", "allowance"]
 )

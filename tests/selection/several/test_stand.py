@@ -62,6 +62,7 @@ def check_places(machine: flexopt.Machine, stand: Stand) -> None:
     assert stand.worst == int(np.argmin([place.objective for place in stand.places]))
 
 
+@pytest.mark.long
 def test_worst_is_at_least_that_of_a_dense_look(excavator: flexopt.Machine) -> None:
     stand = select_stand(excavator, TARGETS, workers=1)
     check_places(excavator, stand)
@@ -71,6 +72,7 @@ def test_worst_is_at_least_that_of_a_dense_look(excavator: flexopt.Machine) -> N
     assert stand.stationarity < 1e-5
 
 
+@pytest.mark.long
 def test_weighted_sum_is_at_least_that_of_a_dense_look(excavator: flexopt.Machine) -> None:
     shares = np.array([1.0, 2.0, 3.0]) / 6
     stand = select_stand(
