@@ -177,8 +177,8 @@ class SimulationOptions(BuiltByCall):
         hold: True: the command is computed at each sample and held; False: at every stage of the integrator.
         integrator: `"rk4"` (the article's), `"dop853"` (explicit, order 8) or `"gauss"` (Gauss–Legendre, order 6,
             symplectic: the energy of undamped modes stays).
-        substeps: integration steps in a sample; by default 1 for `"rk4"`, else as the fastest mode and damper
-            need.
+        substeps: integration steps in a sample; by default as the fastest mode and damper need; of `"rk4"` 1, more
+            only where a damper needs them.
         gravity: False: the weight is taken to be compensated in all coordinates, as in the article; True: it acts, and
             the machine hangs in its springs.
         gravity_compensation: whether the command carries the arm's weight, where it acts.

@@ -64,7 +64,7 @@ def stepping(options: SimulationOptions, of: Fastest) -> Stepping:
     need, pole = _stable_steps(method, of, period)
     if substeps is None:
         substeps = 1 if method == "rk4" else max(1, math.ceil(fastest * period / ACCURATE_STEP))
-        if method == "dop853" and need > 1:
+        if need > 1 and (method == "dop853" or _brakes(pole, of)):
             # At the limit itself a run would not bear that masses change along the way.
             substeps = max(substeps, 2 * need)
         if method == "gauss":
@@ -111,10 +111,14 @@ def _polynomial(method: Method) -> Vector | None:
     return stability_polynomial(tableaus[method]()) if method in tableaus else None
 
 
+def _brakes(pole: complex, of: Fastest) -> bool:
+    """Whether it is a damper's pole, neither a mode's nor a servo's."""
+    return pole != -of.servo and abs(pole.imag) <= ROUNDING * abs(pole)
+
+
 def _named(pole: complex, of: Fastest) -> str:
     """A pole in words."""
-    if pole == -of.servo:
-        return f"servo of {of.servo / (2 * math.pi):.4g} Hz"
-    if abs(pole.imag) > ROUNDING * abs(pole):
-        return f"mode at {of.mode / (2 * math.pi):.4g} Hz"
-    return f"dampers, which brake a motion at {abs(pole):.4g} 1/s"
+    if _brakes(pole, of):
+        return f"dampers, which brake a motion at {abs(pole):.4g} 1/s"
+    servo = pole == -of.servo
+    return f"{'servo of' if servo else 'mode at'} {(of.servo if servo else of.mode) / (2 * math.pi):.4g} Hz"

@@ -240,11 +240,10 @@ def test_explicit_steps_too_long_for_a_damper_are_refused(method):
     loop = closed_loop(replace(made.loop.structure, substeps=need - 1))
     one_less = replace(made, loop=loop, parts=dict(made.parts) | {"h": made.period / (need - 1)})
     assert np.abs(np.linalg.eigvals(state_matrix(one_less))).max() > 1.01
-    if method == "dop853":
-        # Of itself it takes as many, and more, as masses change along the way.
-        own = scenario(case.machine, **given)
-        assert own.loop.structure.substeps == 2 * need
-        assert np.abs(final(own, 60)).max() < 10
+    # Of itself it takes as many, and more, as masses change along the way.
+    own = scenario(case.machine, **given)
+    assert own.loop.structure.substeps == 2 * need
+    assert np.abs(final(own, 60)).max() < 10
 
 
 def conservative(seed: int, structure: Structure) -> Scenario:
