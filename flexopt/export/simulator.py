@@ -46,7 +46,8 @@ def simulator(at: Context) -> tuple[Operation, ...]:
     about = (
         "One step of classical RK4 of the machine itself, torques held, without its weight: M(q) dv/dt + h(q, v) + "
         "K (q - q_rest) + D v = [0; torque]. RK4 is stable while (largest angular frequency) * h < 2.8 and damps above "
-        "about 0.5: take several short steps in a sample of the controller."
+        "about 0.5; a joint that dampers brake at a rate in 1/s wants (rate) * h < 2.8 as well. Take several short "
+        "steps in a sample of the controller."
     )
     return (at.operation("machine_step", about, inputs, outputs, []),)
 

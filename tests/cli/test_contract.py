@@ -129,6 +129,7 @@ def test_every_document_stands_alone_and_has_provenance(command: Command, argume
     assert "casadi" in document["provenance"]
 
 
+@pytest.mark.long
 def test_missing_numbers_are_null(command: Command) -> None:
     # Two equal springs under a base a trillion times heavier than its arm: equal poles, whose gradient does not exist.
     patch = {"base.stiffness.rotation": None, "base.mass": "1e9", "base.inertia": "1e12"}
@@ -209,6 +210,7 @@ OVERRIDES = [
 ]
 
 
+@pytest.mark.long("options0-path0-transpose")
 @pytest.mark.parametrize(("options", "path", "expected"), OVERRIDES, ids=lambda value: None)
 def test_options_override_the_problem_file(
     command: Command, options: tuple[str, ...], path: tuple[Any, ...], expected: Any

@@ -74,6 +74,7 @@ def test_what_is_wrong_is_named(command: Command, study: Path) -> None:
     assert "must end in .nc or .csv" in command("study", "export", str(command.folder), "--out", "x.txt").stderr
 
 
+@pytest.mark.long("2")
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_says_how_to_go_on(number: int, tmp_path: Path) -> None:

@@ -67,6 +67,7 @@ def test_a_choice_by_what_the_loop_bears(command: Command) -> None:
     assert min(shown["best"]["outcome"]["allowance"]) == pytest.approx(shown["best"]["objective"], rel=1e-9)
 
 
+@pytest.mark.long
 def test_least_outcomes_of_a_file(command: Command) -> None:
     (command.folder / "own.toml").write_text(
         'name = "own"\nmachine = "excavator"\n[target]\nend_point = [0.0, 1.6]\n[loop]\nkp = 1e4\nkv = 1e3\n'

@@ -118,7 +118,7 @@ def test_springs_that_are_known_stay_as_they_are(command: Command) -> None:
     assert "arm held" not in text
 
 
-@pytest.mark.long("humanoid.xml", "so101.urdf")
+@pytest.mark.long("humanoid.xml", "so101.urdf", "kinova.urdf")
 @pytest.mark.parametrize(
     "robot",
     [ROBOTS / "slewing-excavator.urdf", ROBOTS / "mobile-manipulator.xml", "arm.urdf", "arm.xml", "so101.urdf", "kinova.urdf",
@@ -153,6 +153,7 @@ def test_a_robot_file_becomes_a_machine(command: Command, robot: Path | str) -> 
     assert ("base" in data) == (path.name not in {"mobile-manipulator.xml", "arm.xml"})
 
 
+@pytest.mark.long
 def test_what_nobody_said_is_marked_as_proposed_and_nothing_else(command: Command) -> None:
     command.write("arm.urdf", URDF)
 
@@ -233,7 +234,7 @@ def hand(joints: str) -> str:
     return f'<robot name="carrier">{links}{"".join(parts)}</robot>'
 
 
-@pytest.mark.long("parted-behind0")
+@pytest.mark.long
 @pytest.mark.parametrize(("joints", "behind"), [("parted", ["a", "b", "c"]), ("named", ["gripper"])])
 def test_a_hand_is_no_part_of_the_arm(command: Command, joints: str, behind: list[str]) -> None:
     """Fingers part from a palm, or a joint is named after them; what stands beside the arm far from its end is none."""
@@ -279,12 +280,7 @@ def fixed_hand(frames: dict[str, tuple[str, float, float]]) -> str:
     return f'<robot name="stiff hand">{"".join(parts)}</robot>'
 
 
-@pytest.mark.long(
-    "frames0-wrist-like branches are fixed to it, as fingers of a hand; one of them ends in left_end",
-    "frames2-centre-a mere frame fixed to wrist, as a tool's",
-    "frames3-wrist-as fingers of a hand",
-    "frames4-wrist-as fingers of a hand",
-)
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("frames", "chosen", "why"),
     [

@@ -128,6 +128,7 @@ def test_every_command_has_examples_and_every_example_is_understood(command: Com
                 assert command(*words[1:]).code == 0, line
 
 
+@pytest.mark.long
 def test_python_runs_the_command_as_a_module() -> None:
     asked = ["--version"], ["evaluate", "excavator", "--posture", "a,b", "--json"]
     for arguments in asked:

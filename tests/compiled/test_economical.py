@@ -143,6 +143,7 @@ print("begun", flush=True)
 """
 
 
+@pytest.mark.long
 def test_a_process_that_ends_does_not_wait_for_its_compiler(empty_cache: Path) -> None:
     if find_compiler() is None:
         return

@@ -146,7 +146,7 @@ def test_a_point_at_which_the_evaluation_fails_is_nan(nested: bool) -> None:
     np.testing.assert_allclose(result[0, 0::3], 2.0)
 
 
-@pytest.mark.long("gradients")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["w", "gradients"])
 def test_measures_of_the_excavator(name: str) -> None:
     measures = flexopt.build_measures(flexopt.load("excavator"))

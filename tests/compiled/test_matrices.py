@@ -26,7 +26,7 @@ def _columns(matrices: np.ndarray) -> np.ndarray:
     return matrices.transpose(1, 0, 2).reshape(-1, POINTS)
 
 
-@pytest.mark.long("11-3-13-SX")
+@pytest.mark.long("11-3-13-SX", "10-10-10-SX")
 @pytest.mark.parametrize("graph", [ca.SX, ca.MX])
 @pytest.mark.parametrize(("rows", "inner", "columns"), SHAPES)
 def test_products_by_name_and_as_they_are_written(graph, rows, inner, columns):

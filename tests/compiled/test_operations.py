@@ -54,6 +54,7 @@ def _points(rows: int) -> np.ndarray:
     return np.hstack([scattered, pairs])
 
 
+@pytest.mark.long
 def test_unary_operations() -> None:
     x = ca.SX.sym("x")
     graphs = {name: getattr(ca, name)(x) for name in UNARY if name != "sq"} | {n: f(x) for n, f in OWN.items()}

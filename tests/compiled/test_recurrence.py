@@ -222,6 +222,7 @@ def test_fast_and_exact_agree_for_random_machines(seed: int, links: int) -> None
         np.testing.assert_allclose(*(getattr(r, name) for r in results), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.long
 def test_the_fast_step_matches_plain_calls(chain: Chain, carried: Recurrence) -> None:
     x0, x = chain.start(1)[:, 0], chain.start(1)[:, 0]
     for _ in range(50):
@@ -446,7 +447,7 @@ def _compilers() -> list[str]:
     return found + ([f"'{sys.executable}' -m ziglang c++"] if find_spec("ziglang") else [])
 
 
-@pytest.mark.long("g++", "g++ -mno-avx512f", "g++ -mno-avx -mno-fma", "clang++", "clang++ -mno-avx512f")
+@pytest.mark.long
 @pytest.mark.parametrize("name", _compilers())
 def test_each_compiler(fresh: None, monkeypatch: pytest.MonkeyPatch, chain: Chain, name: str) -> None:
     monkeypatch.setenv("FLEXOPT_CXX", name)
@@ -464,7 +465,7 @@ def test_each_compiler(fresh: None, monkeypatch: pytest.MonkeyPatch, chain: Chai
         np.testing.assert_array_equal(alone.x[..., 0], together.x[..., i])
 
 
-@pytest.mark.long("clang++")
+@pytest.mark.long
 @pytest.mark.parametrize("name", [name for name in ("g++", "clang++") if shutil.which(name)])
 def test_what_runs_briefly_is_compiled_sooner_to_the_same_bits(
     empty_cache: Path, monkeypatch: pytest.MonkeyPatch, chain: Chain, name: str

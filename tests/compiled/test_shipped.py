@@ -51,6 +51,9 @@ def _quickly(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     "measures of maps-slewing-excavator",
     "measures of maps-truck-crane",
     "measures of maps-excavator",
+    "w with gradient-boom-stick-bucket",
+    "distance from singularity-mobile-manipulator",
+    "measures of maps-boom-stick-bucket",
 )
 @pytest.mark.parametrize(
     ("what", "name"), [(what, name) for what in BATCHED for name in MACHINES if what != "w" or name == "excavator"]

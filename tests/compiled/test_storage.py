@@ -72,6 +72,7 @@ def _libraries(folder: Path) -> list[Path]:
     return [path for path in folder.rglob("*-*") if path.is_file() and path.suffix in {".so", ".dylib", ".dll"}]
 
 
+@pytest.mark.long
 def test_a_second_process_loads_what_the_first_built(empty_cache: Path) -> None:
     compiled, _ = _finished(_start())
     assert len(_libraries(empty_cache)) == (LIBRARIES if compiled else 0)
@@ -88,7 +89,7 @@ def test_processes_at_once(empty_cache: Path) -> None:
     assert [path.name for path in empty_cache.glob(".lock*")] in ([".lock"], [])
 
 
-@pytest.mark.long("emptied", "cut", "text")
+@pytest.mark.long
 @pytest.mark.parametrize("damage", ["emptied", "cut", "changed", "text"])
 def test_a_damaged_cache_is_built_again(empty_cache: Path, damage: str) -> None:
     compiled, _ = _finished(_start())
@@ -111,6 +112,7 @@ def test_a_cache_that_cannot_be_written(tmp_path: Path) -> None:
     assert set(Path(tmp_path).rglob("*")) == before, "the temporary folder is removed at the end"
 
 
+@pytest.mark.long
 def test_a_cache_that_may_only_be_read(empty_cache: Path) -> None:
     empty_cache.mkdir()
     _finished(_start())
@@ -123,6 +125,7 @@ def test_a_cache_that_may_only_be_read(empty_cache: Path) -> None:
             path.chmod(0o755)
 
 
+@pytest.mark.long
 def test_killed_while_compiling(empty_cache: Path, tmp_path: Path) -> None:
     good = find_compiler()
     if good is None:

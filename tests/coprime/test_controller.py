@@ -118,6 +118,7 @@ def test_optimal_controller_attains_and_is_smaller_than_the_plant(seed, n, dt):
     assert hinf_norm(T) == pytest.approx(1 / float(result), rel=ATTAINS)
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=30)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_no_controller_beats_the_optimum(seed, n, dt):

@@ -145,6 +145,7 @@ def test_chordal_distance_against_a_grid(seed, n, dt):
         assert nu == pytest.approx(on_grid, abs=2e-2)  # peaks between grid points
 
 
+@pytest.mark.long("1e-05-1.0", "1e-05-0.0001")
 @pytest.mark.parametrize(("shift", "gain"), [(1e-5, 1.0), (1e-5, 1e-4), (1e-4, 1e-2), (1e-3, 1.0), (1e-3, 1e-4)])
 def test_sharp_resonances_are_not_missed(shift, gain):
     """Two modes at 138 rad/s with ζ = 2e-4, frequencies apart by `shift`: the peak is narrower than any coarse grid."""
@@ -161,6 +162,7 @@ def test_sharp_resonances_are_not_missed(shift, gain):
         assert nu == pytest.approx(peak, rel=1e-6)  # the grid's own resolution
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=20)
 @given(seeds, st.integers(1, 5))
 def test_winding_number_against_a_phase_count(seed, n):

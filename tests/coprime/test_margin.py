@@ -133,6 +133,7 @@ def test_riccati_equations_hold_in_the_callers_coordinates(seed, n):
         assert np.linalg.norm(residual) <= 1e-10 * size
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=20)
 @given(seeds)
 def test_time_and_state_units_do_not_matter(seed):

@@ -79,7 +79,16 @@ def test_everything_public_has_an_example() -> None:
 
 
 @pytest.mark.long(
-    "report", "verdict", "verify_bundle", "map_workspace", "Ensemble", "SelectionProblem", "simulate_ensemble"
+    "report",
+    "verdict",
+    "verify_bundle",
+    "map_workspace",
+    "Ensemble",
+    "SelectionProblem",
+    "simulate_ensemble",
+    "export_fmu",
+    "identify",
+    "Actuator",
 )
 @pytest.mark.parametrize("first", SEQUENCES)
 def test_the_examples_run(first: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

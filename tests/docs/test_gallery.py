@@ -24,7 +24,7 @@ LONG = ("stand", "selection-in-space", "plan", "map-of-the-base", "map", "atlas"
 QUICK = [exhibit for exhibit in gallery.EXHIBITS if exhibit.name not in LONG]
 
 
-@pytest.mark.long("selection", "base-trajectory", "verdict", "run", "film", "ensemble", "explanation", "identification")
+@pytest.mark.long
 @pytest.mark.parametrize("exhibit", QUICK, ids=lambda exhibit: exhibit.name)
 def test_its_lines_draw_it(exhibit: gallery.Exhibit, tmp_path: Path):
     assert type(gallery.draw(exhibit, tmp_path)).__name__ == exhibit.kind

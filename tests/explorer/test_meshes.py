@@ -153,6 +153,7 @@ def test_meshes_stand_for_the_capsules_of_their_bodies(chromium: Browser, pages:
         assert page.locator("#meshes-shown").is_hidden()
 
 
+@pytest.mark.long
 @pytest.mark.needs("chromium")
 def test_what_stands_on_the_ground_moves_with_the_placement(chromium: Browser, pages: Path, robot: Tree) -> None:
     pedestal = Visual(shape="box", matrix=((0.5, 0, 0), (0, 0.3, 0), (0, 0, 0.2)), position=(0.2, 0.0, 0.1))

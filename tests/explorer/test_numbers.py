@@ -23,7 +23,7 @@ MACHINES = ("excavator", "boom-stick-bucket", "slewing-excavator")
 NODE = shutil.which("node")
 
 
-@pytest.mark.long("boom-stick-bucket", "slewing-excavator")
+@pytest.mark.long
 @pytest.mark.needs("chromium")
 @pytest.mark.parametrize("name", MACHINES)
 def test_the_browser_computes_what_python_computes(name: str, chromium: Browser, pages: Path) -> None:
@@ -41,7 +41,7 @@ def test_the_browser_computes_what_python_computes(name: str, chromium: Browser,
         assert {value["decay"] > 0 for value in known} == {True, False}
 
 
-@pytest.mark.long("boom-stick-bucket", "slewing-excavator")
+@pytest.mark.long
 @pytest.mark.needs("chromium")
 @pytest.mark.parametrize("name", MACHINES)
 def test_under_the_weight_too(name: str, chromium: Browser, pages: Path) -> None:
@@ -64,6 +64,7 @@ def test_under_the_weight_too(name: str, chromium: Browser, pages: Path) -> None
     assert [mode["w"] for mode in at["modes"]] == pytest.approx(under.w, abs=1e-9 * max(m["size"] for m in at["modes"]))
 
 
+@pytest.mark.long
 @pytest.mark.needs("chromium")
 def test_springs_that_do_not_hold_the_weight(chromium: Browser, pages: Path) -> None:
     """Softer soil by its slider until the machine would fall over: a word, and no number."""
@@ -97,6 +98,7 @@ def test_a_problem_brings_its_weight(chromium: Browser, pages: Path) -> None:
     assert [mode["hz"] for mode in at["modes"]] == pytest.approx(found.frequencies_hz, rel=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.needs("chromium")
 def test_equal_frequencies_are_one_cluster(chromium: Browser, pages: Path) -> None:
     """An arm that stands straight up on springs alike in x and y: λmin of the cluster's summed residue."""

@@ -221,7 +221,7 @@ def test_a_problem_shows_its_recommendation(chromium: Browser, pages: Path) -> N
     assert np.allclose([mode["w"] for mode in at["modes"]], best.w, rtol=0, atol=1e-9 * np.abs(best.w).max() + 1e-12)
 
 
-@pytest.mark.long("1280")
+@pytest.mark.long
 @pytest.mark.parametrize("width", [400, 1280])
 def test_it_fits_light_and_dark_and_takes_touches(width: int, chromium: Browser, pages: Path) -> None:
     _, explorer = explored("excavator")
@@ -245,7 +245,9 @@ def test_it_fits_light_and_dark_and_takes_touches(width: int, chromium: Browser,
         assert np.allclose(moved, [20, -20], atol=1e-6)
 
 
-@pytest.mark.long("400-mobile-manipulator")
+@pytest.mark.long(
+    "400-mobile-manipulator", "400-slewing-excavator", "1280-mobile-manipulator", "1280-slewing-excavator"
+)
 @pytest.mark.parametrize("name", ["excavator", "mobile-manipulator", "slewing-excavator"])
 @pytest.mark.parametrize("width", [400, 1280])
 def test_arrows_of_all_modes_are_in_the_picture(name: str, width: int, chromium: Browser, pages: Path) -> None:
@@ -274,7 +276,15 @@ HANDLES = """explorer.views.flatMap((view) => [...view.box.querySelectorAll(".ha
 
 
 @pytest.mark.long(
-    "400-mobile-manipulator", "400-truck-crane", "1280-mobile-manipulator", "1280-slewing-excavator", "1280-truck-crane"
+    "400-mobile-manipulator",
+    "400-truck-crane",
+    "1280-mobile-manipulator",
+    "1280-slewing-excavator",
+    "1280-truck-crane",
+    "400-boom-stick-bucket",
+    "400-slewing-excavator",
+    "1280-boom-stick-bucket",
+    "1280-excavator",
 )
 @pytest.mark.parametrize("name", shipped_names("models"))
 @pytest.mark.parametrize("width", [400, 1280])
@@ -317,7 +327,7 @@ def test_a_handle_let_go_of_is_in_the_picture(chromium: Browser, pages: Path) ->
         assert max(beyond) > 0.5
 
 
-@pytest.mark.long("truck-crane")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["excavator", "truck-crane"])
 def test_on_paper_it_is_light_and_has_nothing_to_press(name: str, chromium: Browser, pages: Path) -> None:
     """What was dark on the screen is so again afterwards; pictures have the shape that they were drawn in."""
@@ -353,6 +363,7 @@ def test_a_notebook_shows_it(chromium: Browser, pages: Path) -> None:
     assert html.unescape(explorer._repr_html_().split('srcdoc="')[1].split('" style=')[0]) == explorer.page
 
 
+@pytest.mark.long
 def test_a_gain_is_read_in_one_format(chromium: Browser, pages: Path) -> None:
     """Beside its slider and in the sentence on the loop."""
     explorer = flexopt.explore(flexopt.load("excavator"), POSTURE, loop={"kp": 1e4, "kv": 2e6})

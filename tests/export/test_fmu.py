@@ -152,7 +152,7 @@ def test_other_loops_are_those_of_simulate(tmp_path: Path, case: str, version: s
     assert worst(result, expected, made.outputs) < TOLERANCE
 
 
-@pytest.mark.long("2.0")
+@pytest.mark.long
 @pytest.mark.parametrize("version", VERSIONS)
 def test_model_exchange_agrees_as_far_as_cvode_is_accurate(tmp_path: Path, version: str) -> None:
     made = export(tmp_path, version=version, kind="model-exchange", duration=10.0)
@@ -461,7 +461,7 @@ def test_an_unknown_unit_is_no_unit() -> None:
         unit_of("furlong/s")
 
 
-@pytest.mark.long("3.0-co-simulation")
+@pytest.mark.long("3.0-co-simulation", "2.0-co-simulation")
 @pytest.mark.needs("gcc", "clang")
 @pytest.mark.parametrize("kind", ["co-simulation", "model-exchange"])
 @pytest.mark.parametrize("version", VERSIONS)
@@ -663,6 +663,7 @@ def test_the_report_is_ready_for_json(report: FmuReport) -> None:
     assert "$" not in page
 
 
+@pytest.mark.long
 @settings(max_examples=12, deadline=None)
 @given(seeds, st.booleans())
 def test_setup_is_what_a_scenario_computes(seed: int, gravity: bool) -> None:
@@ -678,6 +679,7 @@ def test_setup_is_what_a_scenario_computes(seed: int, gravity: bool) -> None:
     check_setup(scenario, 5.0)
 
 
+@pytest.mark.long
 def test_any_name_of_a_link_will_do(tmp_path: Path) -> None:
     data = EXCAVATOR.to_dict()
     links = [link | {"name": name} for link, name in zip(data["links"], ['a "b", <c>&\t*/', "Löffel 2"], strict=True)]

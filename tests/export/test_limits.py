@@ -188,7 +188,7 @@ def test_fast_math_is_refused(tmp_path: Path) -> None:
         assert "refusals rely on NaN" in done.stderr
 
 
-@pytest.mark.long("slewing-excavator")
+@pytest.mark.long
 @GCC
 @pytest.mark.parametrize("machine", ["slewing-excavator", "boom-stick-bucket"])
 def test_single_precision_takes_almost_all_postures(machine: str, tmp_path: Path) -> None:

@@ -91,6 +91,7 @@ def test_states_are_spoken_of_where_there_are_some(name: str, tmp_path: Path) ->
     assert ("what is called next_ is handed in" in text) == (name == "integral and filter")
 
 
+@pytest.mark.long
 def test_a_self_motion_that_nothing_brakes_is_told(tmp_path: Path) -> None:
     machine, posture = flexopt.load("boom-stick-bucket"), (-1.0, -1.2, -0.6)
     loop = {"kp": 1e6, "kv": 3e5}

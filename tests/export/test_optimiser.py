@@ -65,7 +65,7 @@ def assert_equal_or_better(lib: Library, pairs: list[Any], share: float = 1.0) -
     assert good >= share * len(pairs)
 
 
-@pytest.mark.long("transpose")
+@pytest.mark.long
 @pytest.mark.parametrize("control", ["inverse", "transpose"])
 def test_same_optimum_as_ipopt_or_a_better_one(machine, control, tmp_path):
     lib = library(machine, tmp_path, control=control)
@@ -102,6 +102,7 @@ def test_a_climb_from_the_given_start_alone_ends_in_a_proved_optimum(machine, ex
         assert proof.holds, proof.violations
 
 
+@pytest.mark.long
 def test_own_starts_alone_find_the_best_of_select(machine, excavator):
     for target in ((0.0, 1.6), (0.4, 0.3), (-0.7, 2.9)):
         best = flexopt.select(machine, target, objective="w2")
@@ -110,6 +111,7 @@ def test_own_starts_alone_find_the_best_of_select(machine, excavator):
         assert answer.value >= best.best.objective - SAME * selection.objective_scale
 
 
+@pytest.mark.long
 def test_under_gravity(machine, tmp_path):
     lib = library(machine, tmp_path, gravity=True)
     selection = flexopt.build_selection(machine, TARGET, gravity=True)

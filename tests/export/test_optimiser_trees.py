@@ -153,6 +153,7 @@ def test_six_rows_of_the_task_on_the_margin(tmp_path):
     assert_back_at_the_optimum(library(machine, tmp_path), cases(machine, 2, seed=3))
 
 
+@pytest.mark.long
 def test_a_planar_machine_as_a_tree_has_the_same_optima(tmp_path):
     """The planar machine's `select` looks at every placement and both elbows, so its optimum is the global one."""
     planar = flexopt.load("excavator")

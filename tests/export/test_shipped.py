@@ -33,6 +33,7 @@ LIGHT = ["kinematics", "controller", "simulator"]
     "slewing-excavator-float",
     "truck-crane-double",
     "truck-crane-float",
+    "boom-stick-bucket-double",
 )
 @MAKE
 @pytest.mark.parametrize("real", ["double", "float"])

@@ -167,7 +167,7 @@ def end_point_over_the_axis(machine) -> list[float]:
     return [0.0, low, 0.3, 0.2]
 
 
-@pytest.mark.long("placement1")
+@pytest.mark.long
 @GCC
 @pytest.mark.parametrize("placement", [[], ["yaw"]])
 def test_placements_slides_and_orientation_rows(placement: list[str], tmp_path: Path) -> None:

@@ -146,7 +146,7 @@ def examined(folder: Path, scratch: Path, inputs: int = 10, fuzz_calls: int = 10
     return Bench(folder, scratch, manifest, library_of(manifest), inputs, fuzz_calls)
 
 
-@pytest.mark.long("(step < CLIMB_STEPS)-(step < 1)-answers are worse than IPOPT's")
+@pytest.mark.long
 @GCC
 @pytest.mark.parametrize(
     ("right", "wrong", "sentence"),

@@ -121,7 +121,7 @@ def test_names_that_are_plain_stay_as_they_are() -> None:
     assert (mathtext("Größe λ"), c_text("Größe")) == ("Größe λ", "Grosse")
 
 
-@pytest.mark.long("names2")
+@pytest.mark.long("names2", "names0", "names3", "names7")
 @pytest.mark.parametrize("names", TRIPLES)
 def test_pictures_of_a_run(tmp_path: Path, names: tuple[str, ...]) -> None:
     loaded = machine(*names)

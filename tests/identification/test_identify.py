@@ -247,6 +247,7 @@ def test_other_numbers_that_fit_as_well_are_told() -> None:
     check(found, swung, [name for name in found.values if name not in found.unidentified])
 
 
+@pytest.mark.long
 def test_a_load_and_dampers_that_the_file_does_not_have() -> None:
     """Factors of 0 are none: a load begins at 1 % of the mass, dampers at 2 % of critical."""
     swung = planar()
@@ -308,7 +309,7 @@ def test_a_motion_that_the_noise_hides_tells_nothing() -> None:
         assert low < truth[name] < high
 
 
-@pytest.mark.long("0.0003")
+@pytest.mark.long
 @pytest.mark.parametrize("along", [0.0, 3e-4])
 def test_joints_that_swing_along_are_told(along: float) -> None:
     """An arm that is not held moves other masses; its joints' own noise says nothing."""
@@ -409,7 +410,7 @@ def test_an_accelerometer_that_sits_beyond_the_machine_is_told() -> None:
     assert not any(sentence in doubt for doubt in right.doubts)
 
 
-@pytest.mark.long("mobile-manipulator-posture1-0.7-columns1")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "posture", "softer", "columns"),
     [
@@ -440,6 +441,7 @@ def test_joints_in_degrees_are_told() -> None:
     assert "boom stands at -34.38 rad, outside its limits -2.292 … -0.451; is it in degrees?" in found.doubts
 
 
+@pytest.mark.long
 def test_the_picture(tmp_path: Path) -> None:
     swung = planar()
     found = flexopt.identify(swung.machine, swung.log("gyro_z"), posture=swung.posture, unknown="base.*.rotation")

@@ -67,6 +67,7 @@ def test_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         flexopt.run_study(small(), tmp_path / "study", executor="nowhere")
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
 def test_no_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("flexopt.large_studies.engines.PATIENCE", 1.0)

@@ -194,6 +194,7 @@ def test_the_loop_of_the_simulator(name, late):
     assert ours.loop.growth_rate == pytest.approx(other.growth_rate, abs=1e-10)
 
 
+@pytest.mark.long
 def test_a_redundant_arm_with_a_damper_under_its_weight():
     given = {"kp": 3e6, "kv": 6e5, "gravity": True}
     ours = outcome(DIGGER, STAND, 0.0031, damped=True, nullspace_damping=[1e4], **given)

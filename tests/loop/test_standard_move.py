@@ -109,7 +109,7 @@ def signals(point: LoopPoint, until: float, looks: int) -> tuple[np.ndarray, np.
     return np.array(times), np.array(errors), np.array(turns)
 
 
-@pytest.mark.long("at once", "a whole sample late")
+@pytest.mark.long("at once", "a whole sample late", "integral and filter")
 @pytest.mark.parametrize("name", LOOPS)
 def test_moves_are_those_of_the_loop_run_event_by_event(name: str) -> None:
     """Filters, integrals, servos, any dead time: by SciPy's exponential from one event to the next."""

@@ -64,6 +64,7 @@ def halved(data: dict) -> dict:
     return data | ({"bodies": tuple(bodies)} if bodies else {})
 
 
+@pytest.mark.long("mobile-manipulator")
 @pytest.mark.parametrize("name", CASES)
 def test_slopes_by_the_box(name: str) -> None:
     loop, u, step = made(name), np.array([0.31, 0.42, 0.33]), 1e-5

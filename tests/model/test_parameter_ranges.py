@@ -51,7 +51,7 @@ def faults_of(machine: flexopt.Machine | flexopt.Tree, path: list[str | int], va
     return []
 
 
-@pytest.mark.long("slewing-excavator", "truck-crane", "mobile-manipulator")
+@pytest.mark.long("slewing-excavator", "truck-crane", "mobile-manipulator", "boom-stick-bucket")
 @pytest.mark.parametrize("name", shipped_names("models"))
 def test_a_parameter_may_be_what_its_key_may_be(name: str) -> None:
     """But entries of matrices over joints, which are bounded together."""

@@ -140,7 +140,7 @@ def check_limits(machine, target, free, limits):
         assert np.all(got <= limits[:, 1] + 1e-11)
 
 
-@pytest.mark.long("structure1", "structure2")
+@pytest.mark.long
 @pytest.mark.parametrize("structure", [Structure(3, ("x",), ()), Structure(4, ("y",), ()), Structure(5, ("x",), (2,))])
 def test_redundant_arm_gets_many_postures_and_repeats_them(structure):
     rng = np.random.default_rng(11)
@@ -193,6 +193,7 @@ def test_limits_hold_under_gravity_too():
         assert np.abs(found[0] - loaded).max() < 1e-9
 
 
+@pytest.mark.long
 @settings(derandomize=True, deadline=None, max_examples=6)
 @given(drawn=machines({"n_max": 3}), seed=seeds)
 def test_miss_is_the_distance_to_the_nearest_point_that_can_be_reached(drawn, seed):

@@ -54,7 +54,7 @@ def test_names_of_all_that_is_drawn(atlas: flexopt.Atlas) -> None:
     assert len(set(zip(colours, map(str, styles), strict=True))) >= 4
 
 
-@pytest.mark.long("16.0")
+@pytest.mark.long
 @pytest.mark.parametrize("width", [4.0, 16.0])
 def test_narrow_and_wide(width: float, tmp_path: Path) -> None:
     atlas = flexopt.atlas(flexopt.load("boom-stick-bucket"), posture=[-0.5], cells=(32, 32))

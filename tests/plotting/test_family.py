@@ -64,6 +64,11 @@ def made(name: str) -> Any:
     "way truck-crane",
     "map end_point mobile-manipulator",
     "map base mobile-manipulator",
+    "ensemble mobile-manipulator",
+    "map end_point excavator",
+    "map posture boom-stick-bucket",
+    "verdict article",
+    "sensitivity truck-crane",
 )
 @pytest.mark.parametrize("name", SPECIMENS)
 def test_no_text_lies_on_another_and_every_axis_has_a_unit(name):
@@ -84,6 +89,7 @@ def test_no_text_lies_on_another_and_every_axis_has_a_unit(name):
     "way truck-crane-slide",
     "atlas truck-crane-slide",
     "identification excavator-slide",
+    "problem article-slide",
 )
 @pytest.mark.parametrize("size", ["paper", "slide"])
 @pytest.mark.parametrize("name", DENSE)
@@ -156,6 +162,7 @@ def test_a_page_is_as_wide_as_a_page():
         assert height <= PAGE[1]
 
 
+@pytest.mark.long("dark")
 @pytest.mark.parametrize("theme", PALETTES)
 def test_ground_letters_and_meanings_are_the_theme_s(theme, tmp_path):
     inks = PALETTES[theme]

@@ -183,6 +183,7 @@ def test_scenery_in_both_views(selection):
             np.testing.assert_allclose(edges[1][:2, 1], 5.0)
 
 
+@pytest.mark.long
 def test_planar_machine_with_volumes_and_obstacles():
     data = flexopt.load("excavator").to_dict()
     data |= {"capsules": [{"body": "boom", "start": [0.0, 0.0], "end": [1.9, 0.0], "radius": 0.2}]}

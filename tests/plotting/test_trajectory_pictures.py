@@ -246,7 +246,7 @@ def durations(path):
     return found
 
 
-@pytest.mark.long("0.1-250-80")
+@pytest.mark.long("0.1-250-80", "1.0-50-40")
 @pytest.mark.parametrize(("speed", "count", "each"), [(1.0, 50, 40), (2.0, 25, 40), (0.1, 250, 80)])
 def test_gif(short, tmp_path, speed, count, each):
     path = tmp_path / "run.GIF"
@@ -266,6 +266,7 @@ def undercarriage(image):
     return np.argwhere(solid).T
 
 
+@pytest.mark.long
 def test_frames_show_the_machine(grows, tmp_path):
     """The slope of the undercarriage's lower edge in the picture is the base's rotation, magnified."""
     grows.animate(tmp_path / "run.gif", magnify=4.0, speed=5.0)

@@ -99,6 +99,7 @@ def angles_between(measures, posture):
     return (a[0] * b[1] - a[1] * b[0]) / size, (a * b).sum(axis=0) / size
 
 
+@pytest.mark.long("inverse-printed0")
 @pytest.mark.parametrize(("control", "printed"), [("inverse", INVERSE), ("transpose", TRANSPOSE)])
 def test_isolated_postures_with_two_vanishing_measures(control, printed):
     measures = build_measures(load("excavator"), control)

@@ -122,7 +122,7 @@ def test_pairs_and_rigid_part_recombine_to_the_transfer_function(control, drawn,
         assert np.linalg.norm(sum(terms) - direct) <= 1e-9 * sum(np.linalg.norm(term) for term in terms)
 
 
-@pytest.mark.long("(2, ('x', 'y', 'rotation'), ())-False-inverse")
+@pytest.mark.long("(2, ('x', 'y', 'rotation'), ())-False-inverse", "(3, ('x', 'rotation'), ())-False-inverse")
 @CONTROLS
 @pytest.mark.parametrize(
     ("structure", "gravity"),

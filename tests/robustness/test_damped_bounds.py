@@ -36,7 +36,7 @@ def close_poles(seed: int, apart: float):
     return flexopt.machine_from_dict(data), posture
 
 
-@pytest.mark.long("0-inverse", "0-damped:0.2", "1-inverse", "1-transpose", "1-damped:0.2")
+@pytest.mark.long
 @pytest.mark.parametrize("control", ["inverse", "transpose", "damped:0.2"])
 @pytest.mark.parametrize("seed", range(2))
 def test_gradients_near_a_meeting_of_frequencies(seed, control):

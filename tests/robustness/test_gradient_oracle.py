@@ -16,7 +16,7 @@ TOLERANCE = 1e-9
 BATCHES, PER_BATCH = 3, 30  # 90 machines and postures, both controllers each
 
 
-@pytest.mark.long("1", "2")
+@pytest.mark.long
 @pytest.mark.parametrize("batch", range(BATCHES))
 def test_posture_gradients_equal_appendix_b(batch):
     compared, seen = 0, set()
@@ -35,6 +35,7 @@ def test_posture_gradients_equal_appendix_b(batch):
     assert len(seen) >= 10
 
 
+@pytest.mark.long("0")
 @pytest.mark.parametrize("seed", range(2))
 def test_parameter_gradients_equal_appendix_b(seed):
     for case in cases(500 + seed, 8, postures=1):

@@ -186,6 +186,7 @@ def isotropic(draw):
     return draw_machine(HypothesisSource(draw), structure, equal_xy=True)
 
 
+@pytest.mark.long("transpose")
 @CONTROLS
 @settings(derandomize=True, deadline=None, max_examples=15)
 @given(data=isotropic(), seed=seeds, turn=st.floats(-3, 3))
@@ -200,7 +201,7 @@ def test_turning_an_isotropic_machine_changes_no_measure(control, data, seed, tu
 
 
 # Of machines at the edge of what has a gradient; that is not what is tested here.
-@pytest.mark.long("transpose")
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:the gradient of ε_max")
 @CONTROLS
 @settings(derandomize=True, deadline=None, max_examples=10)

@@ -66,7 +66,7 @@ def test_random_postures_of_the_excavator_against_scipy(excavator, control):
         np.testing.assert_allclose(epsilon, scipy_epsilons(margin, 0, posture, p, gain), rtol=1e-9)
 
 
-@pytest.mark.long("inverse")
+@pytest.mark.long
 @pytest.mark.parametrize("control", CONTROLS)
 def test_random_machines_against_scipy(control):
     compared = 0

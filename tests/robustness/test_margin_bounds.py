@@ -27,6 +27,7 @@ from tests.oracles.spatial import grounded
 CASES = [0, 2, 3, 7, 9, 11, 12, 15, 17, 19, 23, 27, 28, 31, 39, 43, 47, 71, 93]
 
 
+@pytest.mark.long("2")
 @pytest.mark.parametrize("k", CASES)
 def test_every_number_is_within_its_bound(k):
     case = margin_case(k)

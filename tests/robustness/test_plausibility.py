@@ -249,6 +249,7 @@ def test_slips_in_shipped_machines(name: str, slip: str) -> None:
     assert any(re.search(word, sentence) for sentence in sentences), sentences
 
 
+@pytest.mark.long("dampers")
 @pytest.mark.parametrize("slip", SLIPS)
 def test_slips_in_random_machines(slip: str) -> None:
     """In the plane and in space; each finding of a link names it."""

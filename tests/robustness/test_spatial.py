@@ -112,6 +112,7 @@ def test_modes_residues_and_w_are_those_of_the_dense_eigenproblem(k, m, r):
 
 
 # 45 digits take their time: a second for each small machine, ten for the larger ones.
+@pytest.mark.long("3-6-6")
 @pytest.mark.parametrize(("m", "n", "r"), [(1, 2, 1), (2, 2, 2), (3, 4, 3), (5, 1, 1), (4, 3, 3), (3, 6, 6), (7, 3, 2)])
 def test_w_and_its_gradient_against_appendix_b(m, n, r):
     case = regular_case(50 + m, (m, n), ROWS[r])
@@ -164,6 +165,7 @@ def slicot_margin(tree: Tree, posture: np.ndarray, base: np.ndarray, kr: float) 
     return slicot_epsilon(plant), plant.A.shape[0]
 
 
+@pytest.mark.long
 def test_margin_of_six_and_four_joints_against_slicot():
     tree, posture, base = tree_from_dict(grounded(4, 0)), np.array([0.3, 0.5, -0.95, 0.2]), np.array([1.0, 2.0, 0.1])
     expected, n_states = slicot_margin(tree, posture, base, 5e5)
@@ -185,7 +187,7 @@ def test_margin_of_six_and_four_joints_against_slicot():
     assert np.abs(result.gradient.epsilon_max[:3]).max() < 1e-10
 
 
-@pytest.mark.long("counts0-rows0", "counts2-rows2")
+@pytest.mark.long
 @pytest.mark.parametrize(("counts", "rows"), [((12, 3), ROWS[3]), ((12, 2), ROWS[2]), ((9, 6), ROWS[6])])
 def test_margin_of_thirty_states_against_slicot(counts, rows):
     case = regular_case(7 * counts[1], counts, rows)
@@ -206,7 +208,7 @@ def margin_case(k: int) -> tuple[Dense, float]:
 
 
 # 1 to 12 passive coordinates, all rows, the largest together; `python -m benchmarks.margin_accuracy` tries 200 machines.
-@pytest.mark.long("11", "10", "20")
+@pytest.mark.long("11", "10", "20", "14")
 @pytest.mark.parametrize("k", [0, 5, 10, 11, 14, 17, 20, 23])
 def test_margins_of_random_trees_up_to_36_states(k):
     case, kr = margin_case(k)
@@ -371,7 +373,9 @@ def test_what_has_a_closed_form_in_the_plane_only_says_so(tree):
             getattr(plant, name)
 
 
-@pytest.mark.long("simulate --posture 0.1,0.4,0.2 --duration 0.1")
+@pytest.mark.long(
+    "simulate --posture 0.1,0.4,0.2 --duration 0.1", "select --end-point 2.3,2.4,1.8 --base 0,0,0 --starts 4"
+)
 @pytest.mark.parametrize(
     "command",
     [

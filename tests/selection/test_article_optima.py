@@ -39,6 +39,7 @@ def target(machine):
     return (0.0, 1.087 + float(shoulder[1])), float(shoulder[0])
 
 
+@pytest.mark.long("inverse")
 @pytest.mark.parametrize("control", ["inverse", "transpose"])
 def test_every_listed_maximum_is_found(machine, target, control):
     point, shoulder_x = target
@@ -59,6 +60,7 @@ def test_every_listed_maximum_is_found(machine, target, control):
     assert len(free) == len(LISTED[control])
 
 
+@pytest.mark.long
 def test_maxima_near_the_straight_arm_appear_with_a_smaller_margin(machine, target):
     point, shoulder_x = target
     selection = flexopt.select(machine, point, singularity_margin_deg=1.0)
@@ -67,6 +69,7 @@ def test_maxima_near_the_straight_arm_appear_with_a_smaller_margin(machine, targ
         assert min(abs(f - x) for f in found) < 1e-3
 
 
+@pytest.mark.long("inverse")
 @pytest.mark.parametrize("control", ["inverse", "transpose"])
 def test_no_better_point_in_a_dense_scan(machine, target, control):
     """SciPy's scalar search inside every bracket of a fine scan, over both branches, against the candidates."""

@@ -208,10 +208,7 @@ def _interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("_interpreted")
-@pytest.mark.parametrize(
-    ("machine", "target"),
-    [("excavator", (0.0, 1.6)), pytest.param("truck-crane", (6.0, 0.0, 3.0), marks=pytest.mark.long)],
-)
+@pytest.mark.long
 def test_no_point_nearby_is_better(machine: str, target: tuple[float, ...]) -> None:
     """Random points about the optimum, moved onto the rows by other steps: V alone is looked at."""
     selection = flexopt.select(flexopt.load(machine), target, objective="epsilon_max", starts=2, workers=1)

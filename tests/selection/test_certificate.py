@@ -63,7 +63,7 @@ def holds(certificate: flexopt.Certificate, selection: flexopt.Selection, gap: f
     assert checking.check(json.loads(json.dumps(certificate.log, allow_nan=False)))[0] == []
 
 
-@pytest.mark.long("nearly straight", "in order", "sum")
+@pytest.mark.long("nearly straight", "in order", "sum", "edge")
 @pytest.mark.parametrize(
     ("options", "gap"),
     [
@@ -134,7 +134,7 @@ def test_constraints_leave_cells_out() -> None:
     assert trusted == sum(cell[3] == "constraint" for cell in certificate.log["cells"]) > 0
 
 
-@pytest.mark.long("51", "0", "5")
+@pytest.mark.long
 @pytest.mark.parametrize("number", [0, 5, 17, 51])
 def test_w_over_cells(number: int) -> None:
     """V of random places in random cells, by balls of 128 bits and other formulas, lies between the bounds."""

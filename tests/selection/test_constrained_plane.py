@@ -76,6 +76,7 @@ def test_results_come_in_order(workers):
     assert not multiprocessing.active_children()
 
 
+@pytest.mark.long
 def test_something_else_is_done_meanwhile():
     done, counts = [], []
     assert in_parallel(_slowly, 7, 2, counts.append, lambda: done.append(len(counts))) == [0, 1, 4, 9, 16, 25, 36]
@@ -128,7 +129,7 @@ def _killing(number: int, which: tuple[int, ...], times: int, folder: str) -> in
     return number
 
 
-@pytest.mark.long("5-None")
+@pytest.mark.long("5-None", "3-int")
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere these are too few to start processes for")
 @pytest.mark.parametrize(("workers", "ahead"), [(2, None), (3, int), (5, None)])
 def test_what_a_killed_process_worked_on_is_done_again(tmp_path, workers, ahead):
@@ -138,6 +139,7 @@ def test_what_a_killed_process_worked_on_is_done_again(tmp_path, workers, ahead)
     assert not multiprocessing.active_children()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere these are too few to start processes for")
 def test_what_kills_every_process_is_named_and_the_rest_is_done(tmp_path):
     task = partial(_killing, which=(4,), times=9, folder=str(tmp_path))

@@ -56,6 +56,7 @@ def test_the_nearest_to_the_present_base_stands_for_all() -> None:
     assert grouped(replace(problem, present_base=points[2][:3] + 0.01), points)[0][0] == 2
 
 
+@pytest.mark.long
 def test_a_wall_between_keeps_them_apart() -> None:
     """Keep-out wedges cut the circle of anchor points in two; along each arc the machine may be turned."""
     plain = free()

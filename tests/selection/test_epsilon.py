@@ -42,7 +42,7 @@ def test_never_below_a_scan_of_a_thousand_points(machine, control):
     assert selection.best.stationarity < 1e-6
 
 
-@pytest.mark.long("target0", "target2")
+@pytest.mark.long
 @pytest.mark.parametrize("target", [(0.0, 0.9), (0.4, 2.4), (-0.3, -0.6)])
 def test_every_peak_of_the_scan_is_improved_or_kept(machine, target):
     problem = flexopt.build_selection(machine, target, objective="epsilon_max")
@@ -86,7 +86,7 @@ def test_the_gain_matters(machine):
     assert abs(soft.best.evaluation.base[0] - hard.best.evaluation.base[0]) > 1e-3
 
 
-@pytest.mark.long("inverse")
+@pytest.mark.long
 @pytest.mark.parametrize("control", ["inverse", "transpose"])
 def test_a_mix_is_climbed_on_its_own_slope(machine, control):
     """The modes turn with the posture: with the slope of held ones no start led to an optimum."""

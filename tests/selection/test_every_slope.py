@@ -266,7 +266,7 @@ def test_single(walk, name):
     walk(maximising(problem, (1.0, problem.objective_scale)), start)
 
 
-@pytest.mark.long("objectives2-transpose-True")
+@pytest.mark.long("objectives2-transpose-True", "objectives3-inverse-False")
 @pytest.mark.parametrize(
     ("objectives", "control", "gravity"),
     [

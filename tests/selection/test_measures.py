@@ -112,7 +112,16 @@ GAINS = {"excavator": {"kp": 1e4, "kv": 1e3}, "slewing-excavator": {"kp": 3e6, "
 TARGETS = {"excavator": TARGET, "slewing-excavator": (6.0, 2.0, 1.0)}
 
 
-@pytest.mark.long("radius-slewing-excavator", "settling-excavator", "swing-excavator", "decay-slewing-excavator")
+@pytest.mark.long(
+    "radius-slewing-excavator",
+    "settling-excavator",
+    "swing-excavator",
+    "decay-slewing-excavator",
+    "allowed_gain-slewing-excavator",
+    "delay_margin-slewing-excavator",
+    "allowance-slewing-excavator",
+    "settling-slewing-excavator",
+)
 @pytest.mark.parametrize(("name", "which"), CASES)
 def test_slopes_at_points_that_are_no_optimum(name: str, which: str) -> None:
     """Of what must stay above zero, by everything that varies and by the level, beside differences."""

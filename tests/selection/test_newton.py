@@ -105,6 +105,7 @@ def test_an_optimum_near_a_kink_of_what_is_kept_is_found() -> None:
     assert np.abs((found - stuck) / problem.scale).max() < 1e-4
 
 
+@pytest.mark.long
 def test_where_a_solve_stops_near_a_flat_optimum_decides_nothing() -> None:
     _, machine = random_machine(np.random.default_rng(8), Structure(4, ("x", "y", "rotation"), (1,)))
     target = arm_at_rest(machine, np.array([0.7, -1.1, 0.6]))[1]

@@ -53,6 +53,7 @@ def test_nothing_to_solve():
     assert not nonnegative_least_squares(np.zeros((3, 2)), np.ones(3)).any()
 
 
+@pytest.mark.long
 def test_a_selection_does_without_scipy():
     """Its import would take longer than the selection."""
     out = subprocess.run([sys.executable, "-c", SOLVES], capture_output=True, text=True, timeout=120, check=True)

@@ -105,6 +105,7 @@ def test_the_end_agrees_with_select_and_with_scipy(machine, posture_a, control):
     assert found.x == pytest.approx(x, abs=1e-5)
 
 
+@pytest.mark.long
 def test_the_base_stops_exactly_at_the_end_of_its_range(machine, posture_a, unlimited):
     limited = flexopt.nullspace_trajectory(machine, posture_a, base_range=(-1.5, 1.0))
     check_consistent(limited)
@@ -240,6 +241,7 @@ def test_too_long_steps_are_shortened_and_never_pass_the_top(machine, unlimited,
     assert wild.base[-1, 0] == pytest.approx(unlimited.base[-1, 0], abs=0.005)
 
 
+@pytest.mark.long
 def test_epsilon_max_climbs_to_its_nearest_maximum(machine, posture_a):
     trajectory = flexopt.nullspace_trajectory(machine, posture_a, objective="epsilon_max")
     check_consistent(trajectory)

@@ -44,6 +44,7 @@ def test_ends_at_the_end_of_the_range(excavator: flexopt.Tree) -> None:
     assert np.all(t.base[:, 2] <= 0.2)
 
 
+@pytest.mark.long
 def test_turning_has_its_own_rate_and_ends_at_rest(excavator: flexopt.Tree) -> None:
     options = START | {"max_turn_rate": 0.02, "max_base_rate": 0.05, "max_base_acceleration": 0.02}
     t = nullspace_trajectory(excavator, POSTURE, objective="w1", **options)

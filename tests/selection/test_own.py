@@ -178,6 +178,7 @@ def scanned(machine: Any, target: np.ndarray, value: Any, margin: float) -> floa
     return best
 
 
+@pytest.mark.long("1")
 @pytest.mark.filterwarnings("ignore:ε_max:flexopt.errors.FlexoptWarning")
 @pytest.mark.parametrize("seed", [None, 1])
 def test_a_scan_finds_nothing_better(seed: int | None) -> None:
@@ -318,6 +319,7 @@ def test_options_carry_them() -> None:
     assert flexopt.solve_problem(made).problem.name == "steeper"
 
 
+@pytest.mark.long
 def test_every_quantity_is_what_is_computed_elsewhere() -> None:
     machine, plant = SLEWING, flexopt.build_plant(SLEWING)
     z = np.array([0.3, -0.2, 0.4, 0.3, 0.1, -1.2, -0.5])

@@ -56,6 +56,7 @@ def test_ranking_follows_objective_then_worst_other_measure(selection):
             assert first.evaluation.w[1:].min() >= second.evaluation.w[1:].min() - 2 * quantum
 
 
+@pytest.mark.long
 def test_distance_from_the_present_base_breaks_the_last_tie(machine):
     """A symmetric pair of optima: equal in every measure, so the nearer to the present base comes first."""
     data = machine.to_dict()
@@ -184,6 +185,7 @@ def test_weighted_objective_and_single_modes(machine):
         assert single.best.objective >= weighted.best.evaluation.w[mode - 1] - 1e-15
 
 
+@pytest.mark.long
 def test_under_gravity_the_deflected_end_point_is_on_the_target(machine):
     selection = flexopt.select(machine, TARGET, gravity=True, base=0.0)
     assert selection.initial is not None

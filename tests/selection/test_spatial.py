@@ -362,6 +362,7 @@ def test_both_sides_of_a_straight_arm_are_started_from_first() -> None:
         assert candidate.objective == pytest.approx(seen, rel=1e-3)
 
 
+@pytest.mark.long
 def test_every_hill_of_curves_in_space_is_started_from_first() -> None:
     """Eleven hills, some of which end where the arm would come too near to a singular posture."""
     tree = tree_from_dict(random_tree(10, counts=(2, 4)))

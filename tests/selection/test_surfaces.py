@@ -234,6 +234,7 @@ def test_a_present_configuration_that_is_better_is_told() -> None:
     assert f"the present configuration has {more:.3g} more w1 than what is chosen" in repr(poorer)
 
 
+@pytest.mark.long
 def test_the_points_that_bring_more_optima_than_starts_are_told() -> None:
     selection = flexopt.select(flexopt.load("boom-stick-bucket"), (3.0, 0.5), starts=1, workers=1)
     assert selection.climbed == STARTS

@@ -33,6 +33,7 @@ def test_never_below_a_scan_of_its_own(seed):
         assert off <= BAR, what
 
 
+@pytest.mark.long
 def test_the_scan_tells_where_a_selection_falls_short(machine):
     """With a single start the selection stays on a lower hill; the guard takes the scan's best for a start."""
     scan = scanned(machine, np.array(TARGET), "inverse", 4000, 0)

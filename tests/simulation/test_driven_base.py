@@ -50,7 +50,7 @@ def path(way=WAY, base=BASE, times=TIMES):
     return {"times": times, "points": base + way}
 
 
-@pytest.mark.long("3-False", "5-True")
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "gravity"), [(3, False), (4, True), (5, True)])
 def test_a_base_that_turns_against_driven_joints(seed, gravity):
     data = tracks(seed=seed)

@@ -56,7 +56,7 @@ def test_every_machine_with_what_follows_from_it(name: str) -> None:
     assert "dead_time: none is given" in repr(run)
 
 
-@pytest.mark.long("velocity-False")
+@pytest.mark.long
 @pytest.mark.parametrize(("drive", "drifts"), [("torque", True), ("velocity", False)])
 def test_drives_that_follow_rates_hold_the_self_motion(drive: str, *, drifts: bool) -> None:
     """A warning speaks of it where, set going, it goes on: not where it has ended after a second."""
@@ -226,6 +226,7 @@ def test_an_experiment_falls_back_on_the_loop_of_its_machine(tmp_path: Path) -> 
     assert run.loop is not None
 
 
+@pytest.mark.long("torque")
 @pytest.mark.parametrize("name", ["torque", "rates"])
 def test_members_of_an_ensemble_are_runs_with_the_loop(name: str) -> None:
     """Also where what varies is the damping that drives add to: the loop is then that of the changed machine."""

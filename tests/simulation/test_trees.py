@@ -124,6 +124,7 @@ def test_undamped_trees_keep_their_energy(method, seed):
     assert np.abs(trajectory.energy - trajectory.energy[0]).max() < 1e-9 * max(kinetic)
 
 
+@pytest.mark.long("rows0-inverse")
 @pytest.mark.parametrize(
     ("rows", "control"),
     [
@@ -198,7 +199,7 @@ TIMES = (0.1, 0.3, 0.6)
 DRIVE = np.array([[0.0, 0.0], [0.2, 0.1], [0.15, -0.1]])
 
 
-@pytest.mark.long("False")
+@pytest.mark.long
 @pytest.mark.parametrize("hold", [True, False])
 def test_a_base_driven_in_x_and_y(hold):
     """The same machine placed by x alone, by x and y, and turned: one motion, counted from the ground or the anchor."""

@@ -163,6 +163,7 @@ def test_random_machines(seed: int) -> None:
     assert count > 0
 
 
+@pytest.mark.long
 def test_limits_ranges_and_slides() -> None:
     machine = limited()
     atlas = flexopt.atlas(machine, cells=(48, 48))

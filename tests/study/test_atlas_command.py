@@ -71,6 +71,7 @@ def test_bad_options(command: Command, options: tuple[str, ...], words: str) -> 
     assert outcome.stdout == ""
 
 
+@pytest.mark.long
 def test_machines_in_space_have_points(command: Command) -> None:
     slew = ("atlas", "slewing-excavator", "--x-range", "1.2,2", "--y-range", "-0.2,0.3", "--cells", "16,16")
     outcome = command(*slew, "--posture=-1.2,-0.5", "--plot", "atlas.png")

@@ -52,6 +52,7 @@ def test_poles_of_the_arm_on_a_rigid_base(name: str, control: str) -> None:
         assert fastest == pytest.approx(1.4 * corner, rel=1e-3)
 
 
+@pytest.mark.long("slewing-excavator", "truck-crane", "mobile-manipulator")
 @pytest.mark.filterwarnings("ignore:nothing in this run:flexopt.errors.FlexoptWarning")
 @pytest.mark.parametrize("name", list(STANDS))
 def test_each_machine_comes_to_its_target(name: str) -> None:

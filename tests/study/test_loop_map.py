@@ -62,6 +62,7 @@ def test_over_soil_and_payload_the_machine_is_another() -> None:
         assert float(field.dataset["decay"][row, column]) == pytest.approx(alone.decay, rel=1e-8, abs=1e-9)
 
 
+@pytest.mark.long
 def test_over_postures_the_loop_stays_and_what_is_left_out_is_told() -> None:
     field = flexopt.map_workspace(EXCAVATOR, over="posture", points=(6, 5), epsilon_max=False, loop={"dead_time": 0.01})
     told: dict[str, Any] = field.options["loop"]

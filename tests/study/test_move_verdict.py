@@ -59,6 +59,7 @@ def test_a_move_says_which_joint_moves_most() -> None:
     assert found.reason.endswith(f", for a drive of {chosen.drive:.3g} m, {move}")
 
 
+@pytest.mark.long
 def test_values_are_those_of_evaluate() -> None:
     found = judged("article", loop=ARTICLE, members=2, runs=0)
     for place in found.places:
@@ -161,6 +162,7 @@ def test_runs_that_wait_longer_than_the_loop_say_so() -> None:
     assert "every dead time is taken as the next longer one" in str(between)
 
 
+@pytest.mark.long
 def test_gains_are_changed_where_no_place_bears_them() -> None:
     """At 20 ms of dead time no place found bears Kp 1e5 and Kv 2e3; smaller ones it does."""
     found = judged("article", loop={"kp": 1e5, "kv": 2e3, "dead_time": 0.02}, runs=0)

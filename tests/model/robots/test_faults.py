@@ -294,6 +294,7 @@ WORDS = [
 ]
 
 
+@pytest.mark.long
 @settings(max_examples=150, deadline=None)
 @given(st.sampled_from(["urdf", "xml"]), st.integers(0, 10**6), st.sampled_from(WORDS), st.booleans())
 def test_any_changed_attribute_is_read_or_refused(

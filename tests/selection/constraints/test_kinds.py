@@ -221,7 +221,7 @@ def placed(corners, base):
     return shapely.Polygon(np.array(corners) @ turn.T + [x, y])
 
 
-@pytest.mark.long("2", "4", "5")
+@pytest.mark.long("2", "4", "5", "0", "3", "6", "7")
 @pytest.mark.parametrize("seed", range(8))
 def test_the_whole_footprint_in_and_off_areas(seed):
     """Of random supports and areas, convex or not: Shapely's `contains` and distances."""

@@ -151,7 +151,7 @@ def test_gradient_agrees_with_central_differences(d):
     assert max(errors) < 2.0
 
 
-@pytest.mark.long("3")
+@pytest.mark.long
 @pytest.mark.parametrize("d", [2, 3])
 def test_gradient_is_clean_where_segment_and_box_are_nearly_parallel(d):
     """No end can change the distance faster than it moves, however small the tilt."""

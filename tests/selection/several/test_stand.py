@@ -111,6 +111,7 @@ def test_a_mode_that_nobody_sought_is_told_of_where_gains_excite_it(excavator: f
     assert every.unweighted == ""
 
 
+@pytest.mark.long
 def test_an_epsilon_that_nobody_sought_is_told_of_where_it_is_small(excavator: flexopt.Machine) -> None:
     found = flexopt.select_stand(excavator, [(0.0, 1.6), (0.2, 1.4)], starts=2, workers=1)
     assert found.left_out == ""
@@ -158,6 +159,7 @@ def test_number_of_workers_does_not_matter(excavator: flexopt.Machine) -> None:
     assert one.to_dict() == two.to_dict()
 
 
+@pytest.mark.long
 def test_constraints_hold_at_every_target(excavator: flexopt.Machine) -> None:
     free = select_stand(excavator, TARGETS, objective="w2", workers=1)
     x = float(free.base[0])
@@ -234,6 +236,7 @@ def test_a_stand_for_one_target_is_a_choice_for_it(
     assert stand.shown_objective[0] == (0.0 if weights[1] == 0.0 else stand.worth)
 
 
+@pytest.mark.long
 def test_an_end_that_could_not_be_verified_is_told(excavator: flexopt.Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     options: dict[str, Any] = {"objective": "w2", "starts": 6, "workers": 1}
     whole = select_stand(excavator, TARGETS[:2], **options)
