@@ -50,10 +50,10 @@ class Flow(SampleModel):
 
     def damping(self, u: ca.SX, along: Directions) -> ca.SX:
         """See `Field`."""
-        w, (base, base_rate), torque = ca.SX.sym("w", self.motion.n), self.base_at(ca.SX(0)), self.motion.n_joints
-        force = self.motion.force(
-            u, w, self.motion.with_base(along), ca.SX.zeros(torque, 1), base, base_rate, gravity=False
-        )
+        w, whole = ca.SX.sym("w", self.motion.n), self.motion.with_base(along)
+        base, base_rate = self.base_at(ca.SX(0))
+        no_torque, still = ca.SX.zeros(self.motion.n_joints, 1), ca.SX.zeros(*base_rate.shape)
+        force = self.motion.force(u, w, whole, no_torque, base, still, gravity=False)
         # Forces of inertia are of second order in w.
         return -ca.substitute(ca.jacobian(force, w), w, ca.SX.zeros(self.motion.n, 1))
 

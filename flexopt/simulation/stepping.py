@@ -66,7 +66,7 @@ def stepping(options: SimulationOptions, of: Fastest) -> Stepping:
         substeps = 1 if method == "rk4" else max(1, math.ceil(fastest * period / ACCURATE_STEP))
         if need > 1 and (method == "dop853" or _brakes(pole, of)):
             # At the limit itself a run would not bear that masses change along the way.
-            substeps = max(substeps, 2 * need)
+            substeps = max(substeps, min(2 * need, SUBSTEPS_MAX))
         if method == "gauss":
             # Where even the most are too few the run tells it.
             substeps = max(substeps, min(math.ceil(of.damper * period / STRONGLY_DAMPED_STEP), SUBSTEPS_MAX))
