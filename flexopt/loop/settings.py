@@ -205,7 +205,9 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
     gain = loop.servo_gain
     if drive == "velocity" and gain is None:
         gain = servo_gain_of_efforts(machine, stand.posture)
-        sources["servo_gain"] = f"{SERVING} for more than its effort"
+        cylinder = any(cylinder.force is not None for cylinder in machine.cylinders)
+        counts = ", or where a cylinder with a force drives it, than that gives" if cylinder else ""
+        sources["servo_gain"] = f"{SERVING} for more than its effort{counts}"
     gains: dict[str, float] = {}
     for name in ("kp", "kv"):
         given, allowed = getattr(loop, name), getattr(loop, f"{name}_range")

@@ -120,7 +120,7 @@ class Cylinder(FileModel):
         offset: of a slide, the cylinder's length where the joint is at 0.
         length: pin to pin, [retracted, extended].
         speed: at full lever, [retracting, extending].
-        force: greatest [pull, push]; where left out, of no bound.
+        force: greatest [pull, push], in place of the effort of its joint; where left out, the effort counts, if any.
         lever_sign: −1 where a positive lever retracts.
         dead_band: share of the lever that does nothing.
     """

@@ -44,7 +44,8 @@ class TreeJoint(FileModel):
     """A hinge or a slide. Passive: spring, damper, rest value; else actuated: limits, effort, speed and friction.
 
     A passive joint has a `stiffness` unless the tree's `stiffness_matrix` names it. Units follow `kind`: N m/rad,
-    N m s/rad and rad, or N/m, N s/m and m. `effort` (N m or N) and `speed` (rad/s or m/s) bound it either way.
+    N m s/rad and rad, or N/m, N s/m and m. `effort` (N m or N) and `speed` (rad/s or m/s) bound it either way;
+    where a cylinder with a force drives the joint, that takes the place of the effort.
     `armature` (kg m² or kg) is inertia that turns with the joint alone, such as a geared rotor's: it is added to the
     joint's entry on the diagonal of M. `axis` (3,) is scaled to length 1.
     """

@@ -56,7 +56,7 @@ class Loop(BuiltByCall):
         drive: `"torque"`: joints are asked for torques; `"velocity"`: for rates, which drives with levers serve by the
             torque servo_gain · (rate asked for − rate).
         servo_gain: of velocity-served joints, N m s/rad or N s/m; by default the largest at which no full lever asks a
-            joint for more than its effort.
+            joint for more than its effort, or where a cylinder with a force drives it, than that gives.
         torque_limit, rate_limit: of the drives, as in `flexopt.Actuator`; small motions do not feel them.
         nullspace_damping: of the self-motion of an arm with more joints than task rows, N m s/rad or N s/m.
 

@@ -99,7 +99,7 @@ class Link(FileModel):
         mass: of the link.
         inertia: about the centre of mass.
         limits: [lower, upper] of the joint's angle, relative to the body before it.
-        effort: largest torque of an actuated joint, either way.
+        effort: largest torque of an actuated joint, either way; of no account where a cylinder with a force drives it.
         speed: largest rate of an actuated joint, either way.
         joint_damping: friction of an actuated joint, which grows with its rate.
         passive: true makes a flexible joint: a hinge with a spring, which no drive moves.

@@ -90,8 +90,8 @@ class Actuator(BuiltByCall):
             exceeds full lever: of `"each"` by itself, or of all by one factor, `"uniform"`, so that the end-point's
             velocity keeps its direction. See `flexopt.plant.Hydraulics`.
         servo_gain: with levers, the torque that follows from a joint rate, N m s/rad, or force, N s/m; by default the
-            largest at which no full lever asks a joint for more than its effort, in the design posture, and the
-            article's 1 where the machine names no effort.
+            largest at which no full lever asks a joint for more than its effort, or where a cylinder with a force
+            drives it, than that gives, in the design posture, and the article's 1 where the machine names neither.
 
     Example:
         >>> drives = flexopt.Actuator(torque_limit=5e4, bandwidth_hz=5.0)

@@ -251,7 +251,9 @@ def _trajectory(
     saturating = "actuator.torque_limit" if settings is None else "loop.torque_limit"
     joints, rates, torques = (outputs[name][-plant.n_actuated :] for name in ("q", "v", "torque"))
     saturating = "" if s.options.actuator.torque_limit is not None else saturating
-    sentences += beyond_the_machine(s.machine, joints, rates, torques, saturating)
+    if of.finite_until[0] >= s.times[-1]:
+        # What diverges has no extremes.
+        sentences += beyond_the_machine(s.machine, joints, rates, torques, saturating)
     for sentence in sentences:
         warn_user(sentence, FlexoptWarning)
     rows = {name: value.T for name, value in outputs.items()}

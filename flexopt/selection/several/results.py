@@ -254,7 +254,8 @@ class Stand(Pictured, ConfigurationSet):
 
     Attributes:
         worth: what was maximised: the worst V, or Σ share_k V_k.
-        alternatives: worth and placement of the other local optima found, best first.
+        alternatives: worth and placement of the other local optima found, best first; of those, and of this, that are
+            worth the same the one nearest to the present placement comes first.
 
     Example:
         >>> machine = flexopt.load("excavator")

@@ -22,13 +22,14 @@ from flexopt.model.problem import SelectionOptions, StandKeywords
 from flexopt.model.targets import SOME_SHARES
 from flexopt.model.uncertainty import RangesLike, Uncertainty
 from flexopt.robustness.plausibility import warn_implausible
-from flexopt.selection.continua import unwound
+from flexopt.selection.continua import unwound, way_to
 from flexopt.selection.program import Program
+from flexopt.selection.result import TIE_TOLERANCE
 from flexopt.selection.several.by_loop import Asked
 from flexopt.selection.several.outcome_stand import outcome_stand
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.several.results import Stand
-from flexopt.selection.several.solving import places_at
+from flexopt.selection.several.solving import End, places_at
 from flexopt.selection.several.standing import best_placements, default_starts, one_placement
 from flexopt.selection.several.targets import build_problems, none_reaches_all, sample_bases, single_measure
 from flexopt.selection.solve import least_of, loop_notes, without_loop
@@ -126,6 +127,7 @@ def select_stand(
     good, unverified, attempts = best_placements(
         program, bases, found, asked.starts or default_starts(program), asked.seed, count, progress
     )
+    good = _nearest_first(program, good)
     best = program.packed([unwound(problem, program.of(good[0].x, k)) for k, problem in enumerate(problems)])
     places = places_at(program, best)
     stated = {"combine": asked.combine, "shares": share.tolist(), "targets": points.tolist()}
@@ -141,6 +143,19 @@ def select_stand(
         unverified=unverified,
         provenance=provenance(machine, **stated, objective=problems[0].name, control=asked.control, seed=asked.seed),
     )
+
+
+def _nearest_first(program: Program, good: list[End]) -> list[End]:
+    """Best first, and among those of equal worth what is nearest to where the base stands now, or to zeros."""
+    first, n_b = program.first, program.first.measures.plant.n_base
+    worth = [program.worth(end.x) for end in good]
+    away = [float(np.sum((way_to(first, program.of(end.x, 0)) / first.scale)[:n_b] ** 2)) for end in good]
+    left, ordered = set(range(len(good))), list[int]()
+    while left:
+        least = max(worth[k] for k in left) - TIE_TOLERANCE * program.size
+        ordered.append(min((k for k in sorted(left) if worth[k] >= least), key=away.__getitem__))
+        left.remove(ordered[-1])
+    return [good[k] for k in ordered]
 
 
 def _alternatives(program: Program, points: list[Vector]) -> list[tuple[float, Vector]]:

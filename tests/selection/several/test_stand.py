@@ -255,3 +255,25 @@ def test_an_end_that_could_not_be_verified_is_told(excavator: flexopt.Machine, m
     assert lesser.worth == pytest.approx(low, rel=1e-6)
     assert lesser.unverified == pytest.approx(whole.worth, rel=1e-6)
     assert f"a climb that could not be verified came to w2 {whole.worth:.6g}" in repr(lesser)
+
+
+@pytest.mark.long
+def test_among_places_of_equal_worth_the_nearest_to_the_present_one_is_chosen() -> None:
+    """Machine and targets are symmetric, so every optimum has a mirror image of the same worth."""
+    machine, chosen = flexopt.load("slewing-excavator"), list[np.ndarray]()
+    for side in (1.0, -1.0):
+        present = np.array([9.0, 4.0 * side, 2.0 * side])
+        stand = flexopt.select_stand(
+            machine, [(6.0, -3.0, 2.2), (6.0, 3.0, 2.2)], objective="w1", base=present.tolist(), starts=4, workers=1
+        )
+        ties = [
+            base
+            for worth, base in stand.alternatives
+            if worth >= stand.worth - 1e-9 * stand.problems[0].objective_scale
+        ]
+        assert ties
+        scale = stand.problems[0].scale[:3]
+        away = [np.linalg.norm((base - present) / scale) for base in (stand.base, *ties)]
+        assert away[0] == min(away)
+        chosen.append(stand.base)
+    np.testing.assert_allclose(chosen[1], chosen[0] * [1.0, -1.0, -1.0], rtol=0, atol=1e-6)
