@@ -146,7 +146,7 @@ class GaussStep:
 class StrongDampers:
     """Corrections by which iterations on momentum rates converge however strong the dampers are.
 
-    What a change of the rates K (n, s) leaves is changed by dampers as I + h A ⊗ B does, B = D_u M_u⁻¹ at the step's
+    What a change of the rates K (n, s) leaves is changed by dampers as I + h kron(A, B) does, B = D_u M_u⁻¹ at the step's
     start. That is solved: the tableau's A = T Λ T⁻¹ is taken apart into its real eigenvalues and pairs a ± ib
     (Hairer and Wanner 1996, IV.8), each of which needs one inverse (n, n):
 

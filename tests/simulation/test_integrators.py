@@ -149,7 +149,7 @@ def test_accurate_methods_meet_the_ode_on_random_machines(seed, control):
 
 @pytest.mark.parametrize("stages", [1, 2, 3, 4])
 def test_strong_dampers_are_solved_for(stages):
-    """(I + h A ⊗ D M⁻¹) x = y as NumPy solves it, dampers from none to very strong ones, some motions undamped."""
+    """(I + h kron(A, D M⁻¹)) x = y as NumPy solves it, dampers from none to very strong ones, some motions undamped."""
     rng, n = np.random.default_rng(stages), 5
     shape = rng.normal(size=(n, n))
     mass = shape @ shape.T + np.eye(n)
