@@ -174,21 +174,13 @@ class ClosedLoop:
         s, _, command, t, e, c = self._substep_symbols(carried=False)
         flow = Flow(self.structure, self.layouts, command, e, c)
         parts = gauss_step(flow, gauss(), flow.of["h"], t, self._state(s), damped=self.structure.damped)
-        inputs, names, k = [s, command, t, e, c], ["s", "command", "t", "e", "c"], parts.unknowns
-        factors = parts.known
-        cse = {"cse": True}
+        inputs, names, cse = [s, command, t, e, c], ["s", "command", "t", "e", "c"], {"cse": True}
+        iterated, known = [parts.unknowns, parts.known, *inputs], ["k", "factors", *names]
         end = ca.vertcat(parts.finish.u, parts.finish.w, parts.finish.z)
         return (
             ca.Function("stages", inputs, [parts.start, parts.factors], names, ["k", "factors"], cse),
-            ca.Function("iteration", [k, factors, *inputs], [parts.iterate], ["k", "factors", *names], ["k_next"], cse),
-            ca.Function(
-                "end",
-                [k, factors, *inputs],
-                [end, parts.residual],
-                ["k", "factors", *names],
-                ["s_next", "residual"],
-                cse,
-            ),
+            ca.Function("iteration", iterated, [parts.iterate], known, ["k_next"], cse),
+            ca.Function("end", iterated, [end, parts.residual], known, ["s_next", "residual"], cse),
         )
 
     def _substep_symbols(self, *, carried: bool) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:

@@ -146,9 +146,9 @@ class GaussStep:
 class StrongDampers:
     """Corrections by which iterations on momentum rates converge however strong the dampers are.
 
-    What a change of the rates K (n, s) leaves is changed by dampers as I + h kron(A, B) does, B = D_u M_u⁻¹ at the step's
-    start. That is solved: the tableau's A = T Λ T⁻¹ is taken apart into its real eigenvalues and pairs a ± ib
-    (Hairer and Wanner 1996, IV.8), each of which needs one inverse (n, n):
+    Of a change of the rates K (n, s) dampers leave what I + h kron(A, B) makes of it, B = D_u M_u⁻¹ at the start of the
+    step. That is solved: the tableau's A = T Λ T⁻¹ is taken apart into its real eigenvalues and pairs a ± ib (Hairer
+    and Wanner 1996, IV.8), each of which needs one inverse (n, n):
 
         (I + h a B)⁻¹ = M_u (M_u + h a D_u)⁻¹,    ((I + h a B)² + (h b B)²)⁻¹ = M_u (M_u + 2 h a D_u + h² |λ|² D_u B)⁻¹.
     """

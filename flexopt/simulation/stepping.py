@@ -25,10 +25,6 @@ DAMPED_STEP = 0.5
 STRONGLY_DAMPED_STEP = 8.0
 # How much of a strong damper's motion an iteration leaves: as masses change within a step it is not solved for exactly.
 MASS_CHANGES = 0.05
-# Where RK4 leaves the imaginary axis: |R(iy)| > 1 beyond √8.
-RK4_LIMIT = math.sqrt(8.0)
-# And where it leaves the negative real axis: |R(−y)| > 1 beyond.
-RK4_REAL_LIMIT = 2.785
 SUBSTEPS_MAX = 1000
 # By so much |R| passes 1 where poles at zero are off by rounding.
 ROUNDING = 1e-6

@@ -27,9 +27,9 @@ from fmpy.fmi3 import FMU3Slave
 
 import flexopt
 from flexopt.export.fmu import FmuReport
+from flexopt.export.fmu.guards import RK4_LIMIT, RK4_REAL_LIMIT
 from flexopt.export.fmu.model import FmuModel
 from flexopt.simulation.scenario import Scenario
-from flexopt.simulation.stepping import RK4_LIMIT, RK4_REAL_LIMIT
 
 VERSIONS = ("2.0", "3.0")
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror"]

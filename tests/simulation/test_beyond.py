@@ -60,3 +60,10 @@ def test_an_effort_is_no_torque_limit() -> None:
     assert told(flexopt.simulate(EXCAVATOR, POSTURE_A, **loop)) == ""
     real = flexopt.simulate(feeble, POSTURE_A, loop={"kp": 1e4, "kv": 1e3}, duration=2.0)
     assert told(real).endswith("; loop.torque_limit lets drives saturate")
+
+
+@pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
+def test_a_run_that_leaves_the_finite_numbers_has_no_extremes() -> None:
+    run = flexopt.simulate(DIGGER, STAND, kp=1e11, kv=1e9, duration=4.0)
+    assert any("left the finite numbers" in each for each in run.warnings)
+    assert told(run) == ""

@@ -17,10 +17,12 @@ from flexopt.model.machine import Parameter
 from flexopt.plant import Plant
 from flexopt.plant.singularity import CONDITION_MAX
 from flexopt.simulation.scenario import STATIC_TOLERANCE
-from flexopt.simulation.stepping import RK4_LIMIT, RK4_REAL_LIMIT
 
 # Squarings of M⁻¹K: its trace then bounds the fastest mode from above, for m modes by m^(1/512).
 SQUARINGS = 8
+# Where RK4 leaves the imaginary axis, |R(iy)| > 1 beyond √8, and the negative real one, |R(−y)| > 1 beyond 2.785: a
+# master's parameters have no poles, of which `simulate` asks this.
+RK4_LIMIT, RK4_REAL_LIMIT = math.sqrt(8.0), 2.785
 # The bound's excess and rounding must not refuse what `simulate` accepts.
 STEP_SLACK = 1.01
 # How far matrices that may be singular can be off by rounding, in units of their diagonal or of their trace.
