@@ -207,8 +207,9 @@ def _interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FLEXOPT_COMPILE", "0")
 
 
-@pytest.mark.usefixtures("_interpreted")
 @pytest.mark.long
+@pytest.mark.usefixtures("_interpreted")
+@pytest.mark.parametrize(("machine", "target"), [("excavator", (0.0, 1.6)), ("truck-crane", (6.0, 0.0, 3.0))])
 def test_no_point_nearby_is_better(machine: str, target: tuple[float, ...]) -> None:
     """Random points about the optimum, moved onto the rows by other steps: V alone is looked at."""
     selection = flexopt.select(flexopt.load(machine), target, objective="epsilon_max", starts=2, workers=1)
