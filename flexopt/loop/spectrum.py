@@ -81,6 +81,11 @@ class SampledLoop:
         return abs(float(np.angle(self.multipliers[0]))) / (2 * np.pi * self.period)
 
     @property
+    def aperiodic(self) -> bool:
+        """Whether the pole nearest to instability dies away without swinging: to e^-10 within a period."""
+        return -self.growth_rate > 10 * self.frequency_hz
+
+    @property
     def stable(self) -> bool:
         """Whether all multipliers lie inside the unit circle."""
         return bool(np.abs(self.multipliers[0]) < 1.0)

@@ -298,7 +298,11 @@ class Trajectory(Pictured, Result):
         shown = "–" if own is None else f"{-own:+z.4g}{spread}/s"
         exact = "–" if linear is None else f"{-linear:+z.4g}/s"
         why = "" if self.linear is None else alternating(self.linear, self.ended)
-        at = f" at {self.linear.frequency_hz:.4g} Hz{why}" if self.linear is not None and why else ""
+        at = ""
+        if self.linear is not None and why:
+            at = f" at {self.linear.frequency_hz:.4g} Hz{why}"
+        elif self.linear is not None and self.linear.aperiodic:
+            at = ", a motion without oscillation"
         beyond = "" if self.overshoot is None else f"overshoot {100 * self.overshoot:.1f} %, "
         settles = f"does not settle in {self.time[-1]:g} s"
         if self.settling_time is not None:

@@ -56,6 +56,18 @@ def test_every_machine_with_what_follows_from_it(name: str) -> None:
     assert "dead_time: none is given" in repr(run)
 
 
+def test_a_slowest_motion_that_does_not_swing_is_told_as_such() -> None:
+    """Drives that serve rates let the end-point creep to its target at kp, which no mode of the base does."""
+    machine = flexopt.load("excavator")
+    creeps = flexopt.simulate(machine, POSTURE, loop=LOOPS["rates"] | {"kp": 0.02}, duration=0.2)
+    assert creeps.linear is not None
+    assert creeps.linear.frequency_hz == pytest.approx(0.0, abs=1e-6)
+    assert creeps.linear.growth_rate == pytest.approx(-0.02, rel=0.1)
+    assert "/s of the linear loop, a motion without oscillation)" in repr(creeps)
+    swings = flexopt.simulate(machine, POSTURE, loop=LOOPS["torque"], duration=0.2)
+    assert "/s of the linear loop)" in repr(swings)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("drive", "drifts"), [("torque", True), ("velocity", False)])
 def test_drives_that_follow_rates_hold_the_self_motion(drive: str, *, drifts: bool) -> None:
