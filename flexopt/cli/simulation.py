@@ -44,8 +44,8 @@ FILMS = (".gif", ".html")
 # Fields of `SimulationOptions`, what stands for their values where their types do not say, and what they do.
 TEXTS = {
     "posture": ("A,B,…", "Actuated joints about which to work, rad or m."),
-    "end_point": ("X,Y[,Z]", "Target of the end-point, inertial frame, m."),
-    "elbow": ("", "With --end-point: which branch of a planar arm; up (by default): the last joint is negative."),
+    "end_point": ("X,Y[,Z]", "Target of the end-point of an arm of two joints, inertial frame, m."),
+    "elbow": ("", "With --end-point: which of its two postures; up (by default): the last joint is negative."),
     "base": ("X[,Y,YAW]", "Placement of the base, m and rad."),
     "feedback": ("", "Task-space feedback (pd by default); robust attains ε_max."),
     "kp": ("KP", "Gain on the end-point error, one number or one for each task row (1e5 by default)."),

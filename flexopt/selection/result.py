@@ -18,6 +18,7 @@ from flexopt.foundation.results import Result, Tabled
 from flexopt.foundation.turns import TURN
 from flexopt.robustness.evaluation import Evaluation, without_rounding
 from flexopt.robustness.residues import residue_unit, unit_in_words
+from flexopt.selection.constraint_values import ConstraintValue, nearest_told
 from flexopt.selection.continua import way_to
 from flexopt.selection.exchanged import at_edge
 from flexopt.selection.problem import SelectionProblem, beyond_bounds, broken, elsewhere
@@ -34,16 +35,6 @@ SAME_VALUE = 1e-6
 TIE_TOLERANCE = 1e-9
 # What is no gain, as a share of the objective's scale.
 NOTHING = 1e-4
-
-
-@dataclass(frozen=True)
-class ConstraintValue:
-    """What a constraint lower ≤ value ≤ upper is at a candidate, in `unit`."""
-
-    value: float
-    lower: float
-    upper: float
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -334,6 +325,12 @@ class Selection(Pictured, Result):
         )
 
     @property
+    def constraints_told(self) -> tuple[str, ...]:
+        """A sentence on those asked for at the best: of each kind that nearest to its bound; none where none was."""
+        told = nearest_told(self.problem.asked, [self.best.constraints])
+        return (told,) if told else ()
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the choice: what it leaves out, by what it was decided, what it gains."""
         unverified = unverified_told(self.problem.objective.name, self.unverified)
@@ -362,7 +359,7 @@ class Selection(Pictured, Result):
             off = self.present_told
             lines.append(f"   now {in_columns(e)}{_measures(problem, e)}{off and '   ' + off}")
         lines.append(f"  {units_told(best)}")
-        lines += [f"  {kept}" for kept in self.kept]
+        lines += [f"  {sentence}" for sentence in (*self.constraints_told, *map(str, self.kept))]
         if self.best.unsurpassed and not self.kept:
             lines.append(f"  no configuration has a larger {problem.name}: 0 is the most there is")
         if self.missed_chance is not None and not self.best.unsurpassed:

@@ -18,24 +18,25 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.later import later
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
-from flexopt.model.choices import OUTCOMES, of_loop
+from flexopt.model.choices import OUTCOMES, RADIUS, of_loop
 from flexopt.model.constraints import AnyConstraints, Constraints, LeastOutcomes
 from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
-from flexopt.model.uncertainty import RangesLike
+from flexopt.model.uncertainty import RangesLike, Uncertainty
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.build import build_selection, only_notes
 from flexopt.selection.check import prove
+from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.continua import grouped, nearest, same, travel
 from flexopt.selection.newton import settled
 from flexopt.selection.objective import Objective
 from flexopt.selection.optima import SAME_POINT, first_optima, later_optima, next_stage
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import single
-from flexopt.selection.result import TIE_TOLERANCE, Candidate, ConstraintValue, Kept, Selection
+from flexopt.selection.result import TIE_TOLERANCE, Candidate, Kept, Selection
 from flexopt.selection.starts import starting_points
 from flexopt.selection.surfaces import Best, along_surfaces
 
@@ -74,6 +75,14 @@ def least_of(constraints: Any) -> LeastOutcomes | None:
     return constraints.outcome if isinstance(constraints, Constraints) else None
 
 
+def ranges_of(
+    machine: AnyMachine, ranges: Any, word: str | None, least: LeastOutcomes | None
+) -> tuple[Uncertainty, ...]:
+    """What is uncertain where the loop decides: what was given, or the machine's; a radius has its own, all springs."""
+    radius = RADIUS in (word or "").split(",") or (least is not None and least.radius is not None)
+    return ranges or (() if radius else machine.uncertainty)
+
+
 def without_loop(constraints: Any) -> Any:
     """The constraints that are the configuration's alone."""
     return constraints if least_of(constraints) is None else constraints.model_copy(update={"outcome": None})
@@ -104,7 +113,8 @@ def select(
             much at least, also where w_i or V is the objective. Of gains with a range (`kp_range`,
             `kv_range`) the best for each configuration are chosen.
         ranges: of the loop's objective: what is uncertain, as of `flexopt.verdict`; the least over it counts. By
-            default the machine's own numbers alone.
+            default the machine's `[[uncertainty]]`, or where there is none, or a radius is asked for, its own numbers
+            alone.
         workers: as in `flexopt.solve_selection`.
         progress: called with (starts done, starts in all).
 
@@ -136,7 +146,8 @@ def select(
         problem = next(iter(problems.values()))
         own = under_control(real or Loop(), machine, problem.control, "select")
         choose = cast(Any, room("outcome_selection_in_order"))
-        return choose(problems, own, ranges or (), initial_evaluation(problem), workers, progress, least)
+        varied = ranges_of(machine, ranges, measure, least)
+        return choose(problems, own, varied, initial_evaluation(problem), workers, progress, least)
     problem = build_selection(machine, target, constraints=constraints, **keywords)
     return solve_selection(problem, workers=workers, progress=progress)
 

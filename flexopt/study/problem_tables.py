@@ -6,7 +6,6 @@ In: a report. Out: names of columns and rows of text.
 from __future__ import annotations
 
 import math
-import re
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import Evaluation, unreached, without_rounding
 from flexopt.robustness.residues import residue_unit, written_unit
 from flexopt.selection import Selection
-from flexopt.selection.result import ConstraintValue
+from flexopt.selection.constraint_values import ConstraintValue, by_kind
 from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
 from flexopt.study.page import Table, number, with_minus
 
@@ -55,13 +54,11 @@ def constraints(report: Report) -> ConstraintTables | None:
     shown = [each for _, each in numbered]
     if not shown[0].constraints:
         return None
-    kinds: dict[str, list[str]] = {}
-    for name in shown[0].constraints:
-        kinds.setdefault(re.split(" of | from |, ", name)[0], []).append(name)
+    kinds = by_kind(shown[0].constraints)
     near, far = list[str](), list[str]()
     for names in kinds.values():
         if len(names) > MANY:
-            names = sorted(names, key=lambda name: min(_room(each.constraints[name]) for each in shown))  # noqa: PLW2901
+            names = sorted(names, key=lambda name: min(each.constraints[name].room for each in shown))  # noqa: PLW2901
             near, far = near + names[:NEAREST], far + names[NEAREST:]
         else:
             near += names
@@ -83,11 +80,6 @@ def constraints(report: Report) -> ConstraintTables | None:
         return (header, rows) if rows else None
 
     return ConstraintTables(table(near), table(far), told, others if left else "")
-
-
-def _room(value: ConstraintValue) -> float:
-    """How far it is from its nearer bound."""
-    return min(value.value - value.lower, value.upper - value.value)
 
 
 def _allowed(value: ConstraintValue) -> str:

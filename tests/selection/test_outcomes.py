@@ -16,6 +16,7 @@ import flexopt
 from benchmarks.codesign import KP, KV, decay
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model import machine_from_dict
 from flexopt.model.loop import Loop
 from flexopt.selection.outcomes.climb import first_order
 from flexopt.selection.outcomes.program import OutcomeProgram
@@ -97,6 +98,33 @@ def test_the_worst_case_is_no_better_anywhere_in_its_box() -> None:
     assert region.decay >= (
         flexopt.stable_region(EXCAVATOR, before.posture, base=before.base, loop=FIXED, ranges=ranges).decay - 1e-9
     )
+
+
+def test_what_the_machine_says_is_uncertain_counts() -> None:
+    soil = {"of": "stiffness", "factor": [0.5, 2.0]}
+    doubtful = machine_from_dict(EXCAVATOR.to_dict() | {"uncertainty": [soil]})
+    asked: dict[str, Any] = {"objective": "decay", "loop": FIXED, "base": 0.0, "starts": 2, "workers": 1}
+    of_file = flexopt.select(doubtful, TARGET, **asked)
+    given = flexopt.select(EXCAVATOR, TARGET, ranges=[soil], **asked)
+    nominal = flexopt.select(EXCAVATOR, TARGET, **asked)
+    assert isinstance(of_file, OutcomeSelection)
+    assert "objective decay, worst over stiffness" in repr(of_file)
+    assert of_file.best.objective == pytest.approx(given.best.objective, rel=1e-9)
+    assert of_file.best.objective < 0.99 * nominal.best.objective
+    # What was sought, not the w_i whose starts it takes.
+    document = of_file.to_dict()
+    assert [each["factor"] for each in document["uncertainty"]] == [[0.5, 2.0]]
+    assert (document["problem"]["objective"], document["problem"]["weights"]) == ("decay", None)
+    assert [each["name"] for each in document["problem"]["objectives"]] == ["decay"]
+
+
+@pytest.mark.long
+def test_a_radius_is_of_all_springs_whatever_else_is_uncertain() -> None:
+    load = {"of": "payload.mass", "value": [0.0, 50.0]}
+    doubtful = machine_from_dict(EXCAVATOR.to_dict() | {"uncertainty": [load]})
+    asked: dict[str, Any] = {"objective": "radius", "loop": FIXED, "base": 0.0, "starts": 2, "workers": 1}
+    found = [flexopt.select(machine, TARGET, **asked).best.objective for machine in (doubtful, EXCAVATOR)]
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
 
 
 @pytest.mark.parametrize(

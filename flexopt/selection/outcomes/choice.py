@@ -26,6 +26,7 @@ from flexopt.model.constraints import LeastOutcomes
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.robustness import Evaluation
+from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.continua import travel
 from flexopt.selection.optima import SAME_POINT
 from flexopt.selection.outcomes.borders import RADIUS_POINTS
@@ -36,7 +37,7 @@ from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import Seed, separation, starting_points
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import Attempt, Candidate, ConstraintValue, Kept
+from flexopt.selection.result import Attempt, Candidate, Kept
 from flexopt.selection.solve import constraint_values
 from flexopt.selection.starts import FEASIBLE
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from flexopt.foundation.arrays import Document
 from flexopt.foundation.plain import counted
 from flexopt.loop.region import LARGEST
 from flexopt.loop.settings import LoopSettings
@@ -17,6 +18,14 @@ from flexopt.selection.result import Selection, units_of_columns, unverified_tol
 
 # Of the best value, by which the present one may be less and nothing is to gain.
 ALIKE = 1e-3
+
+
+def asked_of_loop(document: Document, objective: str) -> Document:
+    """A problem's document by what was sought: where that is the loop's, the problem's own w_i is not asked."""
+    known = {each["name"]: each for each in document["objectives"]}
+    objectives = [known.get(word, {"name": word, "weights": None, "scale": None}) for word in objective.split(",")]
+    weights = next((each["weights"] for each in objectives if each["name"] == document["objective"]), None)
+    return document | {"objective": objective, "weights": weights, "objectives": objectives}
 
 
 @dataclass(frozen=True, repr=False)
@@ -42,7 +51,8 @@ class OutcomeSelection(Selection):
     loop: Loop | None = field(default=None, repr=False)
     uncertainty: tuple[Uncertainty, ...] = ()
 
-    DOCUMENT = Selection.DOCUMENT + " measure gains radii uncertainty=_uncertainty"
+    _OWN = " measure gains radii uncertainty=_uncertainty"
+    DOCUMENT = Selection.DOCUMENT.replace("problem ", "problem=_asked ") + _OWN
 
     @property
     def gains(self) -> tuple[dict[str, float], ...]:
@@ -59,6 +69,10 @@ class OutcomeSelection(Selection):
     def objective_unit(self) -> str:
         """Of the measure."""
         return self.criterion.unit_of(self.settings[0])
+
+    @property
+    def _asked(self) -> Document:
+        return asked_of_loop(self.problem.to_dict(), self.objective)
 
     @property
     def _uncertainty(self) -> list[dict[str, Any]]:
@@ -127,7 +141,7 @@ class OutcomeSelection(Selection):
             f"  in {units_of_columns(best)}; radius: by which factor all springs together may be "
             f"softer or stiffer, looked for up to {LARGEST:g}"
         )
-        lines += [f"  {sentence}" for sentence in (*self.remarks, *map(str, self.kept))]
+        lines += [f"  {sentence}" for sentence in (*self.constraints_told, *self.remarks, *map(str, self.kept))]
         if self.initial is not None and self.present is not None:
             e, now = self.initial, self.present
             off = self.present_told

@@ -36,6 +36,7 @@ from flexopt.selection.outcomes.choice import (
 from flexopt.selection.outcomes.climb import Climbed
 from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.outcomes.program import OutcomeProgram
+from flexopt.selection.outcomes.result import asked_of_loop
 from flexopt.selection.outcomes.shared import SharedProgram
 from flexopt.selection.outcomes.starting import starts_from
 from flexopt.selection.problem import SelectionProblem
@@ -91,7 +92,8 @@ class ByLoop(ConfigurationSet):
         uncertainty = [each.model_dump(exclude_none=True) for each in self.uncertainty]
         more = {"measure": self.measure, "gains": self.gains, "settings": self.settings and self.settings.to_dict()}
         more |= {"uncertainty": uncertainty}
-        return super()._document(status, own, targets) | json_ready(more)
+        document = super()._document(status, own, targets)
+        return document | json_ready(more | {"problem": asked_of_loop(document["problem"], self.objective)})
 
     def __repr__(self) -> str:
         over = ", ".join(each.name for each in self.uncertainty)

@@ -30,7 +30,7 @@ from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionOptions, SharedKeywords
 from flexopt.model.targets import RATES, TIMES
-from flexopt.model.uncertainty import RangesLike, Uncertainty
+from flexopt.model.uncertainty import RangesLike
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.check import infeasible
 from flexopt.selection.coupling import Coupling
@@ -44,7 +44,7 @@ from flexopt.selection.several.solving import End, end_from, ends_from, not_belo
 from flexopt.selection.several.standing import best_placements, one_placement, standing_along
 from flexopt.selection.several.targets import build_problems, sample_bases, single_measure
 from flexopt.selection.several.ways import coarse_ways, nodes_of, on_lines, travelled
-from flexopt.selection.solve import least_of, loop_notes, solved, without_loop
+from flexopt.selection.solve import least_of, loop_notes, ranges_of, solved, without_loop
 
 # Placements that are looked at, for one coordinate and for more: from which all targets may be reached, and for each
 # target alone.
@@ -167,7 +167,7 @@ def plan_base(
     if by_loop:
         real = cast("Loop | None", loop or machine.loop) or Loop()
         own = under_control(real, machine, problems[0].control, "plan_base")
-        known = cast("tuple[Uncertainty, ...]", ranges or ())
+        known = ranges_of(machine, ranges, word, least)
         sought = Asked("plan_base", own, known, word, least)
         counted = tuple(replace(problem, starts=asked.starts) for problem in problems)
         return outcome_plan(replace(program, problems=counted), due, begin, common, by_target, sought, count, progress)

@@ -18,12 +18,12 @@ from flexopt.foundation.results import Tabled
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import EXCITES, Evaluation, excites_rigid
 from flexopt.robustness.residues import residue_unit, unit_in_words
+from flexopt.selection.constraint_values import ConstraintValue, nearest_told
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import (
     NOTHING,
     THIN,
     TIE_TOLERANCE,
-    ConstraintValue,
     column_heads,
     in_columns,
     in_margin,
@@ -181,12 +181,13 @@ class ConfigurationSet(Tabled):
         """A heading, and a line for each target."""
         first = self.problems[0]
         how = f"Jacobian {first.control} control, objective {self.objective}: {status}"
+        kept = nearest_told(first.asked, [place.constraints for place in self.places])
         named = [f"  {assumption}" for assumption in first.assumed]
         named += [f"  {self.unused_posture}"] * bool(self.unused_posture)
         return [
             f"{first.machine.name}: {what}, {how}",
             *self._table(),
-            *(f"  {sentence}" for sentence in self.remarks),
+            *(f"  {sentence}" for sentence in (*filter(None, [kept]), *self.remarks)),
             *named,
         ]
 

@@ -20,7 +20,7 @@ from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionOptions, StandKeywords
 from flexopt.model.targets import SOME_SHARES
-from flexopt.model.uncertainty import RangesLike, Uncertainty
+from flexopt.model.uncertainty import RangesLike
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.continua import unwound, way_to
 from flexopt.selection.program import Program
@@ -32,7 +32,7 @@ from flexopt.selection.several.results import Stand
 from flexopt.selection.several.solving import End, places_at
 from flexopt.selection.several.standing import best_placements, default_starts, one_placement
 from flexopt.selection.several.targets import build_problems, none_reaches_all, sample_bases, single_measure
-from flexopt.selection.solve import least_of, loop_notes, without_loop
+from flexopt.selection.solve import least_of, loop_notes, ranges_of, without_loop
 
 # Placements that are looked at, for one coordinate and for more.
 BASES = 401, 512
@@ -116,7 +116,7 @@ def select_stand(
             raise none_reaches_all(len(points))
         real = cast("Loop | None", loop or machine.loop) or Loop()
         own = under_control(real, machine, problems[0].control, "select_stand")
-        known = cast("tuple[Uncertainty, ...]", ranges or ())
+        known = ranges_of(machine, ranges, word, least)
         return outcome_stand(problems, bases, Asked("select_stand", own, known, word, least), count, progress)
     problems = build_problems("select_stand", machine, points, "targets", asked, constraints)
     program = one_placement(problems, share, weighted=asked.combine == "weighted")

@@ -1,0 +1,63 @@
+"""What constraints are at a configuration, in numbers and in a sentence.
+
+In: values and bounds by name. Out: names by kind, and of each kind that which is nearest to its bound.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from flexopt.model.constraints import Constraints
+from flexopt.selection.constraints import KINDS
+
+
+@dataclass(frozen=True)
+class ConstraintValue:
+    """What a constraint lower ≤ value ≤ upper is at a candidate, in `unit`."""
+
+    value: float
+    lower: float
+    upper: float
+    unit: str
+
+    @property
+    def room(self) -> float:
+        """How far it is from its nearer bound, in `unit`; negative beyond it."""
+        return min(self.value - self.lower, self.upper - self.value)
+
+    def __str__(self) -> str:
+        unit, low, high = self.unit and f" {self.unit}", f"{self.lower:z.4g}", f"{self.upper:z.4g}"
+        allowed = f"at least {low}" if math.isinf(self.upper) else f"at most {high}"
+        if math.isfinite(self.lower) and math.isfinite(self.upper):
+            allowed = f"{low} to {high}" if self.lower < self.upper else low
+        return f"{self.value:z.4g}{unit} ({allowed}{unit})"
+
+
+def by_kind(names: Iterable[str]) -> dict[str, list[str]]:
+    """Names of constraints by what they are the same of: "clearance" of every body."""
+    kinds: dict[str, list[str]] = {}
+    for name in names:
+        kinds.setdefault(re.split(" of | from |, ", name)[0], []).append(name)
+    return kinds
+
+
+def nearest_told(asked: Constraints, places: Sequence[dict[str, ConstraintValue]]) -> str:
+    """A sentence on the constraint of each kind that is nearest to its bound, over all targets.
+
+    Empty where nobody asked for one that a configuration has a value of: limits of joints are no such.
+
+    Args:
+        asked: the constraints as they were given.
+        places: at each target, by name; the same names at all.
+    """
+    if not any(getattr(asked, field, None) is not None for field in (*KINDS, "own")):
+        return ""
+    told = list[str]()
+    for names in by_kind(places[0]).values():
+        _, k, name = min((values[name].room, k, name) for k, values in enumerate(places) for name in names)
+        at = f" at target {k + 1}" if len(places) > 1 else ""
+        told.append(f"{name} {places[k][name]}{at}")
+    return f"constraints, of each kind that nearest to its bound: {'; '.join(told)}"

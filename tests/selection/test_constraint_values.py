@@ -1,0 +1,59 @@
+"""The sentence on constraints, beside the values in the document."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import flexopt
+from flexopt.model.constraints import read_constraints
+from flexopt.selection.constraint_values import ConstraintValue, nearest_told
+
+NAMES = ("clearance of a from b", "clearance of c from d", "clearance of e from f", "tip-over margin from edge x")
+ASKED = read_constraints({"manipulability": 2.0})
+
+
+@given(st.lists(st.lists(st.floats(-9, 9), min_size=4, max_size=4), min_size=1, max_size=3))
+def test_of_each_kind_the_nearest_is_told(values: list[list[float]]) -> None:
+    places = [{name: ConstraintValue(x, -1.0, 1.0, "m") for name, x in zip(NAMES, row, strict=True)} for row in values]
+    told = nearest_told(ASKED, places)
+    room = 1 - abs(np.array(values))
+    for kind, part in (("clearance", room[:, :3]), ("tip-over", room[:, 3:])):
+        found = re.search(rf"{kind}.*?(-?[\d.e-]+) m \(-1 to 1 m\)(?: at target (\d))?", told)
+        assert found is not None
+        # Four digits are shown.
+        assert 1 - abs(float(found[1])) == pytest.approx(part.min(), abs=2e-3)
+        k = int(found[2] or 1) - 1
+        assert part[k].min() == pytest.approx(part.min(), abs=1e-12)
+        assert (found[2] is not None) == (len(values) > 1)
+
+
+def test_nothing_is_told_where_nothing_was_asked() -> None:
+    places = [{"singularity margin": ConstraintValue(0.5, 0.03, np.inf, "sin²")}]
+    for asked in ({}, {"joint_margin": 0.1}, {"travel": {"cost": 0.1}}):
+        assert nearest_told(read_constraints(asked), places) == ""
+
+
+def test_selections_and_stands_tell_them() -> None:
+    machine, asked = flexopt.load("excavator"), {"manipulability": 2.0}
+    lengths = [link["length"] for link in machine.to_dict()["links"]]
+    options: dict[str, Any] = {"constraints": asked, "starts": 2, "workers": 1}
+    one = flexopt.select(machine, (0.0, 1.6), base=0.0, **options)
+    stand = flexopt.select_stand(machine, [(0.0, 1.6), (0.2, 1.4)], **options)
+    for shown, places, e in (
+        (repr(one), [one.best.constraints], [one.best.evaluation]),
+        (repr(stand), [place.constraints for place in stand.places], [p.evaluation for p in stand.places]),
+    ):
+        told = re.search(r"manipulability ([\d.]+) m\^2 \(at least 2 m\^2\)", shown)
+        assert told is not None
+        least = min(each["manipulability"].value for each in places)
+        assert float(told[1]) == pytest.approx(least, rel=1e-3)
+        # Of two joints l1 l2 |sin q2|.
+        own = [lengths[0] * lengths[1] * abs(np.sin(each.posture[1])) for each in e]
+        assert least == pytest.approx(min(own), rel=1e-9)
+    assert "constraints, of each kind" not in repr(flexopt.select(machine, (0.0, 1.6), base=0.0, starts=2, workers=1))
