@@ -54,10 +54,9 @@ def plot_figure6(transpose: Any, inverse: Any, arms: Arms) -> Figure:
         draw_field(axes, plane, _array(dataset, "epsilon_max"), label=labelled("$\\epsilon_{max}$", ""), clipped=True)
         for name, arm in arms.items():
             draw_arm(axes, arm, name)
-        label_plane(axes, plane, title, left=k == 0)
-    figure.suptitle(
-        f"Fig. 6: $\\epsilon_{{max}}$ over the workspace, kr = {inverse.attrs['gain']:.4g} {inverse.attrs['gain_unit']}"
-    )
+        gain = f"kr = {dataset.attrs['gain']:.4g} {dataset.attrs['gain_unit']}"
+        label_plane(axes, plane, f"{title}, {gain}", left=k == 0)
+    figure.suptitle("Fig. 6: $\\epsilon_{max}$ over the workspace")
     return figure
 
 

@@ -86,7 +86,7 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
     check_folder("--out", out)
     settings = given(options, *(name for name in OF_BUNDLE if name != "out"), "control", "gain", "posture", "base")
     settings |= given({"loop": real_loop(loaded.loop, options["loop"])})
-    with option_names(options | {"folder": out}), warnings_to_stderr(as_json):
+    with option_names(options | {"out": out}), warnings_to_stderr(as_json):
         report = export_c(loaded, out, **settings)
     if as_json:
         print_json(report.to_dict())

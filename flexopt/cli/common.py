@@ -138,7 +138,7 @@ def print_json(document: dict[str, Any]) -> None:
 @contextmanager
 def option_names(options: dict[str, Any]) -> Generator[None]:
     """Faults of arguments under the names of the options they were given by; meanwhile a clock runs."""
-    spelled = {"target": "end_point", "end-point": "end_point", "executor": "dask"}
+    spelled = {"target": "end_point", "end-point": "end_point", "executor": "dask", "folder": "out"}
     asked = dict(options)
     try:
         with clock():
@@ -287,13 +287,20 @@ def write_output(option: str, path: str, write: Callable[[], object]) -> None:
         raise WriteError(f"{option} = {path!r}: {error}", path=error.path, size=error.size, code=error.errno) from error
 
 
-def hand_out(result: Any, out: str | None, draw: Callable[[Any], None] | None, *, as_json: bool) -> None:
-    """Write a result's files, netCDF or by its name the document, and its picture, and print it."""
-    if out is not None and Path(out).suffix.lower() == ".json":
+def write_result(result: Any, out: str) -> None:
+    """A result's file by its name: the document, a table of samples or, of any other name, netCDF."""
+    kind = Path(out).suffix.lower()
+    if kind == ".json":
         text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
         write_output("--out", out, lambda: write_file(out, text))
-    elif out is not None:
-        write_output("--out", out, lambda: result.to_netcdf(out))
+    else:
+        write_output("--out", out, lambda: (result.to_csv if kind == ".csv" else result.to_netcdf)(out))
+
+
+def hand_out(result: Any, out: str | None, draw: Callable[[Any], None] | None, *, as_json: bool) -> None:
+    """Write a result's files and its picture, and print it."""
+    if out is not None:
+        write_result(result, out)
     if draw is not None:
         draw(result)
     if as_json:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
@@ -30,6 +29,7 @@ from flexopt.cli.common import (
     warnings_to_stderr,
     whole,
     write_output,
+    write_result,
 )
 from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, real_loop
@@ -124,7 +124,7 @@ def type_of(annotation: Any) -> Any:
 @CONTROL
 @GAIN
 @LOOP
-@value("--out", "PATH", "Write every sample: .nc or .csv.")
+@value("--out", "PATH", "Write every sample, .nc or .csv, or what --json prints, .json.")
 @of_picture("Draw the run: .png, .svg or .pdf.")
 @value("--animate", "PATH", "Draw the moving machine, on the ground of --theme: .gif or .html.")
 @JSON
@@ -136,7 +136,7 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
     A driven base and a moving target (base_path, target_path), and baked, code for one set of numbers alone, are given
     in an experiment file's [simulation] or in Python (flexopt.simulate).
     """
-    for name, suffixes in (("out", (".nc", ".csv")), ("animate", FILMS)):
+    for name, suffixes in (("out", (".nc", ".csv", ".json")), ("animate", FILMS)):
         check_output(f"--{name}", options[name], suffixes)
     plot = options["plot"]
     asked_theme = given(options, "theme")
@@ -160,8 +160,7 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
             result = simulate(loaded, loop=real, **asked)
     out, film = options["out"], options["animate"]
     if out is not None:
-        save = result.to_netcdf if Path(out).suffix.lower() == ".nc" else result.to_csv
-        write_output("--out", out, lambda: save(out))
+        write_result(result, out)
     draw(result)
     if film is not None:
         write_output("--animate", film, lambda: result.animate(film, **asked_theme))

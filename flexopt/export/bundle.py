@@ -132,13 +132,16 @@ def _allowed(arguments: Arguments, given: Mapping[str, Any]) -> None:
     """Parts that were asked for by name must be possible; a loop needs a posture to be judged in."""
     for part, sentence in _left_out(arguments.of, given["parts"] or ()).items():
         arguments.note("parts", f"{sentence}; {given['machine'].name} does not allow it", part)
+    if any(fault.field.split(".")[0] == LOOP for fault in arguments.faults):
+        # What is wrong with it is said; what it would go with is not missed.
+        return
     if _asked_loop(arguments.of, given["loop"], given["posture"]) is None:
         if LOOP in (given["parts"] or ()):
             arguments.note("parts", _without_loop(None)[LOOP], LOOP)
         for name in ("posture", "base"):
             if given[name] is not None:
                 arguments.note(name, "goes with loop only", given[name])
-    elif given["posture"] is None and "posture" not in [fault.field for fault in arguments.faults]:
+    elif given["posture"] is None and not any(fault.field.startswith("posture") for fault in arguments.faults):
         sentence = "is needed with loop: gains left out follow from it, and its margins are told there"
         arguments.faults.append(Fault("posture", sentence))
 
@@ -415,7 +418,7 @@ def check_replaceable(folder: Path, overwrite: bool) -> None:
         if foreign:
             sentence = f"holds files that are not the bundle's: {_some(foreign)}; move them, or choose another folder"
         elif changed and not overwrite:
-            sentence = f"is a bundle with files changed by hand: {_some(changed)}; overwrite=True replaces them"
+            sentence = f"is a bundle with files changed by hand: {_some(changed)}; overwrite replaces them"
     raise_if_any(InputError, "export_c", [Fault("folder", sentence, repr(str(folder)))] if sentence else [])
 
 

@@ -208,7 +208,7 @@ def build_optimiser(
         "margin_deg": margin,
         "sine_squared_min": math.sin(math.radians(margin)) ** 2,
     }
-    enough = writer.number(TOLERANCES[real][1])
+    enough = f"{TOLERANCES[real][1]:g}"
     statuses = {name: (value, text.format(enough=enough)) for name, (value, text) in STATUSES.items()}
     return OptimiserSources(
         header=writer.render("optimiser.h", statuses=statuses, first_failure=FIRST_FAILURE, **values),

@@ -119,7 +119,8 @@ def _draw_measure(axes: Axes, selection: Selection, mode: int) -> None:
         best.base[0], best.w[mode], "*", color=inks.chosen, markersize=14, markeredgecolor=inks.edge, label="chosen",
         zorder=6,
     )  # fmt: skip
-    shown = [best.w[mode]] + ([initial.w[mode]] if initial is not None else [])
+    drawn = [best, *(each.evaluation for each in others), *([] if initial is None else [initial])]
+    shown = [e.w[mode] for e in drawn]
     floor = min(float(np.quantile(scan.w[mode], WORST_SHOWN)), *shown)
     axes.set_ylim(1.12 * floor, -0.1 * floor if floor < 0 else 1.0)
     axes.axhline(0.0, color=inks.muted, linewidth=0.8, zorder=0)

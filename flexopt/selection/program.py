@@ -182,7 +182,8 @@ class Program:
         """Build the graphs that solves from many starts use: processes that are forked then inherit them."""
         first = self.first
         build_branched(first.configuration, first.forms, compiled=self._compiles)
-        build_solver(first.configuration, self.coupling, first.forms, self.goal, quick=True)
+        if not any(form.kinks for form in first.forms):
+            build_solver(first.configuration, self.coupling, first.forms, self.goal, quick=True)
 
     def climbed(
         self,

@@ -337,13 +337,28 @@ class Selection(Pictured, Result):
         said = (unverified, *self.edges, self.decided_by, self.left_out, self.nothing_to_gain)
         return tuple(sentence for sentence in said if sentence)
 
+    @property
+    def _apart(self) -> tuple[tuple[str, int], ...]:
+        """Head and width of the objective's own column; none where a w_i or ε_max is sought, or several in order."""
+        problem, told = self.problem, (*(f"w{i + 1}" for i in range(self.best.w.size)), "epsilon_max")
+        if len(problem.sought) > 1 or (problem.name in told and problem.travel is None):
+            return ()
+        head = "V" if problem.name in told else problem.name
+        return ((head, max(13, len(head) + 2)),)
+
+    def _objective_in_column(self, value: float) -> str:
+        shown = value if abs(value) > TIE_TOLERANCE * self.problem.objective_scale else 0.0
+        return "".join(f"{shown:{width}.4e}" for _, width in self._apart)
+
     def __repr__(self) -> str:
         best = self.best.evaluation
         problem = self.problem
+        heads = "".join(f"{head:>{width}}" for head, width in self._apart)
+        heads += "".join(f"{f'w{i + 1}':>13}" for i in range(best.w.size))
         lines = [
             f"{best.machine}: end-point at ({', '.join(f'{x:g}' for x in problem.target)}) m, "
             f"Jacobian {best.control} control, objective {problem.name}: {self.status}",
-            *column_heads("  rank", best, "".join(f"{f'w{i + 1}':>13}" for i in range(best.w.size)) + f"{'ε_max':>10}"),
+            *column_heads("  rank", best, heads + f"{'ε_max':>10}"),
         ]
         for rank, candidate in enumerate(self.candidates[:SHOWN], start=1):
             e = candidate.evaluation
@@ -351,13 +366,16 @@ class Selection(Pictured, Result):
             active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
             alike = f"   and {counted(len(candidate.continuum), 'placement')} alike" if candidate.continuum else ""
             wide = f"   one of a set of dimension {candidate.dimension}" if (candidate.dimension or 0) > 1 else ""
-            lines.append(f"  {rank:4d} {numbers}{_measures(problem, e)}{active}{wide}{alike}")
+            value = self._objective_in_column(candidate.objective)
+            lines.append(f"  {rank:4d} {numbers}{value}{_measures(problem, e)}{active}{wide}{alike}")
         if len(self.candidates) > SHOWN:
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")
         if self.initial is not None:
             e = self.initial
             off = self.present_told
-            lines.append(f"   now {in_columns(e)}{_measures(problem, e)}{off and '   ' + off}")
+            there = problem.branches(problem.objective, np.concatenate([e.base, e.posture]))[0][0]
+            value = self._objective_in_column(float(there))
+            lines.append(f"   now {in_columns(e)}{value}{_measures(problem, e)}{off and '   ' + off}")
         lines.append(f"  {units_told(best)}")
         lines += [f"  {sentence}" for sentence in (*self.constraints_told, *map(str, self.kept))]
         if self.best.unsurpassed and not self.kept:
@@ -442,7 +460,9 @@ def missed_chance(problem: SelectionProblem, attempts: Sequence[Attempt]) -> flo
 
 def shown_measures(problem: SelectionProblem, evaluation: Evaluation) -> Vector:
     """The w_i (m,) in tables, 0 where they are rounding or rank as equal to it."""
-    equal = TIE_TOLERANCE * problem.first_scale if not problem.sought[0].has_kinks else 0.0
+    first = problem.sought[0]
+    # The scale of ε_max, or of an objective of the user's own, is none of w_i.
+    equal = 0.0 if first.has_kinks or first.own is not None else TIE_TOLERANCE * problem.first_scale
     shown: Vector = np.where(np.abs(evaluation.w) > equal, without_rounding(evaluation.w, evaluation.scale), 0.0)
     return shown
 

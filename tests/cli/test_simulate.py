@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 from pathlib import Path
 
 import pytest
@@ -199,6 +200,14 @@ def test_shipped_experiments(command: Command, name: str) -> None:
     assert verdict == ("grows" if name == "article-a" else "converges")
 
 
+def test_a_saved_document_is_what_json_prints_and_can_be_compared(command: Command) -> None:
+    run = (*POSTURE, "--kp", "1e4", "--kv", "1e3", "--duration", "1")
+    printed = command(*run, "--out", "a.json", "--json").document
+    written = json.loads((command.folder / "a.json").read_text(encoding="utf-8"))
+    assert written == {key: value for key, value in printed.items() if key != "files"}
+    assert command("compare", "a.json", "a.json").code == 0
+
+
 def test_options_override_an_experiment(command: Command) -> None:
     command.write("e.toml", EXPERIMENT)
     assert command.json("simulate", "e.toml")["duration"] == 1.0
@@ -219,7 +228,7 @@ def test_options_override_an_experiment(command: Command) -> None:
         ((*POSTURE, "--feedback", "pi"), "pd, pid, robust or none"),
         ((*POSTURE, "--integrator", "euler"), "rk4, dop853 or gauss"),
         ((*POSTURE, "--end-point", "1,1"), "give one of the two"),
-        ((*POSTURE, "--out", "r.txt"), ".nc or .csv"),
+        ((*POSTURE, "--out", "r.txt"), ".nc or .csv or .json"),
         ((*POSTURE, "--animate", "r.mp4"), ".gif or .html"),
         ((*POSTURE, "--rate", "5"), "substeps"),
         (("simulate", "excavator", "--posture", "0.5,0"), "singular"),

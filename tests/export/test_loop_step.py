@@ -184,3 +184,11 @@ def test_with_a_posture_the_loop_of_the_machine_is_exported(tmp_path: Path) -> N
     asked = flexopt.export_c(own, tmp_path / "asked", parts=["controller"], posture=B, loop=loop)
     assert report.bundle_sha256 == asked.bundle_sha256
     assert "loop" not in flexopt.export_c(own, tmp_path / "without").parts
+
+
+def test_a_faulty_loop_is_not_missed_as_well(tmp_path: Path) -> None:
+    asked: dict[str, Any] = {"parts": ["loop"], "posture": (0.9929, -2.6306)}
+    for loop, field in (({"ki": 1e4}, "loop"), ({"drive": "nonsense"}, "loop.drive")):
+        with pytest.raises(InputError) as caught:
+            flexopt.export_c(flexopt.load("excavator"), tmp_path / "c", loop=loop, **asked)
+        assert [fault.field.split(".")[0] for fault in caught.value.faults] == ["loop"], field

@@ -39,6 +39,20 @@ def test_nothing_is_told_where_nothing_was_asked() -> None:
         assert nearest_told(read_constraints(asked), places) == ""
 
 
+def test_a_weighted_sum_has_its_own_column() -> None:
+    machine, weights = flexopt.load("excavator"), [1.0, 0.5, 2.0]
+    options: dict[str, Any] = {"base": 0.0, "starts": 2, "workers": 1}
+    found = flexopt.select(machine, (0.0, 1.6), objective="V", weights=weights, **options)
+    heads, first, *_, now = [line.split() for line in repr(found).splitlines()[1 : 3 + len(found.candidates)]]
+    assert now[0] == "now"
+    for row in (first, now):
+        told = dict(zip(heads[1:], map(float, row[1 : len(heads)]), strict=True))
+        # Five digits are shown.
+        assert told["V"] == pytest.approx(weights @ np.array([told[f"w{i}"] for i in (1, 2, 3)]), rel=1e-3)
+    for name in ("w1", "epsilon_max"):
+        assert " V " not in repr(flexopt.select(machine, (0.0, 1.6), objective=name, **options)).splitlines()[1]
+
+
 def test_selections_and_stands_tell_them() -> None:
     machine, asked = flexopt.load("excavator"), {"manipulability": 2.0}
     lengths = [link["length"] for link in machine.to_dict()["links"]]

@@ -12,7 +12,7 @@ import flexopt
 from flexopt.errors import NoSolutionFound
 from flexopt.selection import optima
 from flexopt.selection.check import prove
-from flexopt.selection.program import Program
+from flexopt.selection.program import Program, single
 from flexopt.selection.starts import starting_points
 
 # Machine, target, objectives: solves from the optima of the objective before end in a saddle's alarm or nowhere.
@@ -27,6 +27,28 @@ def selected(name: str):
     loaded = flexopt.load(machine)
     weights = [1.0] * flexopt.build_plant(loaded).n_passive
     return flexopt.select(loaded, target, objective=objective, weights=weights, workers=1)
+
+
+def test_no_solver_is_built_ahead_of_what_it_cannot_solve() -> None:
+    problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), objective="epsilon_max")
+    program = single(problem)
+    program.build()
+    assert program.solve(starting_points(problem)[0], quick=True)[1] > 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["slewing-excavator", "truck-crane"])
+def test_the_margin_follows_in_space(name: str) -> None:
+    """IPOPT solves for no ε_max, nor are its graphs built ahead for it."""
+    machine = flexopt.load(name)
+    found = flexopt.select(machine, (7.0, 1.0, 2.5), objective="w1,epsilon_max", starts=1, base=[0.0] * 3)
+    first = flexopt.select(machine, (7.0, 1.0, 2.5), objective="w1", starts=1, base=[0.0] * 3)
+    scale = first.problem.objective_scale
+    assert found.best.w[0] >= found.kept[0].at_least - 1e-9 * scale
+    assert found.kept[0].best == pytest.approx(first.best.objective, abs=1e-6 * scale)
+    e = found.best.evaluation
+    again = flexopt.evaluate(machine, e.posture, base=e.base).epsilon_max
+    assert found.best.objective == pytest.approx(again, rel=1e-9) or e.epsilon_max == pytest.approx(again, rel=1e-9)
 
 
 @pytest.mark.long

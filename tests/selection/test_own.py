@@ -440,6 +440,19 @@ def test_bad_constraints() -> None:
         )
 
 
+@pytest.mark.parametrize("size", [1.0, 1e7])
+def test_measures_beside_it_are_shown_whatever_its_size(size: float) -> None:
+    goal = function("own", -size * ca.fmax(ca.fabs(Q["torques"][0]), ca.fabs(Q["torques"][1])), torques=Q["torques"])
+    found = flexopt.select(EXCAVATOR, TARGET, objective=goal, base=0.0, starts=2, workers=1)
+    heads, *rows = [line.split() for line in repr(found).splitlines()[1 : 3 + len(found.candidates)]]
+    assert found.initial is not None
+    for row, e in ((rows[0], found.best.evaluation), (rows[-1], found.initial)):
+        told = dict(zip(heads[1:], row[1:], strict=False))
+        shown = [float(told[f"w{i + 1}"]) for i in range(e.w.size)]
+        # What is 0 but for rounding is shown as 0.
+        np.testing.assert_allclose(shown, e.w, rtol=1e-3, atol=1e-9 * e.scale.max())
+
+
 def test_files_have_none(tmp_path: Path) -> None:
     text = 'name = "own"\nmachine = "excavator"\n[target]\nend_point = [0.0, 1.6]\n[constraints]\nown = ["sag"]\n'
     path = tmp_path / "own.toml"
