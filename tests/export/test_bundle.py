@@ -96,7 +96,7 @@ def test_a_bundle_is_replaced_with_what_make_left(machine: flexopt.Machine, tmp_
     ("spoil", "sentence"),
     [
         (lambda f: (f / "notes.txt").write_text("mine"), "notes.txt"),
-        (lambda f: (f / "README.md").write_text("mine"), r"README\.md.*overwrite=True"),
+        (lambda f: (f / "README.md").write_text("mine"), r"README\.md.*overwrite replaces"),
         (lambda f: (f / "manifest.json").unlink(), "something else"),
         (lambda f: (f / "manifest.json").write_text("{}"), "no bundle"),
     ],
