@@ -57,7 +57,8 @@ def plot_figure10(stopped: BaseTrajectory, climb: BaseTrajectory) -> Figure:
     draw_scene(axes, views(actors[0].shape)[0], actors, stopped.target)
     legend_above(axes, title="x of the undercarriage")
     unit = residue_unit(stopped.control, stopped.final.joint_units)
-    both = {"stop at B": stopped, "no stop": climb}
+    # The shorter one last: on its way both are the same.
+    both = {"no stop": climb, "stop at B": stopped}
     panels = [
         Panel("base position, m", tuple((name, t.time, t.base[:, 0]) for name, t in both.items())),
         Panel("base rate, m/s", tuple((name, t.time, t.base_rate[:, 0]) for name, t in both.items()), steps=True),

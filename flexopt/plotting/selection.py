@@ -150,7 +150,7 @@ def draw_candidates(panels: Sequence[Axes], selection: Selection) -> None:
         panel.set_xticks(modes, labels if share else [""] * modes.size)
         panel.axhline(0.0, color=inks.muted, linewidth=0.8, zorder=0)
         panel.set_ylabel(labelled("$w_i / |a_i||b_i|$", "") if share else measure_label(best))
-    floor = min(float(e.w.min()) for e in (best, *([initial] if initial is not None else [])))
+    floor = min(float(e.w.min()) for e in (best, *others, *([initial] if initial is not None else [])))
     panels[0].set_ylim(1.12 * floor, -0.05 * floor if floor < 0 else 1.0)
     panels[0].set_title("measures of each mode, 0 is best", loc="right")
     legend_above(panels[1], "right", ncols=3)

@@ -323,6 +323,8 @@ class Trajectory(Pictured, Result):
             )
         if self.verdict == "undecided":
             lines.insert(1, f"  undecided: {self.verdict_reason}")
+        elif linear is None:
+            lines.insert(1, f"  {self.verdict_reason}")
         made = self.integrated_growth_rate
         if self.linear is not None and made is not None:
             rate = self.linear.growth_rate
