@@ -106,7 +106,9 @@ def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> 
     """The verdict; with `ended` the reason can name an integrator that hides what the loop does."""
     said = f"the run of {run.duration:g} s {_words(run)}"
     if isinstance(linear, str):
-        word: LoopVerdict = "undecided" if run.short or not run.significant else run.word
+        # Alone, a decay must be larger than what it may be off by.
+        sure = run.significant and (run.word == "grows" or not abs(run.rate) <= run.error)
+        word: LoopVerdict = run.word if sure and not run.short else "undecided"
         return Judgement(word, f"{said}; there are no eigenvalues beside it: {linear}")
     rate, known = linear.growth_rate, abs(linear.growth_rate) > linear.rounding
     eigenvalues: LoopVerdict = ("grows" if rate > 0 else "converges") if known else "undecided"

@@ -80,6 +80,7 @@ GROWN = {"word": "grows", "rate": 0.5, "grown": float(np.exp(5.0))}
         ({}, "nothing rests", "converges", "no eigenvalues beside it: nothing rests"),
         ({"significant": False}, "nothing rests", "undecided", "nothing rests"),
         ({"short": True}, "nothing rests", "undecided", "nothing rests"),
+        ({"rate": -1.05, "error": 2.2}, "nothing rests", "undecided", "nothing rests"),
     ],
 )
 def test_every_pair_of_run_and_eigenvalues(run, linear, verdict, words):
