@@ -92,7 +92,7 @@ static void climb_from_start(const problem_t *problem, const real_t *start, cons
     if (ready && evaluate(problem, s, &s->present)) {
       s->climbed = 1;
       s->first = s->present;
-      climb(problem, options, s);
+      (void)climb(problem, options, s);
     }
   }
 }
@@ -112,9 +112,25 @@ static void finish(const problem_t *problem, const options_t *options, workspace
   s->last = true;
   s->present = s->best;
   if (may_spend(options, s, 1) && evaluate(problem, s, &s->present)) {
-    climb(problem, options, s);
+    (void)climb(problem, options, s);
   }
   s->last = false;
+}
+
+/* A climb from a sample; among equals what was there before wins. */
+static void climb_from_sample(const problem_t *problem, int k, const options_t *options, workspace_t *s)
+{
+  const bool had = s->found;
+  const point_t before = s->best;
+  s->present = s->starts[k];
+  s->given_up[k] = false;
+  if (may_spend(options, s, 1) && evaluate(problem, s, &s->present)) {
+    s->climbed += s->thorough ? 0 : 1;
+    s->given_up[k] = climb(problem, options, s);
+    if (had && (s->best.value <= (before.value + (TIE * before.scale)))) {
+      s->best = before;
+    }
+  }
 }
 
 /* Samples and climbs from the best of them, in rounds, each with starts closer together than the one before. */
@@ -124,23 +140,34 @@ static void climb_from_samples(const problem_t *problem, const options_t *option
   for (int round = 0; (round < ROUNDS) && (s->stop == CONVERGED) && could_rise(s); round++) {
     sample(problem, options, s, round);
     for (int k = s->n_tried; (k < s->n_starts) && (s->stop == CONVERGED) && could_rise(s); k++) {
-      const bool had = s->found;
-      const point_t before = s->best;
       if (!s->paused && (s->cost > PAUSE)) {
         s->paused = true;
         finish(problem, options, s, 0);
       }
-      s->present = s->starts[k];
       s->n_tried = k + 1;
-      if (may_spend(options, s, 1) && evaluate(problem, s, &s->present)) {
-        s->climbed++;
-        climb(problem, options, s);
-        if (had && (s->best.value <= (before.value + (TIE * before.scale)))) {
-          s->best = before;
-        }
-      }
+      climb_from_sample(problem, k, options, s);
     }
     s->apart *= R(0.5);
+  }
+}
+
+/* What was given up promised less than the best point has, which is an estimate: with what is left of the budget it is
+ * climbed to its end. The best point is a local maximum by then, so that a call that ends meanwhile has converged. */
+static void climb_again(const problem_t *problem, const options_t *options, workspace_t *s)
+{
+  if ((s->stop != CONVERGED) || (s->best.status != CONVERGED)) {
+    return;
+  }
+  s->thorough = true;
+  for (int k = 0; (k < s->n_tried) && (s->stop == CONVERGED) && could_rise(s); k++) {
+    if (s->given_up[k]) {
+      climb_from_sample(problem, k, options, s);
+    }
+  }
+  s->thorough = false;
+  finish(problem, options, s, false);
+  if (s->best.status == CONVERGED) {
+    s->stop = CONVERGED;
   }
 }
 
@@ -278,6 +305,7 @@ status_t solve(const problem_t *problem, const real_t *start, const options_t *o
   s->found = false;
   s->last = false;
   s->paused = false;
+  s->thorough = false;
   if (!prepare(problem, s)) {
     return OUT_OF_RANGE;
   }
@@ -297,6 +325,7 @@ status_t solve(const problem_t *problem, const real_t *start, const options_t *o
   }
   s->paused = true;
   finish(problem, options, s, COST_MODEL > COST_SLOPE);
+  climb_again(problem, options, s);
   if (!s->found) {
     return (s->stop != CONVERGED) ? ENDED_EARLY : NO_FEASIBLE;
   }

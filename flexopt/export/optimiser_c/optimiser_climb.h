@@ -196,10 +196,11 @@ static bool step_up(const problem_t *problem, const options_t *options, workspac
 }
 
 /* From s->present, feasible and evaluated, to a local maximum; only nearly so where another point is the best. Every
- * accepted point goes to note(). */
-static void climb(const problem_t *problem, const options_t *options, workspace_t *s)
+ * accepted point goes to note(). Returns whether it was given up where it promised less than the best point has. */
+static bool climb(const problem_t *problem, const options_t *options, workspace_t *s)
 {
   bool moved = true;
+  bool given_up = false;
   real_t low = s->present.value;
   if (s->found && (s->best.scale > s->present.scale)) {
     s->present.scale = s->best.scale;
@@ -210,9 +211,9 @@ static void climb(const problem_t *problem, const options_t *options, workspace_
   for (int step = 0; (step < CLIMB_STEPS) && moved && may_spend(options, s, COST_SLOPE); step++) {
     const bool is_best = near(s, &s->present, &s->best, 0, R(0.0));
     if (!is_best && !s->paused && (s->cost > PAUSE)) {
-      return;
+      return given_up;
     }
-    s->rough = !is_best;
+    s->rough = !is_best && !s->thorough;
     s->iterations++;
     s->present.status = STALLED;
     moved = step_up(problem, options, s);
@@ -220,11 +221,12 @@ static void climb(const problem_t *problem, const options_t *options, workspace_
       note(s, &s->present);
       if (!s->last && (step >= PATIENCE)) {
         /* Not where another climb has been higher than this one is going to be, nor along a ridge. */
-        moved = (s->present.value + (PROMISE * s->gain * s->present.scale)) >= s->best.value;
+        given_up = !s->thorough && ((s->present.value + (PROMISE * s->gain * s->present.scale)) < s->best.value);
         if (((step % RIDGE_STEPS) == 0) && (s->steepness > RIDGE_SLOPE)) {
-          moved = moved && ((s->present.value - low) > (RIDGE_RISE * fabs(low)));
+          given_up = given_up || (!s->thorough && ((s->present.value - low) <= (RIDGE_RISE * fabs(low))));
           low = s->present.value;
         }
+        moved = !given_up;
       }
     } else if (is_best) {
       s->best.stationarity = s->present.stationarity;
@@ -233,6 +235,7 @@ static void climb(const problem_t *problem, const options_t *options, workspace_
       /* the best point belongs to another climb */
     }
   }
+  return given_up;
 }
 
 #endif /* OPTIMISER_CLIMB_H */

@@ -16,7 +16,7 @@
 #define RISE_SHARE    R(1e-4)  /* of the rise to first order that a step must bring (Armijo's usual number) */
 #define HALF_STEPS    3        /* so many halvings; after them quarters, as the model was wrong at this length */
 
-/* Several climbs: all but the best are given up early. */
+/* Several climbs: all but the best are given up early, and go on in the end. */
 #define PAUSE       (BUDGET - (BUDGET / 8)) /* from here on the best climb is finished first: an eighth is some steps with derivatives */
 #define PATIENCE    2         /* steps before one may be given up: the first one is long, and its promise says little */
 #define PROMISE     R(0.5)    /* share of what a step may bring that all after it may bring; a Newton's step leaves less */

@@ -20,8 +20,8 @@ extern "C" {
  * Climbs to a local maximum of V(z) = sum_i alpha_i w_i(z) over z = [{% for z in variables %}{{ z | c_text }}{% if not loop.last %}, {% endif %}{% endfor %}]
  * (m, rad) subject to r(z) = target, lower <= z <= upper, and a distance from singular postures.
  * Every accepted iterate is feasible and V never falls, so whenever the call ends, by budget or by deadline, the best
- * point so far is a valid configuration. An answer is the best of what climbs from the starts came to, of which those end
- * early that promise less; whether there is a better one elsewhere is not known. It is checked once more in the end, in the precision of the call: bounds exactly, target
+ * point so far is a valid configuration. An answer is the best of what climbs from the starts came to within the budget;
+ * whether there is a better one elsewhere is not known. It is checked once more in the end, in the precision of the call: bounds exactly, target
  * and margin to the tolerances below; what does not pass is refused.
  * No heap, no recursion, every loop bounded, no static data that changes. The workspace may not share memory with the other
  * arguments. Not for -ffast-math: a NaN is found by comparing. */
@@ -159,8 +159,10 @@ typedef struct {
   bool rough;
   bool last;
   bool paused;
+  bool thorough;
   /* Starts. */
   {{ p }}_point starts[{{ P }}_STARTS_MAX];
+  bool given_up[{{ P }}_STARTS_MAX];
   {{ real_type }} apart;
   int from;
   int n_starts;
@@ -184,9 +186,9 @@ typedef struct {
 {{ p }}_status {{ p }}_default_options({{ p }}_options *options);
 
 /* Solve. start may be NULL (own starts only) and need not be feasible: it is brought to the nearest feasible point first.
- * The climb from start comes first; the own starts, sampled over the whole redundancy, follow, best first. A climb ends
- * early where its last step promises less than the best one has: an estimate, so that what an own start would have led
- * to can be missed. Among equals the result of start wins. On failure *result is as it was. */
+ * The climb from start comes first; the own starts, sampled over the whole redundancy, follow, best first. A climb is
+ * given up where its last step promises less than the best one has, and goes on in the end, as far as the budget lasts.
+ * Among equals the result of start wins. On failure *result is as it was. */
 {{ p }}_status {{ p }}_solve(const {{ p }}_problem *problem, const {{ real_type }} *start, const {{ p }}_options *options,
                          {{ p }}_workspace *workspace, {{ p }}_result *result);
 
