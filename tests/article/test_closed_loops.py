@@ -288,7 +288,7 @@ def test_pictures_show_the_results(loops, gain_map):
     position, _, objective = draw.plot_figure10(loops.stopped, loops.climb).axes[1:]
     for line, way in zip(position.lines, (loops.climb, loops.stopped), strict=True):
         np.testing.assert_array_equal(line.get_ydata(), thinned(way.time, way.base[:, 0])[1])
-    assert objective.lines[1].get_ydata()[-1] == loops.climb.V[-1]
+    assert objective.lines[0].get_ydata()[-1] == loops.climb.V[-1]
     planes = draw.plot_gains(gain_map, loops.pairs, kv=KV_HELD, ratios=RATIOS).axes
     for k, name in enumerate(gain_map.names):
         np.testing.assert_array_equal(planes[k].collections[0].get_array(), -gain_map.growth_rate[k])

@@ -111,7 +111,9 @@ def test_the_article_s_figures_fit_a_page_and_a_slide(maps):
 def test_figures_6_and_7_in_the_article_s_order(maps):
     transpose, inverse = maps["transpose"], maps["inverse"]
     shown = images(article.plot_figure6(transpose.dataset, inverse.dataset, {}))
-    assert list(shown) == ["(a) Jacobian transpose", "(b) Jacobian inverse"]
+    # kr of the transpose is a force's gain, of the inverse a torque's.
+    assert [title.split(", kr = ")[0] for title in shown] == ["(a) Jacobian transpose", "(b) Jacobian inverse"]
+    assert [title.split()[-1] for title in shown] == ["N/m", "m"]
     for values, result in zip(shown.values(), (transpose, inverse), strict=True):
         np.testing.assert_array_equal(values, result.array("epsilon_max"))
     shown = images(article.plot_figure7(transpose.dataset, inverse.dataset))
