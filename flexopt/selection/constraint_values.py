@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from flexopt.model.constraints import Constraints
@@ -28,12 +28,16 @@ class ConstraintValue:
         """How far it is from its nearer bound, in `unit`; negative beyond it."""
         return min(self.value - self.lower, self.upper - self.value)
 
-    def __str__(self) -> str:
-        unit, low, high = self.unit and f" {self.unit}", f"{self.lower:z.4g}", f"{self.upper:z.4g}"
-        allowed = f"at least {low}" if math.isinf(self.upper) else f"at most {high}"
+    def allowed(self, number: Callable[[float], str], unit: str) -> str:
+        """Its bounds in words, numbers and unit written as asked for."""
         if math.isfinite(self.lower) and math.isfinite(self.upper):
-            allowed = f"{low} to {high}" if self.lower < self.upper else low
-        return f"{self.value:z.4g}{unit} ({allowed}{unit})"
+            ends = dict.fromkeys(map(number, (self.lower, self.upper)))
+            return f"{' to '.join(ends)} {unit}".rstrip()
+        low = math.isfinite(self.lower)
+        return f"at {'least' if low else 'most'} {number(self.lower if low else self.upper)} {unit}".rstrip()
+
+    def __str__(self) -> str:
+        return f"{f'{self.value:z.4g} {self.unit}'.rstrip()} ({self.allowed('{:z.4g}'.format, self.unit)})"
 
 
 def by_kind(names: Iterable[str]) -> dict[str, list[str]]:

@@ -373,8 +373,10 @@ class Selection(Pictured, Result):
         if self.initial is not None:
             e = self.initial
             off = self.present_told
-            there = problem.branches(problem.objective, np.concatenate([e.base, e.posture]))[0][0]
-            value = self._objective_in_column(float(there))
+            value = ""
+            if self._apart:
+                there = problem.branches(problem.objective, np.concatenate([e.base, e.posture]))[0][0]
+                value = self._objective_in_column(float(there))
             lines.append(f"   now {in_columns(e)}{value}{_measures(problem, e)}{off and '   ' + off}")
         lines.append(f"  {units_told(best)}")
         lines += [f"  {sentence}" for sentence in (*self.constraints_told, *map(str, self.kept))]

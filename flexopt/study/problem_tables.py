@@ -15,7 +15,7 @@ from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import Evaluation, unreached, without_rounding
 from flexopt.robustness.residues import residue_unit, written_unit
 from flexopt.selection import Selection
-from flexopt.selection.constraint_values import ConstraintValue, by_kind
+from flexopt.selection.constraint_values import by_kind
 from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
 from flexopt.study.page import Table, number, with_minus
 
@@ -76,17 +76,16 @@ def constraints(report: Report) -> ConstraintTables | None:
         rows = list[list[str]]()
         for name in names:
             values = [each.constraints[name] for each in shown]
-            rows.append([with_minus(name), _allowed(values[0]), *(number(value.value, 4) for value in values)])
+            rows.append(
+                [
+                    with_minus(name),
+                    values[0].allowed(number, written_unit(values[0].unit)),
+                    *(number(value.value, 4) for value in values),
+                ]
+            )
         return (header, rows) if rows else None
 
     return ConstraintTables(table(near), table(far), told, others if left else "")
-
-
-def _allowed(value: ConstraintValue) -> str:
-    low, high, unit = value.lower, value.upper, written_unit(value.unit)
-    if math.isfinite(low) and math.isfinite(high):
-        return f"{number(low)} to {number(high)} {unit}" if low < high else f"{number(low)} {unit}"
-    return f"at least {number(low)} {unit}" if math.isfinite(low) else f"at most {number(high)} {unit}"
 
 
 def coordinates(report: Report) -> Table:

@@ -155,7 +155,7 @@ static void climb_from_samples(const problem_t *problem, const options_t *option
  * climbed to its end. The best point is a local maximum by then, so that a call that ends meanwhile has converged. */
 static void climb_again(const problem_t *problem, const options_t *options, workspace_t *s)
 {
-  if ((s->stop != CONVERGED) || (s->best.status != CONVERGED)) {
+  if (!s->found || (s->stop != CONVERGED) || (s->best.status != CONVERGED)) {
     return;
   }
   s->thorough = true;
