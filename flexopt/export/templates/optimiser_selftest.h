@@ -77,6 +77,7 @@ static int optimiser_failures(void)
     row += 3;
     memset(&answer, 0, sizeof answer);
     status = {{ prefix }}_optimiser_solve(&problem, start, &options, &memory, &answer);
+    scale = (answer.scale > scale) ? answer.scale : scale;
     lost = ((double)value - (double)answer.value) / (double)scale;
     if (status >= {{ PREFIX }}_OPTIMISER_NULL_POINTER) {
       printf("FAILED  optimiser: problem %d gave status %d\n", k, (int)status);
