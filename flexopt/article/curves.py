@@ -54,6 +54,13 @@ class Curve:
         inner = (w[1:-1] > w[:-2]) & (w[1:-1] > w[2:]) & self.regular[1:-1] & self.regular[:-2] & self.regular[2:]
         return np.flatnonzero(inner) + 1
 
+    def maxima(self) -> Vector:
+        """Where these maxima are, m: the tops of parabolas through each and its neighbours, which stand evenly."""
+        k = self.peaks()
+        before, here, after = self.w[0][k - 1], self.w[0][k], self.w[0][k + 1]
+        step = (self.x[k + 1] - self.x[k - 1]) / 2
+        return np.asarray(self.x[k] + step * (after - before) / (4 * here - 2 * before - 2 * after), dtype=np.float64)
+
 
 @in_turn
 def curve(

@@ -138,7 +138,7 @@ def gain_independent(machine: AnyMachine, postures: dict[str, Vector], gain: flo
 
 def concave(curves: Sequence[Curve]) -> ArticleFinding:
     """Has w_1 one maximum along y_d, as a concave objective would?"""
-    peaks = {f"{c.control}, elbow {c.elbow}": c.x[c.peaks()] for c in curves}
+    peaks = {f"{c.control}, elbow {c.elbow}": c.maxima() for c in curves}
     listed = "; ".join(f"{name}: x = {', '.join(f'{x:.3f}' for x in xs)} m" for name, xs in peaks.items())
     sentence = f"w_1 has several local maxima along y = {curves[0].y:g} m of the workspace ({listed})."
     holds = all(x.size <= 1 for x in peaks.values())
@@ -159,7 +159,7 @@ def b_is_optimal(machine: AnyMachine, points: dict[str, Vector], inverse_up: Cur
         along = np.append(1.0, -back)
         # Moving the base by +1 m moves the end-point by −1 m in the workspace frame.
         slopes[name] = -float(measures.gradients.call([base, posture, p])[0].full()[0] @ along)
-    peaks = inverse_up.x[inverse_up.peaks()]
+    peaks = inverse_up.maxima()
     nearest = float(peaks[np.argmin(np.abs(peaks - 1.5))])
     listed = ", ".join(f"{slope:+.3g} per m at {name}" for name, slope in slopes.items())
     sentence = (

@@ -108,7 +108,7 @@ def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: floa
         ):
             axes.plot(
                 tested_kp[mask], tested_kv[mask], mark, color=color, markersize=3.0, markeredgewidth=0.4,
-                markeredgecolor=inks.edge, linestyle="none", label=label,
+                markeredgecolor=inks.text, linestyle="none", label=label,
             )  # fmt: skip
         differ = [d for d in gains.disagreements if d.stand == name]
         axes.plot(

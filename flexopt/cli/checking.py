@@ -17,8 +17,8 @@ from flexopt.robustness.checking import check
 def check_command(as_json: bool, file: str) -> None:
     """Every fault of FILE, and every number of its machine that is allowed but hardly meant: kN for N, mm for m.
 
-    FILE is a machine, a problem or an experiment (name or file), or a URDF or MJCF file. Ends with 2 where there are
-    faults, with 0 where there are only warnings.
+    FILE is a machine, a problem, an experiment or a study (name or file), or a URDF or MJCF file. Ends with 2 where
+    there are faults, with 0 where there are only warnings.
     """
     result = check(file)
     if as_json:

@@ -58,7 +58,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "schema": ("flexopt schema machine --out machine.json", "flexopt schema problem --json"),
     "select": ("flexopt select excavator --end-point 0,1.6 --base 0", "flexopt select article --plot choice.png"),
     "sensitivity": (
-        "flexopt sensitivity excavator --posture 0.9929,-2.6306 --ranges stiffness=0.5,2",
+        "flexopt sensitivity excavator --posture 0.9929,-2.6306 --ranges payload.mass=0,500",
         "flexopt sensitivity excavator --posture 0.9929,-2.6306 --loop kp=1e4 --plot what.png",
     ),
     "study": (

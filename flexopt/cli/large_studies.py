@@ -207,7 +207,7 @@ def _progress() -> Generator[Callable[[int, int], None]]:
         told, rate = now, (done - first) / max(now - began, 1e-9)
         line = f"{done} of {total} points, {100 * done / total:.1f} %"
         if rate > 0:
-            line += f", {rate:.0f} points/s, {(total - done) / rate:.0f} s left"
+            line += f", {rate:.3g} points/s, {(total - done) / rate:.0f} s left"
         click.echo(f"\r{line[:WIDTH]:{WIDTH}}" if terminal else line, err=True, nl=not terminal)
 
     yield show

@@ -156,9 +156,11 @@ def _about(loop: LoopSettings, law: _Law) -> str:
     if not law.served and loop.torque_limit is not None:
         text += f"; torques within {_listed(loop.torque_limit)}"
     wait = f"for a dead time of {loop.dead_time:g} s" if loop.dead_time else "without dead time"
+    late = "the damper among them" if law.damped else "which Jv asks for"
     text += (
         ". These numbers are constants of the code. Jv at the measured joints, passive coordinates at rest. Its "
-        f"margins hold {wait} from measurement to command. It keeps no state"
+        f"margins hold {wait} from the end-point's measurement to the command; joints, {late}, are measured without. "
+        "It keeps no state"
     )
     text += (
         ": what is called next_ is handed in at the next call." if law.keeps else ", and needs none of the last call."

@@ -144,6 +144,7 @@ class _Project:
             loop_closed={"kinematics", "controller"} <= set(library.operations),
             judged=library.context.judged_loop,
             settings=library.context.loop,
+            brakes_self_motion=any(field.name == "joint_rates" for field in shown.inputs),
             keeps=any(field.name.startswith("next_") for field in shown.outputs),
             with_output=WITH_OUTPUT,
             allowance_deg=math.degrees(library.context.limit_allowance["rad"]),

@@ -54,7 +54,8 @@ class OneByOne(ABC):
     def units(self) -> dict[str, str]:
         """Of each quantity."""
         known = {"posture": "rad or m", "base": "m or rad", "end_error": "m", "settling_time": "s"}
-        known |= {"linear_growth_rate": "1/s", "growth_rate": "1/s", "peak_base_rotation": "rad"}
+        known |= {"linear_growth_rate": "1/s", "growth_rate": "1/s", "growth_rate_error": "1/s"}
+        known |= {"finite_until": "s", "peak_base_rotation": "rad"}
         return {name: known.get(name, "1") for name in self.study.kept}
 
     def parameters(self, column: Vector) -> dict[str, float]:

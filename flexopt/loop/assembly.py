@@ -46,7 +46,7 @@ class OneSample:
     Attributes:
         parts: of the loop; of N loops, with matrices (N, …, …), all but derivatives then are (N, …, …), too.
         period: of a sample, s.
-        dead_time: from measurement to command, s.
+        dead_time: from the end-point's measurement to the command, s.
         differentiable: whole samples of dead time are taken as one more, less nothing, so that derivatives by it exist;
             they are those of a longer dead time, from which those of a shorter one differ there.
     """

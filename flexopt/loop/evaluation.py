@@ -38,23 +38,28 @@ class Outcome(Result):
         allowance, allowance_isotropic: κ_i = 4 ζ_i ω_i / |w_i|, the largest velocity gain in any direction before mode
             i grows, and 2 ζ_i ω_i / (−a_i·b_i), the same for Kv = kv I, (m,), in `settings.force_units`; infinite
             (JSON: null) where no gain does.
-        lag, lag_reserve: (m,), rad; first_order_decay: (m,), 1/s; w_lagged: (m,), as w; see `LaggedModes`.
+        lag, lag_reserve: ψ_i, by which the feedback of the end-point's rate is behind it at ω_i (dead time, half a
+            sample, filter, servos, and that Kp acts on the position), and what is left of it before equal gains feed
+            the mode, (m,), rad; negative where they do.
+        first_order_decay: ζ_i ω_i + Im(b_iᵀ F(jω_i) a_i) / (2 ω_i), (m,), 1/s: ζ_i with the joints' velocity servos, F
+            the lagging feedback; exact for small gains, `frequencies_hz` and `damping_ratios` for all.
+        w_lagged: w_i with that lag, a_i·b_i cos ψ_i − sqrt(|a_i|²|b_i|² − (a_i·b_i)² sin² ψ_i), (m,), as w.
         frequencies_hz, damping_ratios: of the oscillation that each mode has become in the sampled loop, (m,).
         decay: of the slowest motion of the sampled loop, 1/s; negative where it grows. decay_rounding: one that is
             nearer to 0 than this, 1/s, is neither growth nor decay. frequency_hz: of that motion.
         drift: growth rates of a redundant arm's self-motion, which is no part of the decay, 1/s.
         allowed_gain: largest stable Kp along the present ratio of the gains; gain_intervals: all stable intervals of
-            it, (k, 2); see `LoopPoint.allowed_gain`. Infinite (JSON: null) where no border was met up to 10⁴ times the
-            present gains.
-        delay_margin: dead time that may be added, s; see `LoopPoint.delay_margin`. Infinite (JSON: null) where none is
+            it, (k, 2). Where the present gains lie in none, the largest stable ones below, 0 where there are none;
+            infinite (JSON: null) where no border was met up to 10⁴ times the present gains.
+        delay_margin: dead time that may be added to the end-point's measurement, s. Infinite (JSON: null) where none is
             too long; NaN of a loop that grows. Its gradient is NaN where the dead time would exceed 100 samples.
         disk_margin, sensitivity_peak, complementary_peak: α, ‖S‖∞ and ‖T‖∞, the loop broken at the law's force.
-        h2_norm: root of the end-point's variance under white noise of unit intensity in every force on the base, m; see
-            `LoopPoint.h2_norm`.
+        h2_norm: root of the end-point's variance at the samples under white noise of unit intensity in every force on
+            the base, m (m √s per N s and the like); NaN of a loop that grows, infinite where a row has no Kp.
         settling, swing: of the standard move, in which the end-point starts beside its target along one task row, the
             worst row: after which time |e| stays below 2 % of its start, s, NaN where it does not in a minute; and the
-            base's largest turn, rad (of a base that cannot turn a shift, m: `swing_unit`), for each m of the move. The
-            commands show the error from the start, so that the first dead time does not count.
+            base's largest turn about one of its axes, rad (of a base that cannot turn a shift, m: `swing_unit`), for
+            each m of the move. The commands show the error from the start, so that the first dead time does not count.
         gradient: exact derivatives of each of these by `base`, `posture`, `parameters`, `kp`, `kv`, `ki`, `dead_time`
             and the drives' numbers; (m, size) of what there is for each mode. NaN where eigenvalues meet. By a dead
             time of whole samples those are of a longer one; of settling and swing NaN where
@@ -103,9 +108,10 @@ class Outcome(Result):
     @property
     def despite_reserve(self) -> str:
         """Why a mode without a reserve of lag may decay to first order."""
+        own = "has of its own" + (" and from the joints' velocity servos" if self.settings.servo_gain else "")
         if self.settings.even:
-            return "the feedback takes away less damping than the mode has of its own"
-        return "equal gains would take damping away; its own, or that rows or servos differ, lets the mode decay"
+            return f"the feedback takes away less damping than the mode {own}"
+        return f"equal gains would take damping away; what the mode {own}, or that rows differ, lets it decay"
 
     @property
     def _stable(self) -> list[str]:

@@ -81,7 +81,7 @@ class LoopPoint:
     Attributes:
         motions: its Functions.
         numbers: their inputs, from `SmallMotions.numbers`.
-        dead_time: from measurement to command, s.
+        dead_time: from the end-point's measurement to the command, s.
     """
 
     motions: SmallMotions
@@ -467,10 +467,10 @@ class LoopPoint:
         return UNDEFINED if self.move is None else Measured(*self.move.settling())
 
     def swing(self) -> Measured:
-        """The base's largest turn in the standard move, rad, for each m of the move; NaN of a loop that grows.
+        """The base's largest turn about one of its axes for each m of the standard move, rad.
 
-        Of a hinge by which the base turns; of a base that cannot turn the deflection of a passive coordinate, m or rad.
-        No derivative where two peaks are as large.
+        NaN of a loop that grows. Of a base that cannot turn the deflection of a passive coordinate, m or rad. No
+        derivative where two peaks are as large.
         """
         return UNDEFINED if self.move is None else Measured(*self.move.swing())
 

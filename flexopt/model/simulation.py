@@ -59,7 +59,7 @@ class Sensor(BuiltByCall):
     Attributes:
         noise, rate_noise: standard deviation of white noise on each sample of position, m, and rate, m/s.
         resolution, rate_resolution: steps to which they are rounded, m and m/s; 0: not rounded.
-        delay: from measurement to command, s; a whole number of samples.
+        delay: from the end-point's measurement to the command, s; a whole number of samples.
         filter_hz: corner of a first-order low-pass that the samples run through, Hz; none by default.
 
     Example:

@@ -43,7 +43,8 @@ QUANTITIES: dict[str, tuple[str, ...]] = {
     ),
     "selection": ("objective", "w", "base", "posture", "epsilon_max"),
     "simulation": (
-        "linear_growth_rate", "growth_rate", "end_error", "overshoot", "settling_time", "peak_base_rotation",
+        "linear_growth_rate", "growth_rate", "growth_rate_error", "finite_until", "end_error", "overshoot",
+        "settling_time", "peak_base_rotation",
     ),
 }  # fmt: skip
 # Those that a study has where it asks for none.

@@ -4,6 +4,7 @@
 # (the stubs of matplotlib leave keyword arguments untyped)
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -12,9 +13,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colorbar import Colorbar
-from matplotlib.colors import LinearSegmentedColormap, ListedColormap, TwoSlopeNorm, to_rgb
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize, TwoSlopeNorm, to_rgb
 from matplotlib.image import AxesImage
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from flexopt.foundation.palette import colors
@@ -111,12 +112,22 @@ def draw_field(axes: Axes, plane: FieldPlane, values: Values, *, label: str, cli
     _bar(axes, image, label, extend="min" if clipped and finite.size else "neither")
 
 
+def _without_power(bar: Colorbar, image: AxesImage) -> str:
+    """Scale the numbers of a bar, and what its label says of it: over the bar a power of ten meets the title."""
+    largest = max(map(abs, image.get_clim()))
+    if type(image.norm) is not Normalize or not largest > 0 or 1e-3 <= largest < 1e4:
+        return ""
+    power = math.floor(math.log10(largest))
+    bar.formatter = FuncFormatter(lambda x, _: f"{x / 10.0**power:.6g}".replace("-", "\N{MINUS SIGN}"))
+    return f" ($10^{{{power}}}$)"
+
+
 def _bar(axes: Axes, image: AxesImage, label: str, *, extend: Literal["neither", "both", "min", "max"]) -> Colorbar:
     """The scale of colours beside axes, as high as these."""
     figure = axes.get_figure()
     assert figure is not None
     bar = figure.colorbar(image, cax=axes.inset_axes((1.03, 0.0, 0.05, 1.0)), extend=extend)
-    bar.set_label(label)
+    bar.set_label(label + _without_power(bar, image))
     bar.outline.set_edgecolor(colors().line)  # pyright: ignore[reportCallIssue]
     return bar
 
@@ -199,13 +210,17 @@ def draw_best(axes: Axes, plane: FieldPlane, values: Values) -> None:
 def draw_arm(axes: Axes, arm: Values, name: str) -> None:
     """An arm (2, joints and end-point) over a field, with its name beside the end-point."""
     inks = colors()
+    # Beyond the last link, where least of this or another arm lies.
+    last = arm[:, -1] - arm[:, -2]
+    beyond = 13.0 * last / max(float(np.linalg.norm(last)), 1e-12)
     axes.plot(arm[0], arm[1], "-", color="white", linewidth=3.4, solid_capstyle="round", zorder=4)
     axes.plot(
         arm[0], arm[1], "-o", color=inks.mark, linewidth=1.9, markersize=4.0, markeredgecolor="white",
         markeredgewidth=0.6, label=f"posture {name}", zorder=5,
     )  # fmt: skip
     axes.annotate(
-        name, (float(arm[0, -1]), float(arm[1, -1])), xytext=(5, -11), textcoords="offset points", fontsize=9.5,
-        fontweight="bold", color=inks.mark, zorder=6,
+        name, (float(arm[0, -1]), float(arm[1, -1])), xytext=(float(beyond[0]), float(beyond[1])),
+        textcoords="offset points", fontsize=9.5, fontweight="bold", color=inks.mark, zorder=6, ha="center",
+        va="center",
         bbox={"boxstyle": "round,pad=0.12", "facecolor": inks.page, "edgecolor": "none", "alpha": 0.85},
     )  # fmt: skip

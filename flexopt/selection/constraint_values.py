@@ -28,6 +28,15 @@ class ConstraintValue:
         """How far it is from its nearer bound, in `unit`; negative beyond it."""
         return min(self.value - self.lower, self.upper - self.value)
 
+    @property
+    def nearness(self) -> float:
+        """What rows of one kind are compared by: between two bounds the room as a share of them, else in `unit`.
+
+        A joint that may hold 10 N m is nearer to its bound with 3 left than one that may hold 70 with 15 left.
+        """
+        between = self.upper - self.lower
+        return self.room / between if math.isfinite(between) and between > 0 else self.room
+
     def allowed(self, number: Callable[[float], str], unit: str) -> str:
         """Its bounds in words, numbers and unit written as asked for."""
         if math.isfinite(self.lower) and math.isfinite(self.upper):
@@ -61,7 +70,7 @@ def nearest_told(asked: Constraints, places: Sequence[dict[str, ConstraintValue]
         return ""
     told = list[str]()
     for names in by_kind(places[0]).values():
-        _, k, name = min((values[name].room, k, name) for k, values in enumerate(places) for name in names)
+        _, k, name = min((values[name].nearness, k, name) for k, values in enumerate(places) for name in names)
         at = f" at target {k + 1}" if len(places) > 1 else ""
         told.append(f"{name} {places[k][name]}{at}")
     return f"constraints, of each kind that nearest to its bound: {'; '.join(told)}"

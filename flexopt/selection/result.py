@@ -344,6 +344,7 @@ class Selection(Pictured, Result):
         if len(problem.sought) > 1 or (problem.name in told and problem.travel is None):
             return ()
         head = "V" if problem.name in told else problem.name
+        head += "" if problem.travel is None else " − travel"
         return ((head, max(13, len(head) + 2)),)
 
     def _objective_in_column(self, value: float) -> str:

@@ -156,6 +156,11 @@ class Trajectory(Pictured, Result):
         return judge(self.run, self._linear, self.ended)
 
     @property
+    def finite_until(self) -> float:
+        """Time up to which every number of the run is finite, s."""
+        return self.run.ended
+
+    @property
     def verdict(self) -> LoopVerdict:
         """See the class."""
         return self._judgement.verdict

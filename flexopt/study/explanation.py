@@ -206,6 +206,10 @@ class Explanation(Pictured, Result):
         decay = of.first_order_decay[i]
         told = f"{'decays' if decay > 0 else 'grows'} at {abs(decay):.4g}/s"
         despite = f": {of.despite_reserve}" if reserve < 0 < decay else ""
+        exact = of.damping_ratios[i] * math.tau * of.frequencies_hz[i]
+        if math.isfinite(exact):
+            despite += f"; exactly, at {of.frequencies_hz[i]:.4g} Hz, {'decays' if exact > 0 else 'grows'} at "
+            despite += f"{abs(exact):.4g}/s"
         return (
             f"With this loop: {against}; the feedback lags by {lag:.4g}°, a reserve of {reserve:.4g}°, so that "
             f"{effect}; to first order it {told}{despite}."

@@ -58,7 +58,7 @@ def constraints(report: Report) -> ConstraintTables | None:
     near, far = list[str](), list[str]()
     for names in kinds.values():
         if len(names) > MANY:
-            names = sorted(names, key=lambda name: min(each.constraints[name].room for each in shown))  # noqa: PLW2901
+            names = sorted(names, key=lambda name: min(each.constraints[name].nearness for each in shown))  # noqa: PLW2901
             near, far = near + names[:NEAREST], far + names[NEAREST:]
         else:
             near += names

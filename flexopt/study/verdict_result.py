@@ -54,8 +54,8 @@ class PlaceVerdict(Result):
             slowest_target: at which target, from 0.
         better: share of the members on which it decays a tenth faster than in the present place.
         allowed_gain, delay_margin: as of `evaluate`; NaN where there is no border.
-        settling, swing: of the standard move, s, and the base's largest turn in it, rad, of a base that cannot turn its
-            largest shift, m (`swing_unit`; see `StandardMove`).
+        settling, swing: of the standard move (see `flexopt.Outcome`), s, and the base's largest turn about one of its
+            axes, rad, of a base that cannot turn its largest shift, m (`swing_unit`).
         runs: nonlinear ones; None where none were asked for.
     """
 

@@ -4,8 +4,12 @@ import re
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 
-from flexopt.article import reproduce_table2
+import flexopt
+from flexopt.article import curve, reproduce_table2
+from flexopt.plant import build_plant
+from flexopt.plant.reach import reach
 from flexopt.study.doctor import examine
 
 
@@ -78,3 +82,20 @@ def test_doctor_names_a_broken_shipped_file(monkeypatch, tmp_path):
     report = examine()
     assert not report.healthy
     assert "base: is required" in repr(report)
+
+
+@pytest.mark.parametrize(("control", "elbow"), [("inverse", "up"), ("transpose", "down")])
+def test_maxima_along_a_height_lie_where_another_method_finds_them(control, elbow):
+    """As printed, to the millimetre: Brent's method on the measures themselves, from each printed one's surroundings."""
+    machine = flexopt.load("excavator")
+    found = curve(machine, 1.087, control=control, elbow=elbow).maxima()
+    assert found.size >= 2
+    center = reach(build_plant(machine)).center
+
+    def w(x):
+        [posture] = flexopt.inverse_kinematics(machine, (center[0] + x, center[1] + 1.087), base=0.0, elbow=elbow)
+        return -flexopt.evaluate(machine, posture, control=control).w[0]
+
+    for x in found:
+        exact = minimize_scalar(w, bounds=(x - 0.003, x + 0.003), method="bounded", options={"xatol": 1e-7}).x
+        assert x == pytest.approx(exact, abs=1e-4)

@@ -133,7 +133,7 @@ def test_a_torque_says_that_the_weight_is_not_in_it(tmp_path: Path) -> None:
         assert written(of_torques, path).count(sentence) == 3
         assert sentence not in written(of_rates, path)
     text = (of_rates.folder / "README.md").read_text()
-    assert "without dead time from measurement to command" in text
+    assert "without dead time from the end-point's measurement to the command" in text
     assert "dead time of 0 s" not in text
     assert "\n\n## When something is wrong\n" in text
 

@@ -76,7 +76,7 @@ class Settling(OfMove):
 
 
 class Swing(OfMove):
-    """The base's largest turn for each m of the move, rad; of a base that cannot turn its shift, m."""
+    """The base's largest turn about one of its axes for each m of the move, rad; where it cannot turn its shift, m."""
 
     name, unit = SWING, "rad/m or m/m"
 
