@@ -45,7 +45,9 @@ LOOP = value(
     "place of the file's own; default: in place of the file's [loop] all follows from the machine.",
     multiple=True,
 )
-MEMBERS = value("--members", "N", "Points of the uncertainty that decays are computed of (64 by default).", whole)
+MEMBERS = value(
+    "--members", "N", "Points of the uncertainty that decays are computed of, corners at least (64 by default).", whole
+)
 RUNS = value("--runs", "N", "How many of them are run nonlinearly in each place, too (16 by default; 0: none).", whole)
 RANGES = value(
     "--ranges",

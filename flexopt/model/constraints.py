@@ -266,8 +266,8 @@ class Constraints(FileModel):
         holds: what does: `"footprint"`, all that the undercarriage stands on, turned with the machine; `"point"`, the
             anchor point. By default the footprint where the machine's file has a `support`.
         clearance: least distance from ground and obstacles.
-        self_clearance: least distance between capsules of bodies that joints move against each other, neighbours aside,
-            m.
+        self_clearance: least distance between capsules of bodies that joints move against each other, neighbours and
+            pairs that overlap in every posture aside, m.
         tip_over_margin: least distance of the centre of mass from the edges of the support polygon, seen from above, m.
         holding: share of each joint's effort that gravity may take.
         tool_angle: range of the end-point's inclination, rad; one number for an exact value.

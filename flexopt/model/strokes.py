@@ -25,6 +25,8 @@ Range = tuple[float, float]
 STEP = math.radians(0.25)
 # A lever arm shorter than this, m, is none: the joint stands at a dead centre.
 DEAD_CENTRE = 1e-6
+# Times longer, or shorter, than its stroke a cylinder of a wrong unit is at least.
+MISTAKEN = 50.0
 TINY = 1e-200
 
 
@@ -112,6 +114,8 @@ def usable_range(travel: CylinderTravel, limits: Range, where: str) -> tuple[Ran
             f"is never reached: where the joint may go, {_range((branches[0][0], branches[-1][1]))} rad, the cylinder "
             f"is {min(lengths):.4g} to {max(lengths):.4g} m long"
         )
+        if min(lengths) > MISTAKEN * stroke[1] or max(lengths) < stroke[0] / MISTAKEN:
+            sentence += "; a length or a pin's point is probably in mm, not m"
         return limits, [Fault(f"{where}.length", sentence, _quoted(stroke))]
     dead = [end for part in found for end in part if abs(travel.ratio(end)) < DEAD_CENTRE]
     if dead:

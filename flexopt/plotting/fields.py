@@ -188,9 +188,12 @@ def draw_marks(axes: Axes, marks: Mapping[str, tuple[float, float]]) -> None:
     inks = colors()
     for name, point in marks.items():
         marker, size = {"chosen": ("*", 10.0), "end-point": ("+", 9.0)}.get(name, ("o", 5.5))
+        shared = marker == "o" and any(other == point for others, other in marks.items() if others != name)
+        # Round what stands at the same place.
+        size, face = (13.0, "none") if shared else (size, "white")
         axes.plot(
-            *point, marker=marker, color="white", markersize=size, markeredgecolor=inks.mark, markeredgewidth=1.2,
-            linestyle="none", label=name, zorder=5,
+            *point, marker=marker, markerfacecolor=face, markersize=size, markeredgecolor=inks.mark,
+            markeredgewidth=1.2, linestyle="none", label=name, zorder=5,
         )  # fmt: skip
 
 

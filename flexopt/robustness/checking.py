@@ -143,40 +143,39 @@ def _checked_robot(name: str) -> Check:
 def _checked(loaded: AnyMachine | Problem | Experiment | Study, sentences: tuple[str, ...]) -> Check:
     machine = loaded if isinstance(loaded, AnyMachine) else loaded.loaded_machine
     kind = "machine" if loaded is machine else type(loaded).__name__.lower()
-    found = [*implausibilities(machine)]
+    found, faults = [*implausibilities(machine)], tuple[Fault, ...]()
     loop = (loaded.loop if isinstance(loaded, AnyMachine | Problem) else None) or machine.loop
     found += slow_rate(machine, loop) if loop is not None else ()
     if isinstance(loaded, Problem):
         found += [*_targets(loaded), *distant_ranges(machine, loaded.uncertainty)]
-        sentences += (*_volumes(loaded), *_weights(loaded), *_left(loaded))
+        faults, sentences = (*_volumes(loaded), *_weights(loaded)), (*sentences, *_left(loaded))
     elif isinstance(loaded, Experiment):
         found += _offsets(loaded)
-    return Check(loaded.name, kind, machine.name, (), tuple(found), sentences, provenance(machine))
+    return Check(loaded.name, kind, machine.name, faults, tuple(found), sentences, provenance(machine))
 
 
-def _volumes(problem: Problem) -> tuple[str, ...]:
+def _volumes(problem: Problem) -> Iterator[Fault]:
     """What of a problem a selection will refuse, as the machine has no volumes, or nothing that it stands on."""
-    machine, kept, told = problem.loaded_machine, problem.constraints, list[str]()
+    machine, kept = problem.loaded_machine, problem.constraints
     for table, there, names in (
         ("[[capsules]]", machine.capsules, ("clearance", "self_clearance")),
         ("[support]", machine.support_points, ("tip_over_margin",)),
     ):
         asked = [f"constraints.{name}" for name in names if getattr(kept, name, None) is not None]
         if asked and not there:
-            sentence = f"{machine.name} has no {table}, without which a selection refuses this"
-            told.append(f"{' and '.join(asked)}: {sentence}")
-    return tuple(told)
+            yield Fault(" and ".join(asked), f"{machine.name} has no {table}, without which a selection refuses this")
 
 
-def _weights(problem: Problem) -> Iterator[str]:
+def _weights(problem: Problem) -> Iterator[Fault]:
     """Weights that are not as many as the modes, which a selection will refuse."""
     machine, weights = problem.loaded_machine, problem.selection.weights
     modes = len(machine.coordinates) - len(machine.joints)
     if weights is not None and len(weights) not in (modes, modes + 1):
-        yield (
-            f"selection.weights: {len(weights)} of them, but {machine.name} has {modes} modes: a selection needs "
-            f"{modes}, or {modes + 1} with the last for ε_max"
+        sentence = (
+            f"{len(weights)} of them, but {machine.name} has {modes} modes: a selection needs {modes}, or {modes + 1} "
+            "with the last for ε_max"
         )
+        yield Fault("selection.weights", sentence)
 
 
 def _left(problem: Problem) -> Iterator[str]:

@@ -26,7 +26,7 @@ from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
 from flexopt.plant.reach import outer_reach
 from flexopt.selection.constraints.ground import above_ground, kept_above
-from flexopt.selection.constraints.self_clearance import meeting_pairs
+from flexopt.selection.constraints.self_clearance import meeting_pairs, overlapping_pairs, overlapping_told
 
 # What is in nobody's way.
 ALWAYS = ("limits", "clearance", "self_clearance", "capsules")
@@ -37,7 +37,7 @@ class Assumption:
     """One of `flexopt.model.choices.ASSUMPTIONS` that was made; or what no word switches off.
 
     That is of bodies in each other's way: `clearance` of some without a volume, where it is asked for, `capsules` of
-    all without one, `self_clearance` where nobody asks for it.
+    all without one, `self_clearance` where nobody asks for it, or of pairs that overlap in every posture.
 
     Attributes:
         name: the word that switches it;  sentence: what was assumed.
@@ -123,6 +123,11 @@ def assumed(
     elif constraints.self_clearance is None and (pairs := meeting_pairs(machine)):
         sentence = "bodies may pass through each other, for constraints.self_clearance is not given"
         named.append(Assumption("self_clearance", sentence, float(len(pairs)), "pairs of capsules"))
+    elif constraints.self_clearance is not None and (without := overlapping_told(machine)):
+        sentence = f"not kept apart, for they overlap in every posture: {without}"
+        named.append(
+            Assumption("self_clearance", sentence, float(len(overlapping_pairs(machine))), "pairs of capsules")
+        )
     return Assumed(ground if above else None, limits, drive, tuple(named))
 
 

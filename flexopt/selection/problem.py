@@ -458,9 +458,10 @@ def reached(problem: SelectionProblem, z: Vector) -> Vector:
 def broken(problem: SelectionProblem, z: Vector) -> str:
     """Which limits and constraints a configuration breaks, the target aside, the worst first; empty where none."""
     outside: Vector = np.maximum(problem.lower - z, z - problem.upper) / problem.scale
-    away = np.concatenate([outside, np.abs(beyond_bounds(problem, z))[problem.target.size :]])
+    away = np.concatenate([outside, np.abs(beyond_bounds(problem, z))[problem.target.size :], beyond_own(problem, z)])
     names = [f"limits of {variable.name}" for variable in problem.variables]
     names += [row.name for row in problem.constraints[problem.target.size :]]
+    names += [row.name for row in problem.own_constraints]
     order: list[int] = np.argsort(-away, kind="stable").tolist()
     worst = [names[k] for k in order if away[k] > BROKEN]
     if not worst:
@@ -473,6 +474,14 @@ def beyond_bounds(problem: SelectionProblem, z: Vector) -> Vector:
     """By how much each constraint is above (> 0) or below its bounds at z, (n_rows,), in units of the scales."""
     rows, (lower, upper, scale) = problem.rows(z), problem.row_bounds
     return (np.minimum(rows - lower, 0.0) + np.maximum(rows - upper, 0.0)) / scale
+
+
+def beyond_own(problem: SelectionProblem, z: Vector) -> Vector:
+    """By how much each entry of the user's own constraints is outside its bounds, in units of its scale."""
+    rows = problem.own_constraints
+    low, high, scale = (np.array([getattr(row, name) for row in rows]) for name in ("lower", "upper", "scale"))
+    values = problem.own_values(z) if rows else np.zeros(0)
+    return np.maximum(np.maximum(low - values, values - high), 0.0) / scale
 
 
 def packed_parameters(

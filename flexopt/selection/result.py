@@ -21,7 +21,7 @@ from flexopt.robustness.residues import residue_unit, unit_in_words
 from flexopt.selection.constraint_values import ConstraintValue, nearest_told
 from flexopt.selection.continua import way_to
 from flexopt.selection.exchanged import at_edge
-from flexopt.selection.problem import SelectionProblem, beyond_bounds, broken, elsewhere
+from flexopt.selection.problem import SelectionProblem, beyond_bounds, beyond_own, broken, elsewhere
 
 SHOWN = 12
 # Below this share of what others have an ε_max that nobody asked for is told of.
@@ -288,7 +288,8 @@ class Selection(Pictured, Result):
             return ""
         z = np.concatenate([now.base, now.posture])
         inside = bool(np.all((z >= problem.lower) & (z <= problem.upper)))
-        if not inside or np.abs(beyond_bounds(problem, z)).max() > NOTHING:
+        away = np.concatenate([np.abs(beyond_bounds(problem, z)), beyond_own(problem, z)])
+        if not inside or away.max() > NOTHING:
             return ""
         short = self.best.objective - float(problem.branches(problem.objective, z)[0][0])
         if short > NOTHING * problem.objective_scale:

@@ -75,9 +75,22 @@ def reach_ranges(machine: AnyMachine) -> tuple[Range, Range]:
 
 
 def task_ranges(plant: Plant, base: Vector) -> list[Range]:
-    """What each task row takes over the joint ranges, m."""
-    r = plant.end_point.call(_sample(plant, base))[0].full()
-    return [(float(row.min()), float(row.max())) for row in r]
+    """What each task row takes over the joint ranges, m: a sample's extremes, climbed to where they end."""
+    from scipy.optimize import minimize  # noqa: PLC0415  (loads slowly)
+
+    q, bases, p = _sample(plant, base)
+    r = plant.end_point.call([q, bases, p])[0].full()
+
+    def end(row: int, sign: float) -> float:
+        def seen(posture: Vector) -> tuple[float, Vector]:
+            at = [plant.rest(base, posture, p[:, 0]), base, p[:, 0]]
+            slope = plant.rigid_jacobian.call(at)[0].full()[row]
+            return sign * float(plant.end_point.call(at)[0].full()[row, 0]), sign * slope
+
+        start = q[plant.n_passive :, int(np.argmin(sign * r[row]))]
+        return sign * float(minimize(seen, start, jac=True, method="L-BFGS-B", bounds=joint_ranges(plant.machine)).fun)
+
+    return [(end(row, 1.0), end(row, -1.0)) for row in range(plant.n_task)]
 
 
 def placement_ranges(plant: Plant, end_point: Vector, base: Vector) -> list[Range]:

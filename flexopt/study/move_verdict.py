@@ -112,7 +112,7 @@ def verdict(
             springs or dampers of passive coordinates, of `"dead_time"` s, of parameters in their own unit; or
             `flexopt.Uncertainty`s. By default the problem's or machine's `[[uncertainty]]`, or where there is none one
             factor ½ to 2 of all springs.
-        members: how many points of the uncertainty decays are computed of.
+        members: how many points of the uncertainty decays are computed of; all corners of up to six ranges at least.
         runs: how many of them are run nonlinearly in each place, too; 0 for none.
         duration: of a run, s.
         progress: called with the number of stages done and of all: places, decays, runs, gains.

@@ -223,10 +223,16 @@ class WorkspaceMap(Tabled):
                 document[key] = self._best(self.array(name) if name != "w" else self.array(name)[0])
         return json_ready(document | {"provenance": self.provenance})
 
+    def _axis_told(self, name: str) -> str:
+        """With the joint that it is of."""
+        what = str(self.dataset[name].attrs["long_name"])
+        return f"{name} ({what})" if self.options["over"] == "posture" else name
+
     def __repr__(self) -> str:
         document = self.to_dict()
         axes = ", ".join(
-            f"{n} {a['low']:g} to {a['high']:g} {a['unit']} ({a['points']} points)" for n, a in document["axes"].items()
+            f"{self._axis_told(n)} {a['low']:g} to {a['high']:g} {a['unit']} ({a['points']} points)"
+            for n, a in document["axes"].items()
         )
         lines = [
             f"{self.machine}: Jacobian {self.options['control']} control over {axes}",

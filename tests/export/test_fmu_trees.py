@@ -472,3 +472,17 @@ def test_the_command_line(tmp_path: Path) -> None:
         page = archive.read("documentation/index.html").decode()
     assert all(name in page for name in (*made.parameters, *made.inputs, *made.outputs))
     assert difference(run(made, stop_time=0.1), reference(made), ["energy"])["energy"] < TOLERANCE
+
+
+def test_what_is_wrong_with_the_reference_is_told(tmp_path: Path) -> None:
+    """Gains of another machine: the run leaves the finite numbers, and what is written says so."""
+    posture = (0.6768, -2.1671, -1.7273, -1.3848, 1.4950, 0.0)
+    with warnings.catch_warnings(record=True):
+        warnings.simplefilter("always")
+        report = flexopt.export_fmu(MOBILE, tmp_path / "wild.fmu", posture, duration=0.5)
+        run = flexopt.simulate(MOBILE, posture, duration=0.5)
+    assert run.verdict == "grows"
+    assert report.warnings[0].startswith("the loop grows: ")
+    assert report.warnings[1:] == run.warnings
+    assert all(f"warning: {sentence}" in repr(report) for sentence in report.warnings)
+    assert report.to_dict()["warnings"] == list(report.warnings)

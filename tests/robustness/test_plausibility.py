@@ -466,7 +466,8 @@ def test_a_period_for_a_rate_is_told(tmp_path: Path) -> None:
 def test_weights_that_a_selection_refuses_are_told(tmp_path: Path) -> None:
     text = 'name = "p"\nmachine = "excavator"\n[target]\nend_point = [0, 1.6]\n[selection]\nobjective = "V"\nweights = {}\n'
     (tmp_path / "p.toml").write_text(text.format([1] * 5))
-    assert "selection.weights: 5 of them, but excavator has 3 modes" in flexopt.check(tmp_path / "p.toml").warnings[0]
+    [fault] = flexopt.check(tmp_path / "p.toml").faults
+    assert str(fault).startswith("selection.weights: 5 of them, but excavator has 3 modes")
     for allowed in (3, 4):
         (tmp_path / "p.toml").write_text(text.format([1] * allowed))
         assert flexopt.check(tmp_path / "p.toml").status == "good"

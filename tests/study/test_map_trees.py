@@ -11,6 +11,7 @@ from flexopt.compiled.threaded import Interpreter
 from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
 from flexopt.robustness.margin import build_margin
+from flexopt.study.grid import task_ranges
 from flexopt.study.points import _measure_function
 from tests.cli.command import Command
 from tests.oracles.spatial import grounded, in_space, random_tree
@@ -166,6 +167,29 @@ def test_redundant_planar_arm_over_end_points():
     for row, column, base, _, end_point in check_quickly(result, machine):
         np.testing.assert_allclose(end_point, [result.array("x")[column], result.array("y")[row]], atol=1e-9)
         assert base[0] == -0.5
+
+
+def test_a_plane_of_end_points_holds_all_that_is_reached():
+    """By default: to what the arm stretched out reaches, with limits to the farthest of many postures and beyond none."""
+    machine = three_links()
+    plant = build_plant(machine)
+    ends = task_ranges(plant, np.zeros(plant.n_base))
+    shoulder = plant.arm_segments(p=plant.parameter_values)["first_joint"].full().ravel()
+    length = sum(link.length for link in machine.links)
+    np.testing.assert_allclose(ends, np.column_stack([shoulder - length, shoulder + length]), atol=1e-6)
+    limits = np.array([[-0.3, 1.2], [-2.0, 0.4], [-0.5, 0.5]])
+    data = machine.to_dict()
+    data["links"] = [{**link, "limits": pair} for link, pair in zip(data["links"], limits.tolist(), strict=True)]
+    narrow = build_plant(flexopt.machine_from_dict(data))
+    (low, high), postures = limits.T, np.random.default_rng(0).random((4000, 3))
+    reached = np.array([
+        narrow.end_point(narrow.rest(np.zeros(1), q, p := narrow.parameter_values), np.zeros(1), p).full().ravel()
+        for q in low + (high - low) * postures
+    ])  # fmt: skip
+    ends = np.array(task_ranges(narrow, np.zeros(1)))
+    assert np.all(ends[:, 0] <= reached.min(axis=0) + 1e-9)
+    assert np.all(ends[:, 1] >= reached.max(axis=0) - 1e-9)
+    assert np.all(ends[:, 1] < reached.max(axis=0) + 0.1)
 
 
 @pytest.mark.parametrize("coordinates", [("x", "y"), ("yaw", "x")])

@@ -80,13 +80,19 @@ class Pictures {
     return handles.map((p) => view.at(p)).some(([x, y]) => Math.min(x, view.width - x, y, view.height - y) < HANDLE);
   }
 
-  // Of all modes how they move the end-point and how feedback there drives them; lengths in pixels.
+  // Of all modes how they move the end-point and how feedback there drives them; lengths in pixels: in proportion, but
+  // none so short that its direction is not seen, and those of the chosen mode as long as any.
   arrows(view) {
     const modes = this.modes || [], longest = 0.2 * Math.min(view.width, view.height) + 20;
     return ["a", "b"].flatMap((key) => {
       const most = Math.max(...modes.map((mode) => Math.hypot(...mode[key]))) || 1;
-      return modes.map((mode, i) => ({ mode: i, key, vector: this.inSpace(mode[key], this.data.dimensions), length: longest * Math.hypot(...mode[key]) / most }));
+      return modes.map((mode, i) => ({ mode: i, key, vector: this.inSpace(mode[key], this.data.dimensions), length: longest * this.lengthOf(i, Math.hypot(...mode[key]) / most) }));
     });
+  }
+
+  lengthOf(mode, share) {
+    if (share < 1e-9) return 0;
+    return mode === this.mode ? 1 : Math.max(share, 0.4);
   }
 
   displayed(now) {

@@ -63,6 +63,7 @@ class FmuReport(Tabled):
         period: of a sample, s; co-simulation advances by whole samples.
         parameters, inputs, outputs: names of variables.
         files: inside the FMU.
+        warnings: what `flexopt.simulate` warns of in the reference run, and that its loop grows.
         provenance: machine, versions, options.
 
     Example:
@@ -81,6 +82,7 @@ class FmuReport(Tabled):
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     files: tuple[str, ...]
+    warnings: tuple[str, ...]
     provenance: Document
 
     def to_dict(self) -> Document:
@@ -98,7 +100,8 @@ class FmuReport(Tabled):
         lines = [f"FMU {self.version} for {self.kind} of {self.provenance['machine']} in {self.path} ({where})"]
         lines.append(f"  {len(self.parameters)} parameters; inputs: {', '.join(self.inputs)}")
         lines.append(f"  outputs: {', '.join(self.outputs)}")
-        return "\n".join([*lines, f"  reference trajectory: {self.reference}"])
+        lines.append(f"  reference trajectory: {self.reference}")
+        return "\n".join([*lines, *(f"  warning: {sentence}" for sentence in self.warnings)])
 
 
 def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
@@ -215,6 +218,7 @@ def export_fmu(
         inputs=tuple(variable.name for variable in model.inputs),
         outputs=tuple(variable.name for variable in model.outputs),
         files=tuple(files),
+        warnings=_warnings(model.run),
         provenance=provenance(machine, version=version, kind=kind, **checked.model_dump(exclude_defaults=True)),
     )
 
@@ -256,6 +260,12 @@ def _quiet(machine: AnyMachine, options: SimulationOptions) -> Trajectory:
     sensor = Sensor(**options.sensor.model_dump(exclude={"noise", "rate_noise"}))
     quiet = options.model_copy(update={"sensor": sensor})
     return simulate_checked(build_scenario(machine, quiet))
+
+
+def _warnings(run: Trajectory) -> tuple[str, ...]:
+    """Of the reference run; that it grows, too, which is a result there and no warning."""
+    grows = run.verdict == "grows"
+    return (*([f"the loop grows: {run.verdict_reason}"] if grows else []), *run.warnings)
 
 
 def _files(model: FmuModel, version: Version, name: str, content: str, table: str) -> tuple[dict[str, Any], str]:

@@ -2,7 +2,8 @@
 
 A row for each pair of capsules whose bodies an actuated joint moves against each other, neighbours aside: those share
 the joint between them. It is the distance of their surfaces, m, exact; where the axes of two capsules meet minus both
-radii (in the plane less the depth).
+radii (in the plane less the depth). Pairs that overlap in every posture, as hulls across a shoulder may, have no row:
+no posture could keep them apart.
 """
 
 from __future__ import annotations
@@ -12,14 +13,20 @@ from functools import lru_cache
 from typing import Any, cast
 
 import casadi as ca
+import numpy as np
 
 from flexopt.errors import Fault
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
-from flexopt.plant import Plant
+from flexopt.plant import Plant, build_plant
+from flexopt.plant.inverse_kinematics import low_discrepancy
+from flexopt.plant.reach import arm_length, sampled_ranges
 from flexopt.selection.constraints.clearance import axis_ends, axis_length, capsule_names, without_volumes
 from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
 from flexopt.selection.constraints.segment_distance import from_segment
+
+# Postures in which a pair must overlap to have no row.
+LOOKED = 512
 
 
 @lru_cache(maxsize=32)
@@ -51,15 +58,44 @@ def meeting_pairs(machine: AnyMachine) -> tuple[tuple[int, int], ...]:
     return tuple((i, j) for j in range(len(names)) for i in range(j) if meet(names[i], names[j]))
 
 
+@lru_cache(maxsize=32)
+def overlapping_pairs(machine: AnyMachine) -> tuple[tuple[int, int], ...]:
+    """Those of `meeting_pairs` that overlap in each of `LOOKED` postures, spread evenly over the limits."""
+    pairs = meeting_pairs(machine)
+    if not pairs:
+        return ()
+    plant = build_plant(machine)
+    g = plant.graph
+    rows = ca.vertcat(*_graph(Scene(plant, g.base, g.posture, g.p), pairs, ca.SX(0, 1)))
+    distances = ca.Function("distances", [g.base, g.posture, g.p], [rows], ["base", "posture", "p"], ["distances"])
+    low, high = sampled_ranges(machine, arm_length(plant)).T
+    postures = low[:, None] + (high - low)[:, None] * low_discrepancy(plant.n_actuated, LOOKED, 0)
+    found = distances(np.zeros((plant.n_base, LOOKED)), postures, plant.parameter_values).full()
+    return tuple(pair for pair, most in zip(pairs, found.max(axis=1), strict=True) if most < 0)
+
+
+def _kept_apart(machine: AnyMachine) -> tuple[tuple[int, int], ...]:
+    without = overlapping_pairs(machine)
+    return tuple(pair for pair in meeting_pairs(machine) if pair not in without)
+
+
+def overlapping_told(machine: AnyMachine) -> str:
+    """Names of the pairs that overlap in every posture; empty where none does."""
+    names = capsule_names(machine.capsules)
+    return ", ".join(f"{names[j]} from {names[i]}" for i, j in overlapping_pairs(machine))
+
+
 def _faults(plant: Plant, constraints: Constraints) -> list[Fault]:
     if constraints.self_clearance is None:
         return []
     if not plant.machine.capsules:
         return [without_volumes(plant, "self_clearance")]
-    if not meeting_pairs(plant.machine):
+    if not _kept_apart(plant.machine):
+        without, filled = overlapping_told(plant.machine), ", ".join(_filled(plant.machine))
+        without = f" ({without} overlap in every posture)" if without else ""
         sentence = (
             "needs two bodies with capsules that an actuated joint moves against each other and that are no "
-            f"neighbours, and {plant.machine.name} has none: its capsules are of {', '.join(_filled(plant.machine))}"
+            f"neighbours, and {plant.machine.name} has none: its capsules are of {filled}{without}"
         )
         return [Fault("self_clearance", sentence, f"{constraints.self_clearance:g}")]
     return []
@@ -73,7 +109,7 @@ def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
     least = constraints.self_clearance
     if least is None:
         return []
-    names, pairs = capsule_names(plant.machine.capsules), meeting_pairs(plant.machine)
+    names, pairs = capsule_names(plant.machine.capsules), _kept_apart(plant.machine)
     labels = [f"self-clearance of {names[j]} from {names[i]}" for i, j in pairs]
     rows = tuple(ConstraintRow(label, "m", least, math.inf) for label in labels)
     return [Group("self_clearance", pairs, (), rows)]

@@ -118,6 +118,7 @@ def outcome_selection(
         provenance=provenance(machine, objective=name, target=problem.target.tolist(), seed=problem.seed),
         criterion=measure,
         present=None if initial is None else _present(program, initial, distinct[0]),
+        present_broken=() if initial is None else _breaks(program, initial, distinct[0]),
         radii=tuple(stability_radius(replace(program.at(each.y), box=springs), RADIUS_POINTS) for each in distinct),
         settings=tuple(loops),
         loop=loop,
@@ -282,6 +283,16 @@ def _present(program: OutcomeProgram, initial: Evaluation, best: Climbed) -> flo
     own = replace(program, members=np.zeros((0, 0)), least=())
     value = own.value(np.append(z, best.y[program.n_z :]))
     return own.measure.sign * value if math.isfinite(value) else None
+
+
+def _breaks(program: OutcomeProgram, initial: Evaluation, best: Climbed) -> tuple[str, ...]:
+    """What the present configuration's loop does not do of what it must at least, with the best one's gains."""
+    if not program.least:
+        return ()
+    z = np.concatenate([initial.base, initial.posture]) / program.problem.scale
+    kept = kept_values(program, np.append(z, best.y[program.n_z :]))
+    # What a loop that grows has no number of counts as broken.
+    return tuple(f"{name} {value}" for name, value in kept.items() if not value.room >= 0)
 
 
 def _candidate(program: OutcomeProgram, end: Climbed, settings: LoopSettings) -> Candidate:

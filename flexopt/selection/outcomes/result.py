@@ -40,12 +40,14 @@ class OutcomeSelection(Selection):
             before the loop grows, looked for up to 10; the fastest loop is often the most fragile one.
         loop: as it was given;  uncertainty: what the worst case is taken over; empty: none.
         present: the measure of the present configuration, of the machine's own numbers, where there is one that has it.
+        present_broken: of what the loop must do at least, what that of the present configuration does not.
         others: as of `Selection`, `unverified` in the measure's own unit; `initial` has the gains of the best candidate
             where gains were chosen.
     """
 
     criterion: Measure = field(default=MEASURES[DECAY], repr=False)
     present: float | None = None
+    present_broken: tuple[str, ...] = field(default=(), repr=False)
     radii: tuple[float, ...] = ()
     settings: tuple[LoopSettings, ...] = field(default=(), repr=False)
     loop: Loop | None = field(default=None, repr=False)
@@ -107,12 +109,18 @@ class OutcomeSelection(Selection):
     def nothing_to_gain(self) -> str:
         """A sentence where the present configuration has as much of the measure as the best; else empty."""
         now = self.present
-        if now is None or self.uncertainty:
+        if now is None or self.uncertainty or self.present_broken:
             return ""
         if self.criterion.sign * (self.best.objective - now) > ALIKE * abs(self.best.objective):
             return ""
         how = "as much" if self.criterion.sign > 0 else "as little"
         return f"nothing to gain: the present configuration has {how} {self.measure}"
+
+    @property
+    def present_told(self) -> str:
+        """As of `Selection`, and what its loop breaks of the constraint `outcome`."""
+        broken = f"breaks {', '.join(self.present_broken)}" if self.present_broken else ""
+        return "; ".join(filter(None, (super().present_told, broken)))
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from flexopt.model.constraints import read_constraints
 from flexopt.plant import build_plant
 from flexopt.selection.constraints import build_constraints
 from flexopt.selection.constraints.clearance import capsule_names
-from flexopt.selection.constraints.self_clearance import meeting_pairs
+from flexopt.selection.constraints.self_clearance import meeting_pairs, overlapping_pairs
 from tests.oracles.spatial import grounded, random_tree
 from tests.selection.constraints.scenes import at_rest, mujoco_scene, random_capsules
 
@@ -95,3 +95,24 @@ def test_a_choice_keeps_it():
     farther, kept = chosen(least)
     assert farther >= least - 1e-7
     assert np.abs(kept.z - free.z).max() > 0.1
+
+
+def test_what_overlaps_in_every_posture_is_left_out_and_named():
+    """As hulls of robot files do across a shoulder: the distance of their axes is never above that of the joints."""
+    data = grounded(4, 0, coupled=False)
+    ball = {"start": [0, 0, 0], "end": [0, 0, 0]}
+    far = float(np.linalg.norm(np.array(data["bodies"][-2]["position"]))) + float(
+        np.linalg.norm(np.array(data["bodies"][-1]["position"]))
+    )
+    small, large = ball | {"radius": 1e-3}, ball | {"radius": far}
+    named = [small | {"body": "chassis"}, large | {"body": "arm1"}, small | {"body": "arm3"}]
+    machine = flexopt.tree_from_dict(data | {"capsules": named})
+    assert meeting_pairs(machine) == ((0, 1), (0, 2), (1, 2))
+    assert (1, 2) in overlapping_pairs(machine)
+    rows = build_constraints(build_plant(machine), read_constraints({"self_clearance": 0.001}))
+    assert "self-clearance of arm3 from arm1" not in rows.labels
+    assert "self-clearance of arm3 from chassis" in rows.labels
+    target = flexopt.evaluate(machine, np.full(4, 0.3)).end_point
+    problem = flexopt.build_selection(machine, target, constraints={"self_clearance": 0.001})
+    [said] = [each for each in problem.assumed if each.name == "self_clearance"]
+    assert "arm3 from arm1" in said.sentence
