@@ -5,6 +5,7 @@ In: a Function and one row of values for each nonzero of its inputs. Out: one ro
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 
 import casadi as ca
@@ -12,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _CHUNKS = (256, 16, 1)
+# Seconds that a call of many steps may take: Ctrl-C is seen between two calls.
+CALL = 0.5
 
 Array = NDArray[np.float64]
 
@@ -68,17 +71,23 @@ class Accumulated:
     def __init__(self, step: ca.Function) -> None:
         self._step = step
         self._chunks = dict[int, _Run]()
+        self._largest = 0
 
     def __call__(self, x0: Array, e: Array, c: Array, x: Array, monitor: Array) -> None:
         """`e` (steps, n_e); the results x (steps, n) and monitor (steps, n_m) are written in place."""
         begin, end = 0, x.shape[0]
-        largest = _CHUNKS[0]
+        # The first step tells how many a call may take.
+        largest = self._largest or 1
         while begin < end:
             size = next(size for size in _CHUNKS if size <= min(end - begin, largest))
             if size not in self._chunks:
                 self._chunks[size] = _Run(self._step, size)
-            at = slice(begin, begin + size)
-            if not self._chunks[size](x0, e[at], c, x[at], monitor[at]):
+            at, began = slice(begin, begin + size), time.monotonic()
+            held = self._chunks[size](x0, e[at], c, x[at], monitor[at])
+            if not self._largest:
+                spent = max(time.monotonic() - began, 1e-9)
+                self._largest = largest = next(each for each in _CHUNKS if each * spent <= CALL or each == 1)
+            if not held:
                 if size > 1:  # closer to the step that failed
                     largest = size - 1
                     continue
@@ -109,9 +118,14 @@ class _Run:
 
 
 def succeeds(buffer: ca.FunctionBuffer, evaluate: Callable[[], None]) -> bool:
-    """Evaluate; a failing Function returns a status, or raises where it is called by another."""
+    """Evaluate; a failing Function returns a status, or raises where it is called by another.
+
+    So it does on Ctrl-C, which is no failure.
+    """
     try:
         evaluate()
-    except RuntimeError:
+    except RuntimeError as error:
+        if "KeyboardInterrupt" in str(error):
+            raise KeyboardInterrupt from None
         return False
     return buffer.ret() == 0

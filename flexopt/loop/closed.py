@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from flexopt.loop.directions import Carried, Computed, stacked
 from flexopt.loop.feedback import FeedbackLaw
 from flexopt.loop.flow import Flow
-from flexopt.loop.integrators import State, classical_step, explicit_step, gauss_step
+from flexopt.loop.integrators import State, classical_step, explicit_step, implicit_step
 from flexopt.loop.sample import Layouts, Sample
 from flexopt.loop.structure import Layout, LoopStructure, constant_sizes, signal_sizes, state_sizes
-from flexopt.loop.tableaus import dormand_prince, gauss
+from flexopt.loop.tableaus import dormand_prince, gauss, radau
 from flexopt.plant.machine_motion import motion_of
 from flexopt.plant.motion import Motion
 
@@ -173,7 +173,8 @@ class ClosedLoop:
         """Start, iteration and end of an implicit integration step."""
         s, _, command, t, e, c = self._substep_symbols(carried=False)
         flow = Flow(self.structure, self.layouts, command, e, c)
-        parts = gauss_step(flow, gauss(), flow.of["h"], t, self._state(s), damped=self.structure.damped)
+        tableau = radau() if self.structure.stiff else gauss()
+        parts = implicit_step(flow, tableau, flow.of["h"], t, self._state(s), damped=self.structure.damped)
         inputs, names, cse = [s, command, t, e, c], ["s", "command", "t", "e", "c"], {"cse": True}
         iterated, known = [parts.unknowns, parts.known, *inputs], ["k", "factors", *names]
         end = ca.vertcat(parts.finish.u, parts.finish.w, parts.finish.z)

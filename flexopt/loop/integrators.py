@@ -127,8 +127,8 @@ def _added(states: Sequence[State]) -> State:
 
 
 @dataclass(frozen=True)
-class GaussStep:
-    """A step of Gauss's method in parts: `start`, then `iterate` again and again, then `finish`.
+class ImplicitStep:
+    """A step of an implicit method in parts: `start`, then `iterate` again and again, then `finish`.
 
     The unknowns are the rates of u, p and z at all stages, stacked; one change beyond rounding remains as `residual`,
     relative to their size. `factors` are of the start, iterations take them as `known`; none without strong dampers.
@@ -191,7 +191,9 @@ class StrongDampers:
         return ca.horzcat(*solved) @ ca.SX(self._to_stages.T)
 
 
-def gauss_step(field: VectorField, tableau: Tableau, h: ca.SX, t: ca.SX, state: State, *, damped: bool) -> GaussStep:
+def implicit_step(
+    field: VectorField, tableau: Tableau, h: ca.SX, t: ca.SX, state: State, *, damped: bool
+) -> ImplicitStep:
     """The parts of one implicit step from `state`; `damped`: whether by `StrongDampers`."""
     n, n_z, k, stages = state.u.shape[0], state.z.shape[0], field.n_translations, len(tableau.b)
     size = 2 * n + n_z
@@ -231,7 +233,7 @@ def gauss_step(field: VectorField, tableau: Tableau, h: ca.SX, t: ca.SX, state: 
     # Rates of u alone: those of p and z follow from them and have other units.
     rows = [size * i + row for i in range(stages) for row in range(n)]
     residual = ca.dot(difference[rows], difference[rows]) / (ca.dot(iterate[rows], iterate[rows]) + _FLOOR)
-    return GaussStep(
+    return ImplicitStep(
         start=ca.repmat(first, stages, 1),
         iterate=iterate,
         finish=State(u, w, state.z + h * change[2 * n :]),

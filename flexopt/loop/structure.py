@@ -34,6 +34,8 @@ class LoopStructure:
         sampled: the command is computed at the start of each sample and held; else at every stage of the integrator.
         method, substeps, iterations: integration; iterations of the implicit method.
         damped: whether these take dampers as strong ones, see `integrators.StrongDampers`.
+        stiff: whether the implicit method is Radau's, which brings to rest in a step what dampers brake in a small part
+            of it; Gauss's would leave it swinging from step to step.
         gravity, compensated: whether weight acts, and whether the command carries the arm's.
         delay: whole samples between measurement and command.
         quantised, noisy, filtered: of the measurement.
@@ -55,6 +57,7 @@ class LoopStructure:
     substeps: int = 1
     iterations: int = 0
     damped: bool = False
+    stiff: bool = False
     gravity: bool = False
     compensated: bool = False
     delay: int = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,9 +45,21 @@ def gauss(stages: int = 3) -> Tableau:
     """Gauss–Legendre collocation of order 2s: symmetric, symplectic, |R(iω)| = 1 (Butcher 1964)."""
     nodes, weights = np.polynomial.legendre.leggauss(stages)
     c = (nodes + 1) / 2
-    powers = np.vander(c, stages, increasing=True)
-    integrals = np.stack([c ** (k + 1) / (k + 1) for k in range(stages)], axis=1)
-    return Tableau(integrals @ np.linalg.inv(powers), weights / 2, c, 2 * stages)
+    return Tableau(_collocation(c), weights / 2, c, 2 * stages)
+
+
+def radau() -> Tableau:
+    """Radau IIA of three stages, order 5: R(−∞) = 0, 1 − |R(iω)| of order ω⁶ (Hairer and Wanner 1996, IV.5)."""
+    root = math.sqrt(6)
+    a = _collocation(np.array([(4 - root) / 10, (4 + root) / 10, 1.0]))
+    return Tableau(a, a[-1], a.sum(axis=1), 5)
+
+
+def _collocation(c: Table) -> Table:
+    """A of the method whose polynomial satisfies the equation at the nodes c."""
+    powers = np.vander(c, len(c), increasing=True)
+    integrals = np.stack([c ** (k + 1) / (k + 1) for k in range(len(c))], axis=1)
+    return np.asarray(integrals @ np.linalg.inv(powers), dtype=np.float64)
 
 
 def dormand_prince() -> Tableau:

@@ -176,7 +176,8 @@ class SimulationOptions(BuiltByCall):
         rate: of the samples, Hz.
         hold: True: the command is computed at each sample and held; False: at every stage of the integrator.
         integrator: `"rk4"` (the article's), `"dop853"` (explicit, order 8) or `"gauss"` (Gauss–Legendre, order 6,
-            symplectic: the energy of undamped modes stays).
+            symplectic: the energy of undamped modes stays; where a damper brakes a joint within 1/128 of a sample,
+            Radau IIA of order 5, which follows it without ever shorter steps).
         substeps: integration steps in a sample; by default as the fastest mode and damper need; of `"rk4"` 1, more
             only where a damper needs them.
         gravity: False: the weight is taken to be compensated in all coordinates, as in the article; True: it acts, and

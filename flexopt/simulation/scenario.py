@@ -366,6 +366,7 @@ def _structure(machine: AnyMachine, options: SimulationOptions, steps: Stepping)
         substeps=steps.substeps,
         iterations=steps.iterations,
         damped=steps.damped,
+        stiff=steps.stiff,
         gravity=options.gravity,
         compensated=options.gravity and options.gravity_compensation,
         delay=dead_time(options)[0],

@@ -26,6 +26,8 @@ STRONGLY_DAMPED_STEP = 8.0
 # How much of a strong damper's motion an iteration leaves: as masses change within a step it is not solved for exactly.
 MASS_CHANGES = 0.05
 SUBSTEPS_MAX = 1000
+# Steps in a sample that are taken for a strong damper alone.
+BRAKED_MAX = 16
 # By so much |R| passes 1 where poles at zero are off by rounding.
 ROUNDING = 1e-6
 
@@ -42,11 +44,15 @@ class Fastest:
 
 @dataclass(frozen=True)
 class Stepping:
-    """Integration steps in a sample, iterations of the implicit method, whether dampers are strong for its steps."""
+    """Integration steps in a sample, iterations of the implicit method.
+
+    Whether dampers are strong for its steps; and whether they are so strong that Gauss's method would not follow them.
+    """
 
     substeps: int
     iterations: int = 0
     damped: bool = False
+    stiff: bool = False
 
 
 def stepping(options: SimulationOptions, of: Fastest) -> Stepping:
@@ -64,8 +70,9 @@ def stepping(options: SimulationOptions, of: Fastest) -> Stepping:
             # At the limit itself a run would not bear that masses change along the way.
             substeps = max(substeps, min(2 * need, SUBSTEPS_MAX))
         if method == "gauss":
-            # Where even the most are too few the run tells it.
-            substeps = max(substeps, min(math.ceil(of.damper * period / STRONGLY_DAMPED_STEP), SUBSTEPS_MAX))
+            # So many are paid for Gauss's method, which adds no damping; where dampers want more, Radau's has no need.
+            braked = math.ceil(of.damper * period / STRONGLY_DAMPED_STEP)
+            substeps = max(substeps, braked if braked <= BRAKED_MAX else 1)
     if max(substeps, need) > SUBSTEPS_MAX:
         raise InputError(
             f"simulate: rate = {options.rate:g} Hz is too slow for the {_named(pole, of)}: a sample would need more "
@@ -84,7 +91,8 @@ def stepping(options: SimulationOptions, of: Fastest) -> Stepping:
     # Fixed-point iterations shrink the change by a quarter of the step in radians of what is fastest.
     quarter = 0.25 * (fastest if damped else max(fastest, of.damper)) * period / substeps
     shrink = min(max(quarter, MASS_CHANGES if damped else 0.0), 0.75)
-    return Stepping(substeps, max(6, math.ceil(-38.0 / math.log(shrink))), damped)
+    stiff = of.damper * period / substeps > STRONGLY_DAMPED_STEP
+    return Stepping(substeps, max(6, math.ceil(-38.0 / math.log(shrink))), damped, stiff)
 
 
 def _stable_steps(method: Method, of: Fastest, period: float) -> tuple[int, complex]:

@@ -15,7 +15,7 @@ from flexopt import build_plant
 from flexopt.errors import InputError
 from flexopt.loop.closed import closed_loop
 from flexopt.loop.integrators import StrongDampers
-from flexopt.loop.tableaus import classical, dormand_prince, gauss
+from flexopt.loop.tableaus import classical, dormand_prince, gauss, radau
 from flexopt.model import machine_from_dict
 from flexopt.plant.machine_motion import motion_of
 from flexopt.simulation.scenario import Scenario
@@ -207,6 +207,50 @@ def test_strong_dampers_meet_the_ode(seed, structure, control):
     assert missed[0] < 1e-5
     # Order 6 is reached where a step is short against what is braked, and lost before, as of any such method.
     assert missed[2] < missed[0] / 50 or missed[2] < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("seed", "structure", "control"),
+    [(20, Structure(2, ("y",), ()), "inverse"), (21, Structure(3, ("rotation",), (0,)), "transpose")],
+)  # fmt: skip
+@pytest.mark.usefixtures("interpreted")
+def test_dampers_of_robot_files_meet_the_ode(seed, structure, control):
+    """Joints braked within a thousandth of a sample, as public files say of weightless wrists: as few steps as modes ask."""
+    case, damper = braked(stable_case(seed, structure, control), 1e-3)
+    rate, samples = case.options["rate"], 6
+    given, loop = both(case, {}, samples / rate)
+    exact = loop.run(case.options["offset"], period=1 / rate, samples=samples, exact=True)[-1]
+    made = scenario(case.machine, **given, integrator="gauss", rate=rate, duration=samples / rate)
+    s = made.loop.structure
+    assert s.stiff
+    assert s.substeps < 1e-2 * damper / rate
+    missed = [np.abs(final(made, samples) - exact).max() / np.abs(exact).max()]
+    finer = scenario(
+        case.machine, **given, integrator="gauss", rate=rate, duration=samples / rate, substeps=4 * s.substeps
+    )
+    missed.append(np.abs(final(finer, samples) - exact).max() / np.abs(exact).max())
+    assert missed[0] < 1e-4
+    assert missed[1] < missed[0] / 10 or missed[1] < 1e-7
+
+
+def test_radau_s_method():
+    """Coefficients as printed by Hairer and Wanner (1996), IV.5, table 5.6; what is braked at once is at rest after a step."""
+    root, tableau = math.sqrt(6), radau()
+    printed = [
+        [(88 - 7 * root) / 360, (296 - 169 * root) / 1800, (-2 + 3 * root) / 225],
+        [(296 + 169 * root) / 1800, (88 + 7 * root) / 360, (-2 - 3 * root) / 225],
+        [(16 - root) / 36, (16 + root) / 36, 1 / 9],
+    ]
+    np.testing.assert_allclose(tableau.a, printed, atol=1e-15)
+    np.testing.assert_array_equal(tableau.b, tableau.a[-1])
+
+    def after(z):
+        return 1 + z * tableau.b @ np.linalg.solve(np.eye(3) - z * tableau.a, np.ones(3))
+
+    assert abs(after(-1e6)) < 1e-5
+    assert abs(after(-0.1) - math.exp(-0.1)) < 1e-9
+    # Of a mode at the longest step that is taken for one: no damping that a run could show.
+    assert 1 - 2e-7 < abs(after(0.3j)) < 1
 
 
 def test_iterations_for_strong_dampers_end_where_plain_ones_do():
