@@ -22,7 +22,7 @@ from flexopt.loop.many import decays, expect_decays
 from flexopt.loop.outcome import DEAD_TIME, MEASURES
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertaintyBox
-from flexopt.model.loop import GAINS, Loop, under_control
+from flexopt.model.loop import GAINS, loop_of_varied, under_control
 from flexopt.model.study import POINTS_MAX, Study
 from flexopt.model.study_axes import StudyAxis
 from flexopt.model.uncertainty import LATE, Uncertainty
@@ -168,7 +168,7 @@ class ManyOutcomes:
     def __init__(self, study: Study, axes: tuple[StudyAxis, ...]) -> None:
         self.study, self.axes, self.numbers = study, axes, Numbers(study, axes)
         self.machine = self.numbers.machine
-        loop = study.loop or self.machine.loop or Loop()
+        loop = loop_of_varied(study.loop, self.machine, [axis.kind for axis in axes])
         control = study.control or loop.control or "inverse"
         loop = under_control(loop, self.machine, control, f"study {study.name!r}")
         own = self.numbers.own

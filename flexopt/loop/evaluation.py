@@ -37,7 +37,8 @@ class Outcome(Result):
         settings: the loop's numbers, and where they come from.
         allowance, allowance_isotropic: κ_i = 4 ζ_i ω_i / |w_i|, the largest velocity gain in any direction before mode
             i grows, and 2 ζ_i ω_i / (−a_i·b_i), the same for Kv = kv I, (m,), in `settings.force_units`; infinite
-            (JSON: null) where no gain does.
+            (JSON: null) where no gain does. ζ_i is with the joints' velocity servos, to first order in their damping,
+            which for strong ones is more than the mode gains from them: `damping_ratios` have it exactly.
         lag, lag_reserve: ψ_i, by which the feedback of the end-point's rate is behind it at ω_i (dead time, half a
             sample, filter, servos, and that Kp acts on the position), and what is left of it before equal gains feed
             the mode, (m,), rad; negative where they do.

@@ -86,6 +86,8 @@ class Region(Result):
         verb = "decays" if self.decay > 0 else "grows"
         lines = [f"{word}, {'guaranteed' if self.guaranteed else 'not guaranteed'}: {self.rests_on}"]
         lines.append(f"  slowest found: {verb} at {abs(self.decay):.4g}/s, {self.frequency_hz:.4g} Hz, at {at}")
+        if self.stable is None:
+            lines.append("  more `boxes` than it was allowed let the proof go on, in the shell --boxes")
         if not math.isnan(self.radius):
             first = ", ".join(f"{name} {value:.4g}" for name, value in self.radius_critical.items())
             ends = (

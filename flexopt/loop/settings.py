@@ -18,7 +18,7 @@ from flexopt.foundation.results import Result
 from flexopt.loop.gains import DAMPING_RATIO, SHARE, rigid_gains
 from flexopt.loop.levers import servo_gain_of_efforts
 from flexopt.loop.outcome import HIGH, LoopPoint
-from flexopt.loop.small_motions import SmallMotions, small_motions
+from flexopt.loop.small_motions import SmallMotions, damping_entries, small_motions
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Drive, Loop, drive_of, rate_of
 from flexopt.plant import build_plant
@@ -207,7 +207,7 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
         gain = servo_gain_of_efforts(machine, stand.posture)
         cylinder = any(cylinder.force is not None for cylinder in machine.cylinders)
         counts = ", or where a cylinder with a force drives it, than that gives" if cylinder else ""
-        sources["servo_gain"] = f"{SERVING} for more than its effort{counts}"
+        sources["servo_gain"] = f"{SERVING} for more than its effort{counts}{_hardly_served(machine, gain)}"
     gains: dict[str, float] = {}
     for name in ("kp", "kv"):
         given, allowed = getattr(loop, name), getattr(loop, f"{name}_range")
@@ -261,6 +261,19 @@ def _stable(
     return settings
 
 
+def _hardly_served(machine: AnyMachine, gain: float) -> str:
+    """Joints that brake themselves more than the servo drives them, in words: the gain is one number for all."""
+    own = build_plant(machine).parameter_values.full().ravel()[list(damping_entries(machine))]
+    joints = zip(machine.joints, machine.joint_units, own.tolist(), strict=True)
+    told = [
+        f"{joint} brakes itself by {damping:.4g} {damping_unit((unit,))} and makes "
+        f"{100 * gain / (gain + damping):.2g} % of the rate asked for"
+        for joint, unit, damping in joints
+        if damping > gain
+    ]
+    return f"; {'; '.join(told)}: give servo_gain" if told else ""
+
+
 def _why_drive(loop: Loop, drive: Drive) -> str:
     if drive == "velocity":
         return (
@@ -268,7 +281,7 @@ def _why_drive(loop: Loop, drive: Drive) -> str:
             if loop.servo_gain is not None
             else "the machine names its drives' efforts and speeds"
         )
-    if loop.kp is not None or loop.kv is not None:
+    if any(each is not None for each in (loop.kp, loop.kv, loop.kp_range, loop.kv_range)):
         return "gains without a drive are those of torques"
     if loop.control == "transpose":
         return "transpose control asks for torques"

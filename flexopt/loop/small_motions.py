@@ -34,6 +34,12 @@ CONFIGURATION = INPUTS[:3]
 PARTS = ("flow", "drive", "direct", "spread", "force", "law", "measured")
 
 
+def damping_entries(machine: AnyMachine) -> tuple[int, ...]:
+    """Where among the parameters the actuated joints' damping stands."""
+    names, entries = [parameter.name for parameter in machine.parameters], machine.kinematic_tree.entries
+    return tuple(names.index(entries[f"damping{i}.{i}"]) for i in full_structure(machine).actuated)
+
+
 @dataclass(frozen=True)
 class Parts:
     """The linear loop about rest, or what a derivative is by each of its matrices.
@@ -126,10 +132,8 @@ class SmallMotions:
     @cached_property
     def drive_damping(self) -> Vector:
         """∂p/∂(servo gain), (n_par,): where among the parameters the actuated joints' damping stands."""
-        names, entries = list(self.plant.parameter_names), self.machine.kinematic_tree.entries
-        skeleton = full_structure(self.machine)
-        found = np.zeros(len(names))
-        found[[names.index(entries[f"damping{i}.{i}"]) for i in skeleton.actuated]] = 1.0
+        found = np.zeros(len(self.plant.parameter_names))
+        found[list(damping_entries(self.machine))] = 1.0
         return found
 
     @cached_property

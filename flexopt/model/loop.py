@@ -6,6 +6,7 @@ In: a table. Out: a frozen `Loop`, and what of it does not go together or not wi
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import Annotated, Any, Literal
 
 from flexopt.errors import Fault, InputError, raise_if_any
@@ -172,13 +173,25 @@ def any_effort(machine: Any) -> bool:
 def drive_of(loop: Loop, machine: Any) -> Drive:
     """How the joints are driven: where nothing is said of gains either, by rates, of a machine that knows its drives'.
 
-    Gains without a drive are those of torques.
+    Gains without a drive, given or between bounds, are those of torques.
     """
     if loop.drive is not None:
         return loop.drive
-    torque = loop.kp is not None or loop.kv is not None or loop.control == "transpose"
+    gains = (loop.kp, loop.kv, loop.kp_range, loop.kv_range)
+    torque = any(each is not None for each in gains) or loop.control == "transpose"
     known = any_effort(machine) and not machine.joints_without_speed
     return "velocity" if loop.servo_gain is not None or (known and not torque) else "torque"
+
+
+def loop_of_varied(given: Loop | None, machine: Any, names: Collection[str]) -> Loop:
+    """The loop in which these numbers vary: that which was given, or the machine's.
+
+    Where there is neither, gains that vary are those of torques, as given ones without a drive are.
+    """
+    loop = given or machine.loop
+    if loop is None:
+        return Loop() if {"kp", "kv"}.isdisjoint(names) else Loop(drive="torque")
+    return loop
 
 
 def rate_of(loop: Loop, machine: Any) -> float:

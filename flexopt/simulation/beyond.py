@@ -23,7 +23,7 @@ ROUNDING = 1e-9
 def beyond_the_machine(
     machine: AnyMachine, joints: Vector, rates: Vector, torques: Vector, remedy: str
 ) -> tuple[str, ...]:
-    """Which joints go beyond their limits, efforts and speeds, and how far, in a sentence; none where none does.
+    """Which joints and cylinders go beyond limits, efforts or speeds, and how far, in a sentence; none where none does.
 
     Args:
         machine: of the run.
@@ -41,6 +41,8 @@ def beyond_the_machine(
         found += [f"took up to {abs(value):.4g} {force} (effort {abs(end):.4g})" for value, end in taken[i]]
         found += [f"moved at up to {abs(value):.4g} {unit}/s (speed {abs(end):.4g})" for value, end in moved[i]]
         told += [f"{joint} {' and '.join(found)}"] * bool(found)
+    for cylinder, found in zip(machine.cylinders, _farthest(*_cylinder_rates(machine, joints, rates)), strict=True):
+        told += [f"{cylinder.name} moved at up to {abs(v):.4g} m/s (speed {abs(end):.4g})" for v, end in found]
     if not told:
         return ()
     hint = f"; {remedy} lets drives saturate" if remedy and any(taken) else ""
@@ -58,6 +60,23 @@ def _farthest(values: Vector, least: Vector, most: Vector) -> list[list[tuple[fl
         value, end = values[row, k], (most if values[row, k] > most[row, k] else least)[row, k]
         found.append([(float(value), float(end))] if past[row, k] > 0 else [])
     return found
+
+
+def _cylinder_rates(machine: AnyMachine, joints: Vector, rates: Vector) -> tuple[Vector, Vector, Vector]:
+    """Of each cylinder at each sample its rate (n_c, K), m/s, and what it retracts and extends by at most (n_c, 1)."""
+    if not machine.cylinders:
+        return np.zeros((0, 1)), np.zeros((0, 1)), np.zeros((0, 1))
+    hydraulics = build_hydraulics(machine)
+    ratios = _ratios(machine)(joints, hydraulics.plant.parameter_values.full().ravel())[0]
+    # (n, n_c, K): casadi stacks columns.
+    each = ratios.reshape(len(joints), len(machine.cylinders), -1)
+    speeds = np.array([cylinder.speed for cylinder in machine.cylinders])
+    return np.einsum("jck,jk->ck", each, rates), -speeds[:, :1], speeds[:, 1:]
+
+
+@lru_cache(maxsize=64)
+def _ratios(machine: AnyMachine) -> Interpreter:
+    return Interpreter(build_hydraulics(machine).ratios)
 
 
 def _efforts(machine: AnyMachine, joints: Vector) -> Vector:

@@ -98,7 +98,7 @@ def decide(
     """
     sound = [place for place in others if place.holds and place.name not in unconfirmed]
     best = _best([place for place in sound if stay is None or _pays(place, stay)])
-    if changed is not None and changed.holds and _spares(changed, stay, best):
+    if changed is not None and changed.holds and _spares(changed, stay, best, sound):
         doubted = [place for place in others if place.holds and place.name in unconfirmed]
         return Decision("change gains", changed.name, _why_gains(changed, stay, best, sound, doubted))
     if best is not None:
@@ -189,11 +189,12 @@ def _best(moves: Sequence[Place]) -> Place | None:
     return min((place for place in moves if place.slowest >= (1 - FASTER) * most), key=lambda place: place.drive)
 
 
-def _spares(changed: Place, stay: Place | None, best: Place | None) -> bool:
-    """Whether other gains are worth more than what can be had with these."""
+def _spares(changed: Place, stay: Place | None, best: Place | None, sound: Sequence[Place]) -> bool:
+    """Whether other gains are worth more than what can be had with these, in any place."""
     if best is not None:
         return changed.slowest >= best.slowest and changed.drive < best.drive
-    return stay is None or not stay.holds or bool(faster(np.array(changed.slowest), np.array(stay.slowest)))
+    had = [place.slowest for place in (*sound, *([stay] if stay is not None and stay.holds else []))]
+    return not had or bool(faster(np.array(changed.slowest), np.array(max(had))))
 
 
 def _why_gains(
@@ -203,7 +204,8 @@ def _why_gains(
     if best is not None:
         return f"{reason}, as much as {best.name} has with the present ones, {best.slowest:.3g}/s"
     if stay is not None and stay.holds:
-        return f"{reason}, with the present ones {stay.slowest:.3g}/s"
+        had = max([stay, *sound], key=lambda place: place.slowest)
+        return f"{reason}, with the present ones {had.slowest:.3g}/s at most, at {spoken(had.name)}"
     if sound and stay is not None:
         rival = max(sound, key=lambda place: place.better_than(stay))
         share = f"{BETTER} than the present place on {100 * rival.better_than(stay):.0f} % of them only"

@@ -27,7 +27,7 @@ from flexopt.loop.outcome import DEAD_TIME
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertaintyBox
 from flexopt.model import AnyMachine
-from flexopt.model.loop import GAINS, LOOP_GAIN, Loop, LoopLike
+from flexopt.model.loop import GAINS, LOOP_GAIN, Loop, LoopLike, loop_of_varied
 from flexopt.model.uncertainty import LATE, Uncertainty, kind_of, parameters_of, uncertainty_faults
 from flexopt.robustness.evaluation import in_words
 from flexopt.study.grid import Axis, Grid
@@ -120,7 +120,8 @@ def map_loop(
     proven.
 
     Args:
-        machine, posture, base, control, gravity, loop: as of `flexopt.outcome`.
+        machine, posture, base, control, gravity, loop: as of `flexopt.outcome`; without a loop, the machine's own
+            included, gains that vary are those of torques.
         vary: two names with their (lower, upper), the first along x: `kp`, `kv`, `ki` (of all task rows alike; evenly
             in the logarithm), `dead_time`, s, `stiffness` or `damping` (factors of all springs or dampers of the
             passive coordinates, evenly in the logarithm), a parameter of the machine, in its unit.
@@ -142,7 +143,8 @@ def map_loop(
     """
     size = POINTS if points is None else cast(tuple[int, int], points)
     x, y = cast(list[Varied], vary)
-    asked, held = cast("Loop | None", loop), cast(Vector, posture)
+    asked = loop_of_varied(cast("Loop | None", loop), machine, [each.name for each in (x, y)])
+    held = cast(Vector, posture)
     known_base = cast("Vector | None", base)
     settings, placed = settings_at(machine, held, known_base, control, asked, gravity=gravity, call="map_loop")
     box = UncertaintyBox(machine, tuple(each.of for each in (x, y) if each.of), settings.dead_time)

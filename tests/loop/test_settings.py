@@ -176,3 +176,18 @@ def test_of_modes_that_share_a_frequency_nothing_is_said_one_by_one():
     assert found.clusters
     shared = list(found.clusters[0])
     assert np.all(np.isnan(found.outcome.allowance[shared]))
+
+
+def test_a_joint_that_brakes_itself_more_than_its_servo_drives_it_is_named() -> None:
+    """One gain serves slides and hinges; what hardly follows it is told, with the share that it makes of the rate."""
+    data = flexopt.load("boom-stick-bucket").to_dict()
+    posture = (-1.0, -1.5, -1.0)
+    free = flexopt.outcome(flexopt.machine_from_dict(data), posture, loop="default").settings
+    assert "brakes itself" not in free.sources["servo_gain"]
+    own = 9.0 * free.servo_gain
+    data["links"] = [{**link, "joint_damping": own} if link["name"] == "stick" else link for link in data["links"]]
+    told = flexopt.outcome(flexopt.machine_from_dict(data), posture, loop="default").settings
+    assert told.servo_gain == pytest.approx(free.servo_gain)
+    assert (
+        f"stick brakes itself by {own:.4g} N m s/rad and makes 10 % of the rate asked for" in told.sources["servo_gain"]
+    )

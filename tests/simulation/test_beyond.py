@@ -67,3 +67,22 @@ def test_a_run_that_leaves_the_finite_numbers_has_no_extremes() -> None:
     run = flexopt.simulate(DIGGER, STAND, kp=1e11, kv=1e9, duration=4.0)
     assert any("left the finite numbers" in each for each in run.warnings)
     assert told(run) == ""
+
+
+@pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
+def test_cylinders_are_told_of_as_their_lengths_change() -> None:
+    """Rates by differences of the lengths at the recorded postures; those within their speeds are not told of."""
+    run = flexopt.simulate(DIGGER, STAND, kp=3e7, kv=3e5, duration=2.0)
+    hydraulics = flexopt.build_hydraulics(DIGGER)
+    p, joints = hydraulics.plant.parameter_values, run.q[:, run.n_passive :]
+    lengths = np.array([hydraulics.lengths(q, p).full().ravel() for q in joints])
+    # Of the second order in the sample, by what the rates' slopes change.
+    rates = np.gradient(lengths, run.time, axis=0)
+    for i, cylinder in enumerate(DIGGER.cylinders):
+        past = np.maximum(rates[:, i] - cylinder.speed[1], -cylinder.speed[0] - rates[:, i])
+        number = re.search(rf"{cylinder.name} moved at up to {NUMBER} m/s", told(run))
+        if past.max() > 0.02:
+            assert number is not None
+            assert float(number[1]) == pytest.approx(np.abs(rates[past.argmax(), i]), rel=0.05)
+        elif past.max() < -0.02:
+            assert number is None

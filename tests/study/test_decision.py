@@ -87,6 +87,17 @@ def test_other_gains_are_not_praised_by_what_is_not_so() -> None:
     assert nowhere.reason.endswith("with the present ones no place found is stable on every ground")
 
 
+def test_what_a_move_alone_brings_is_no_merit_of_other_gains() -> None:
+    """A place that decays as fast with the present gains, if not enough faster than the present one on enough grounds."""
+    halved = np.where(np.arange(40) < 24, 1.3, 1.0) * GROUNDS
+    move = Place("near", halved, 0.62, 1.1)
+    told = decide(STAY, [move], Place("near", 1.3 * GROUNDS, 0.62, 1.1))
+    assert told.word == "cannot tell"
+    other = decide(STAY, [move], Place("near", 1.6 * GROUNDS, 0.8, 1.1))
+    assert other.word == "change gains"
+    assert other.reason.endswith("with the present ones 0.62/s at most, at near")
+
+
 def test_a_place_that_grows_fast_on_one_ground_goes_before_one_that_grows_slowly_on_most() -> None:
     nearly, mostly = np.array([0.5, 0.5, 0.5, -28.0]), np.array([0.5, -0.1, -0.1, -27.0])
     assert ranked({"mostly": mostly, "nearly": nearly}) == ["nearly", "mostly"]

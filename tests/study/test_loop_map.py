@@ -114,3 +114,23 @@ def test_the_command(command: Command, tmp_path: Path) -> None:
     wrong = command(*given, "--joints", "boom,stick")
     assert wrong.code == 2
     assert "--joints" in wrong.stderr
+
+
+def test_gains_that_vary_are_those_of_torques_as_given_ones_are() -> None:
+    """Of a machine that knows its drives, too, where nothing else is asked for; bounds of gains are of the same kind."""
+    machine, posture = flexopt.load("boom-stick-bucket"), (-1.0, -1.5, -1.0)
+    field = flexopt.map_loop(machine, posture, {"kp": (1e4, 1e6), "kv": (1e4, 1e5)}, points=(3, 2))
+    assert "torque-served joints" in repr(field)
+    for column, row in ((1, 1), (0, 0)):
+        loop = {name: float(field.dataset[name][k]) for name, k in (("kp", column), ("kv", row))}
+        alone = flexopt.outcome(machine, posture, loop=loop)
+        assert alone.settings.drive == "torque"
+        assert float(field.dataset["decay"][row, column]) == pytest.approx(alone.decay, rel=1e-8)
+    ranges = {"kp_range": (1e4, 1e6), "kv_range": (1e4, 1e5)}
+    assert flexopt.outcome(machine, posture, loop=ranges).settings.drive == "torque"
+    late = flexopt.map_loop(machine, posture, {"dead_time": (0.0, 0.1), "stiffness": (0.5, 2.0)}, points=(3, 2))
+    assert "velocity-served joints" in repr(late)
+    served = flexopt.map_loop(
+        machine, posture, {"kp": (0.5, 2.0), "dead_time": (0.0, 0.1)}, loop="default", points=(3, 2)
+    )
+    assert "velocity-served joints" in repr(served)
