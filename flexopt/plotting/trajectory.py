@@ -1,6 +1,7 @@
 """Pictures of closed-loop runs: one in full, or several side by side.
 
-In: trajectories. Out: figures of end-point error (mm), the base's deflections (mm, mrad), torques (kN m), energy (kJ).
+In: trajectories. Out: figures of end-point error (mm), the base's deflections (mm, mrad), torques and energy, in
+thousands (kN m, kJ) where there are such.
 """
 
 # pyright: reportUnknownMemberType=false
@@ -13,6 +14,7 @@ from typing import Any, cast
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
+from numpy.typing import NDArray
 
 from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
@@ -22,6 +24,9 @@ from flexopt.plant import build_plant
 from flexopt.plotting.panels import Panel, draw_panel
 from flexopt.plotting.sheet import Sheet, picture
 from flexopt.simulation.trajectory import Trajectory
+
+# N m, N or J below which thousands would be small fractions.
+SMALL = 100.0
 
 
 def _size(t: Trajectory) -> tuple[float, float]:
@@ -37,11 +42,13 @@ def plot_trajectory(sheet: Sheet, trajectory: Trajectory) -> None:
     extremes of every 1,200th part are drawn.
     """
     t = trajectory
+    prefix, size = _prefix(t.torque)
     torques = Panel(
-        _torque_label(t),
-        tuple((mathtext(j, LEGEND_MAX), t.time, 1e-3 * row) for j, row in zip(t.joints, t.torque.T, strict=True)),
+        _torque_label(t, prefix),
+        tuple((mathtext(j, LEGEND_MAX), t.time, size * row) for j, row in zip(t.joints, t.torque.T, strict=True)),
     )
-    energy = Panel("energy, kJ", (("energy", t.time, 1e-3 * t.energy),), logarithmic=True)
+    more, of_energy = _prefix(t.energy)
+    energy = Panel(f"energy, {more}J", (("energy", t.time, of_energy * t.energy),), logarithmic=True)
     deflections = [deflection_panel({"deflection": t}, k, t.growth_rate) for k in range(t.n_passive)]
     left, right = [error_panel(t), torques, energy], deflections
     drawn = _draw_columns(sheet.figure, left, right)
@@ -116,10 +123,16 @@ def axis_names(trajectory: Trajectory) -> Sequence[str]:
     return trajectory.model.task_rows
 
 
-def _torque_label(trajectory: Trajectory) -> str:
+def _torque_label(trajectory: Trajectory, prefix: str) -> str:
     units = list(dict.fromkeys(trajectory.torque_units))
     word = " or ".join("torque" if unit == "N m" else "force" for unit in units)
-    return f"{word}, {' or '.join(f'k{unit}' for unit in units)}"
+    return f"{word}, {' or '.join(f'{prefix}{unit}' for unit in units)}"
+
+
+def _prefix(values: NDArray[np.float64]) -> tuple[str, float]:
+    """Of a unit in which these are seen as numbers of some digits, and what they are multiplied by."""
+    most = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+    return ("", 1.0) if most < SMALL else ("k", 1e-3)
 
 
 def error_panel(trajectory: Trajectory) -> Panel:

@@ -15,9 +15,9 @@ from matplotlib.text import Text
 # Letters may touch each other's empty borders by so many points.
 TOUCH = 1.0
 UNITS = (
-    "–", "m", "mm", "rad", "mrad", "s", "ms", "Hz", "1/s", "m/s", "rad/s", "N m", "kN m", "kN", "kJ", "kg", "N/m", "N s/m", "N m/rad",
+    "–", "m", "mm", "rad", "mrad", "s", "ms", "Hz", "1/s", "m/s", "rad/s", "N m", "kN m", "kN", "kJ", "N", "J", "kg", "N/m", "N s/m", "N m/rad",
     "N m s/rad", "1/kg", "1/(kg m²)", "mixed units", "own unit", "SI", "by rank", "by number", "m (inertial frame)",
-    "m (workspace frame)", "kN m or kN",
+    "m (workspace frame)", "kN m or kN", "N m or N",
 )  # fmt: skip
 
 
