@@ -61,7 +61,12 @@ class _WithParts(click.Command):
 @CONTROL
 @GAIN
 @option("--baked", is_flag=True, help="The machine's parameters as constants.")
-@value("--singularity-margin-deg", "DEG", "Distance from singular postures (1 by default).", number)
+@value(
+    "--singularity-margin-deg",
+    "DEG",
+    "Distance from singular postures (1 by default); with --real float measures, nullspace, margin keep 10 at least.",
+    number,
+)
 @value("--limit-allowance-deg", "DEG", "How far beyond its limits a hinge may be measured (5 by default).", number)
 @value("--limit-allowance-m", "M", "The same of a slide (0.05 by default).", number)
 @value("--prefix", "NAME", "Of every C name (from the machine's name by default).")

@@ -204,7 +204,8 @@ def export_c(
             controller has both of the first, and the damped one if asked for.
         gain: servo gain k_r about which ε_max is tested; the C function takes it as an input.
         baked: whether the machine's parameters become constants: smaller and faster.
-        singularity_margin_deg: how far the arm must be from singular postures, degrees.
+        singularity_margin_deg: how far the arm must be from singular postures, degrees; in single precision the parts
+            `measures`, `nullspace` and `margin` keep 10 degrees at least.
         limit_allowance_deg, limit_allowance_m: how far measured hinges and slides may lie beyond their limits, degrees
             and m: outputs then come with the warning `BEYOND_LIMIT`, and farther out the call is refused. The defaults
             are above what sensors are calibrated to and end stops give, and below what a broken sensor shows.

@@ -1,14 +1,15 @@
-"""The closed loop of a bundle's example: the exported controller moves a machine to a target.
+"""The closed loop of a bundle's examples: in which posture, and with which gains, they hold the machine.
 
-In: a `Context`, and whose motion it is: that of the exported model, or of a stand-in. Out: a start from which that loop
-settles and every call is taken without a remark, tried here with the same Functions and the C functions' own tests;
-None where there is none.
+In: a `Context`, and for the example that moves to a target whose motion it is: that of the exported model, or of a
+stand-in. Out: for that example a start from which its loop settles and every call is taken without a remark, tried here
+with the same Functions and the C functions' own tests, None where there is none; for the ROS 2 node what decays about
+rest.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -20,8 +21,12 @@ from flexopt.export.control import damps_self_motion, task_space_torque
 from flexopt.export.operations import Array, Operation
 from flexopt.loop.feedback import self_motion_damping
 from flexopt.loop.machine_step import machine_step
+from flexopt.loop.outcome import LoopPoint
+from flexopt.loop.small_motions import small_motions
 
 RATE_HZ, DURATION_S = 200, 12
+# How old the ROS 2 node's inputs may be, in samples: one may be lost.
+AGE_MAX = 2
 # The example ends well below the first, m for each m of the arm; tried here with room to spare.
 SETTLED, TRIED = 5e-4, 2.5e-4
 STEP = 0.02
@@ -35,14 +40,28 @@ ROOM = 1e-2
 
 
 @dataclass(frozen=True)
+class Gains:
+    """Of the Jacobian inverse law, as the operation `torque_inverse` takes them.
+
+    Attributes:
+        kp, kv, nullspace_damping: the last is 0 where no self-motion is.
+        inertia: mean inertia of the joints, by which the gains are chosen.
+    """
+
+    kp: float
+    kv: float
+    nullspace_damping: float
+    inertia: float
+
+
+@dataclass(frozen=True)
 class Start:
     """Where the loop begins, and how it is controlled.
 
     Attributes:
         posture: of the joints, rad or m.
         rest: passive coordinates there.
-        kp, kv, nullspace_damping: gains of the Jacobian inverse law; the last is 0 where no self-motion is.
-        inertia: mean inertia of the joints, by which the gains are chosen, and which the stand-in's joints have.
+        gains: the stand-in's joints have their inertia.
         substeps: steps of the machine in a sample of the controller.
         distance: of the target from where the end-point starts, along each axis, m.
         settled: error at the end that counts as on target, m.
@@ -50,13 +69,87 @@ class Start:
 
     posture: Array
     rest: Array
-    kp: float
-    kv: float
-    nullspace_damping: float
-    inertia: float
+    gains: Gains
     substeps: int
     distance: float
     settled: float
+
+
+@dataclass(frozen=True)
+class Hold:
+    """A posture that the ROS 2 node's gains hold.
+
+    Attributes:
+        posture: of the joints, rad or m.
+        gains: of the node.
+        decays: whether the machine's loop about rest does there; it may be that nothing that was tried makes it.
+    """
+
+    posture: Array
+    gains: Gains
+    decays: bool
+
+
+def steady_hold(at: Context) -> Hold:
+    """The first posture and gains, in the order of `settling_start`, with which the machine's loop about rest decays.
+
+    It does so at `RATE_HZ` and at the slowest rate that the node's time-out admits, each time with the end-point as it
+    was a sample ago: a rate that is told from the last two measurements is half a sample old.
+    """
+    first: Hold | None = None
+    for posture, _, mass, jv in _promising(at):
+        for bandwidth in BANDWIDTHS:
+            gains = _gains(at, bandwidth, mass, jv)
+            hold = Hold(posture, gains, all(_decays(at, posture, gains, x / RATE_HZ) for x in (1, AGE_MAX)))
+            if hold.decays:
+                return hold
+            first = first or hold
+    assert first is not None
+    return first
+
+
+def _decays(at: Context, posture: Array, gains: Gains, period: float) -> bool:
+    """Whether the loop about rest does, the end-point's measurement one sample old."""
+    plant, damped = at.plant, gains.nullspace_damping > 0
+    motions = small_motions(at.machine, "inverse", damped=damped)
+    each = np.ones(plant.n_task)
+    given = {"kp": gains.kp * each, "kv": gains.kv * each, "nullspace_damping": np.array([gains.nullspace_damping])}
+    given |= {"period": np.array([period]), "posture": posture, "p": plant.parameter_values.full()}
+    return LoopPoint(motions, motions.numbers(given), period).loop.growth_rate < 0
+
+
+def _promising(at: Context) -> Iterator[tuple[Array, Array, Array, Array]]:
+    """Regular postures in order of their robustness w, with q at rest, M (n_q, n_q) and Jv there."""
+    plant, p, base = at.plant, at.plant.parameter_values, ca.DM.zeros(at.plant.n_base, 1)
+    postures = at.joint_angles.draw(np.random.default_rng(SEED), 128)
+    sines = plant.singularity_sine_squared.call([base, ca.DM(postures.T), p])[0].full().ravel()
+    bar = min(max(np.median(sines), at.singularity_margin**2), sines.max())
+    regular = postures[sines >= bar].round(4)
+    worst = at.measures.w.call([base, ca.DM(regular.T), p])[0].full().min(axis=0)
+    for posture in regular[np.argsort(worst)[::-1][:POSTURES]]:
+        rest = plant.rest.call([base, ca.DM(posture), p])[0]
+        mass: Array = plant.mass.call([rest, base, p])[0].full()
+        jv: Array = plant.rigid_jacobian.call([rest, base, p])[0].full()
+        yield posture, rest.full().ravel(), mass, jv
+
+
+def _gains(at: Context, bandwidth: float, mass: Array, jv: Array, *, of_machine: bool = True) -> Gains:
+    """Gains that give joints of the machine's mean inertia a corner of `bandwidth`, rad/s, critically damped.
+
+    Args:
+        at: what the bundle is built from.
+        bandwidth: rad/s; the self-motion is damped by twice as much.
+        mass, jv: M and Jv in the posture.
+        of_machine: whether its own joints are held, or a stand-in's of equal inertia.
+    """
+    plant = at.plant
+    of_joints, damping = mass[plant.n_passive :, plant.n_passive :], 0.0
+    inertia = float(np.trace(of_joints)) / plant.n_actuated
+    if damps_self_motion(plant, "inverse"):
+        moved = of_joints if of_machine else inertia * np.eye(plant.n_actuated)
+        damping = self_motion_damping(jv, moved, 2 * bandwidth)
+    values = (inertia * bandwidth**2, 2 * inertia * bandwidth, damping, inertia)
+    return Gains(*(float(f"{value:.4g}") for value in values))
 
 
 def settling_start(at: Context, operations: Mapping[str, Operation]) -> Start | None:
@@ -67,45 +160,23 @@ def settling_start(at: Context, operations: Mapping[str, Operation]) -> Start | 
         operations: of the bundle, by name; without `machine_step` the loop is closed around a stand-in: joints of equal
             inertia on rigid ground.
     """
-    plant, p = at.plant, at.plant.parameter_values
-    base = ca.DM.zeros(plant.n_base, 1)
-    m, length = plant.n_passive, at.arm_length
-    postures = at.joint_angles.draw(np.random.default_rng(SEED), 128)
-    sines = plant.singularity_sine_squared.call([base, ca.DM(postures.T), p])[0].full().ravel()
-    regular = postures[sines > np.median(sines)].round(4)
-    worst = at.measures.w.call([base, ca.DM(regular.T), p])[0].full().min(axis=0)
-    for posture in regular[np.argsort(worst)[::-1][:POSTURES]]:
-        rest = plant.rest.call([base, ca.DM(posture), p])[0]
-        mass: Array = plant.mass.call([rest, base, p])[0].full()
-        inertia = float(np.trace(mass[m:, m:])) / plant.n_actuated
-        stiffness: Array = plant.stiffness.call([p])[0].full()
+    plant, length, of_machine = at.plant, at.arm_length, "machine_step" in operations
+    stiffness: Array = plant.stiffness.call([plant.parameter_values])[0].full()
+    for posture, rest, mass, jv in _promising(at):
         squares: NDArray[np.complex128] = np.linalg.eigvals(np.linalg.solve(mass, stiffness)).astype(complex)
         fastest = math.sqrt(np.abs(squares).max())
-        substeps = max(1, math.ceil(fastest / RATE_HZ / 0.5))
         for bandwidth in BANDWIDTHS:
-            damping = 0.0
-            if damps_self_motion(plant, "inverse"):
-                jv: Array = plant.rigid_jacobian.call([rest, base, p])[0].full()
-                moved = mass[m:, m:] if "machine_step" in operations else inertia * np.eye(plant.n_actuated)
-                damping = self_motion_damping(jv, moved, 2 * bandwidth)
             start = Start(
                 posture=posture,
-                rest=rest.full().ravel()[:m],
-                kp=_few_digits(inertia * bandwidth**2),
-                kv=_few_digits(2 * inertia * bandwidth),
-                nullspace_damping=_few_digits(damping),
-                inertia=_few_digits(inertia),
-                substeps=substeps,
+                rest=rest[: plant.n_passive],
+                gains=_gains(at, bandwidth, mass, jv, of_machine=of_machine),
+                substeps=max(1, math.ceil(fastest / RATE_HZ / 0.5)),
                 distance=STEP * length,
                 settled=SETTLED * length,
             )
             if _settles(at, operations, start, length):
                 return start
     return None
-
-
-def _few_digits(value: float) -> float:
-    return float(f"{value:.4g}")
 
 
 def _settles(at: Context, operations: Mapping[str, Operation], start: Start, length: float) -> bool:
@@ -131,9 +202,9 @@ def _settles(at: Context, operations: Mapping[str, Operation], start: Start, len
     known = {
         "coordinates": q, "rates": v, "joint_angles": q[:, m:], "joint_rates": v[:, m:], "measured_point": point,
         "measured_rate": rate, "target_point": np.tile(target.full().T, (count, 1)), "torque": torque,
-        "target_rate": np.zeros_like(rate), "proportional_gain": np.full((count, 1), start.kp),
-        "derivative_gain": np.full((count, 1), start.kv), "placement": np.zeros((count, plant.n_base)),
-        "nullspace_damping": np.full((count, 1), start.nullspace_damping),
+        "target_rate": np.zeros_like(rate), "proportional_gain": np.full((count, 1), start.gains.kp),
+        "derivative_gain": np.full((count, 1), start.gains.kv), "placement": np.zeros((count, plant.n_base)),
+        "nullspace_damping": np.full((count, 1), start.gains.nullspace_damping),
         "step": np.full((count, 1), 1 / RATE_HZ / start.substeps),
     }  # fmt: skip
     called = [operations[name] for name in ("kinematics", "torque_inverse", "machine_step") if name in operations]
@@ -156,15 +227,15 @@ def _sample(at: Context, start: Start, target: ca.DM, *, of_machine: bool) -> ca
     point = plant.end_point.call([q, base, p])[0]
     rate = plant.jacobian.call([q, base, p])[0] @ v
     still = ca.DM.zeros(plant.n_task, 1)
-    damper = [v[m:], start.nullspace_damping] if damps_self_motion(plant, "inverse") else []
-    given = [base, q[m:], point, rate, target, still, start.kp, start.kv, *damper, p]
+    damper = [v[m:], start.gains.nullspace_damping] if damps_self_motion(plant, "inverse") else []
+    given = [base, q[m:], point, rate, target, still, start.gains.kp, start.gains.kv, *damper, p]
     torque = task_space_torque(plant, "inverse").call(given)[0]
     if of_machine:
         step = machine_step(at.machine)
         for _ in range(start.substeps):
             q, v = step.call([q, v, torque, base, p, 1 / RATE_HZ / start.substeps])
     else:
-        v = v + ca.vertcat(ca.DM.zeros(m, 1), torque) / (start.inertia * RATE_HZ)
+        v = v + ca.vertcat(ca.DM.zeros(m, 1), torque) / (start.gains.inertia * RATE_HZ)
         q = q + v / RATE_HZ
     outputs = [ca.vertcat(q, v), point, rate, torque, ca.norm_2(target - point)]
     return ca.Function("sample", [x], outputs, ["x"], ["x_next", "point", "rate", "torque", "error"])

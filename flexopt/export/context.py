@@ -23,8 +23,8 @@ from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.robustness.measures import Measures, build_measures
 
-# In single precision modes lose too many digits nearer than this to singular postures.
-SINGLE_SINE = math.sin(math.radians(10.0))
+# In single precision modes lose too many digits nearer than this to singular postures, degrees.
+SINGLE_MARGIN_DEG = 10.0
 
 # How far measured joints may lie beyond the machine's limits, degrees and m: above what sensors are calibrated to, end
 # stops give and a loop overshoots, below what a sensor that lost its count or its wire shows.
@@ -196,7 +196,7 @@ class Context:
 
     def regular(self, *, modal: bool = False) -> Guard:
         """The arm is far enough from a singular posture; for what stands on modes, farther in single precision."""
-        sine = SINGLE_SINE if modal and self.single else 0.0
+        sine = math.sin(math.radians(SINGLE_MARGIN_DEG)) if modal and self.single else 0.0
         return Guard(
             "sine_squared",
             "distance from singular postures as a squared mean sine: at most 1, and 0 where Jv loses rank",

@@ -85,7 +85,7 @@ STATUSES = {
     "OUT_OF_RANGE": (19, "bounds reversed, margin or tolerance outside (0, 1), weights negative or all 0, budget, "
                      "starts, a machine parameter outside the range of machine files"),
     "NO_FEASIBLE": (20, "the target is out of reach, or no start could be brought to a feasible point"),
-    "ENDED_EARLY": (21, "budget or deadline ended before the first feasible point"),
+    "ENDED_EARLY": (21, "budget or deadline ended before the first feasible point; whether there is one is not known"),
 }  # fmt: skip
 
 
@@ -275,51 +275,54 @@ def _values(at: Context, measures: Measures, kernels: OptimiserKernels, texts: M
     with_work = {name for name, kernel in texts.items() if set(kernel.parameters) - {"arg", "res"}}
     if not with_work <= WITH_WORK or any("iw" in kernel.parameters for kernel in texts.values()):
         raise ValueError(f"{', '.join(sorted(with_work))}: memory that the search does not give")
-    return _sampling(measures, kernels) | {
-        "machine": machine,
-        "control": measures.control,
-        "gravity": measures.gravity,
-        "variables": names,
-        "indices": constants(names),
-        "n_base": plant.n_base,
-        "n_task": plant.n_task,
-        "n_modes": plant.n_passive,
-        "n_held": max(1, kernels.hold.size1_out(0)),
-        "n_work": max(1, *(kernel.sz_w for kernel in texts.values())),
-        "parameter_names": plant.parameter_names,
-        "parameters_at_run_time": not at.baked,
-        "parameters": [parameter.value for parameter in machine.parameters],
-        "parameters_low": [low for low, _ in ranges],
-        "parameters_high": [high for _, high in ranges],
-        "lower": [low for low, _ in bounds],
-        "upper": [high for _, high in bounds],
-        "unbounded": COORDINATE_MAX,
-        "exact": exact,
-        "closed_form": kernels.posture is not None,
-        "kernel_table": texts,
-        "with_work": WITH_WORK,
-        "cost_slope": kernels.model_cost if exact else kernels.slope_cost,
-        "cost_model": kernels.model_cost,
-        "projections": kernels.projections,
-        "starts": STARTS,
-        "budget_max": BUDGET_MAX,
-        "pi": math.pi,
-        "epsilon": EPSILON[real],
-        "tolerance": tolerance if exact else max(tolerance, TOLERANCE_MIN),
-        "enough": enough,
-        "tie": tie,
-        "rough": ROUGH[real],
-        "probe": PROBES[real],
-        "settling": SETTLING[real],
-        "edge": EDGE,
-        "margin_edge": MARGIN_EDGE[real] if many_rows else 0.0,
-        "target_tolerance": TARGET_TOLERANCES[real] * EPSILON[real],
-        "margin_tolerance": 4 * (MARGIN_EDGE[real] if many_rows else EDGE * EPSILON[real]),
-        "angles": [int(unit == "rad") for unit in units],
-        "spare": [*_spare(measures, idle), *still],
-        "base_idle": kernels.posture is None and all(idle),
-        "fixed_rows": _fixed_rows(measures),
-    }
+    return (
+        _sampling(measures, kernels)
+        | _placing(measures)
+        | {
+            "machine": machine,
+            "control": measures.control,
+            "gravity": measures.gravity,
+            "variables": names,
+            "indices": constants(names),
+            "n_base": plant.n_base,
+            "n_task": plant.n_task,
+            "n_modes": plant.n_passive,
+            "n_held": max(1, kernels.hold.size1_out(0)),
+            "n_work": max(1, *(kernel.sz_w for kernel in texts.values())),
+            "parameter_names": plant.parameter_names,
+            "parameters_at_run_time": not at.baked,
+            "parameters": [parameter.value for parameter in machine.parameters],
+            "parameters_low": [low for low, _ in ranges],
+            "parameters_high": [high for _, high in ranges],
+            "lower": [low for low, _ in bounds],
+            "upper": [high for _, high in bounds],
+            "unbounded": COORDINATE_MAX,
+            "exact": exact,
+            "closed_form": kernels.posture is not None,
+            "kernel_table": texts,
+            "with_work": WITH_WORK,
+            "cost_slope": kernels.model_cost if exact else kernels.slope_cost,
+            "cost_model": kernels.model_cost,
+            "projections": kernels.projections,
+            "starts": STARTS,
+            "budget_max": BUDGET_MAX,
+            "pi": math.pi,
+            "epsilon": EPSILON[real],
+            "tolerance": tolerance if exact else max(tolerance, TOLERANCE_MIN),
+            "enough": enough,
+            "tie": tie,
+            "rough": ROUGH[real],
+            "probe": PROBES[real],
+            "settling": SETTLING[real],
+            "edge": EDGE,
+            "margin_edge": MARGIN_EDGE[real] if many_rows else 0.0,
+            "target_tolerance": TARGET_TOLERANCES[real] * EPSILON[real],
+            "margin_tolerance": 4 * (MARGIN_EDGE[real] if many_rows else EDGE * EPSILON[real]),
+            "angles": [int(unit == "rad") for unit in units],
+            "spare": [*_spare(measures, idle), *still],
+            "base_idle": kernels.posture is None and all(idle),
+        }
+    )
 
 
 def _idle(measures: Measures) -> list[bool]:
@@ -348,14 +351,45 @@ def _spare(measures: Measures, idle: Sequence[bool]) -> list[int]:
     return [int(i not in kept) for i in range(plant.n_base)]
 
 
-def _fixed_rows(measures: Measures) -> list[int]:
-    """1 for each row of the task in which no placement moves the arm and no slide or deflection lengthens it."""
+def _placing(measures: Measures) -> dict[str, Any]:
+    """How the placement carries the machine along the task's rows: where the search tells what is out of reach.
+
+    None of the rows where slides or a deflection lengthen the arm.
+    """
     plant, machine = measures.plant, measures.plant.machine
-    if measures.gravity or (not plant.closed_form and path_to_end_point(machine)[1]):
-        return [0] * plant.n_task
-    turns = "rad" in machine.base_units
-    moved = {*machine.base_coordinates, *("x", "y") * turns}
-    return [int(row in ("x", "y", "z") and row not in moved) for row in machine.task_rows]
+    rows, names = machine.task_rows, machine.base_coordinates
+    lengthens = measures.gravity or (not plant.closed_form and bool(path_to_end_point(machine)[1]))
+    turns = "yaw" in names and {"x", "y"} <= set(rows)
+    carried = [not lengthens and row in ("x", "y", "z") and (turns or "yaw" not in names or row == "z") for row in rows]
+    shifts = [names.index(row) if row in names and row in ("x", "y", "z") else -1 for row in rows]
+    rng = np.random.default_rng(0)
+    own: Array = plant.parameter_values.full().ravel()
+
+    def end_point(base: Array, posture: Array, p: Array) -> Array:
+        return plant.end_point.call([plant.rest.call([base, posture, p])[0], base, p])[0].full().ravel()
+
+    for _ in range(4):
+        # Of other machines of the kind, too: parameters are an input.
+        p: Array = (own + 0.01 * (own == 0.0)) * rng.uniform(0.9, 1.1, own.size)
+        base, posture = rng.uniform(-1, 1, plant.n_base), rng.uniform(-1, 1, plant.n_actuated)
+        at_origin, there = end_point(0 * base, posture, p), end_point(base, posture, p)
+        expected = at_origin.copy()
+        if turns:
+            x, y, yaw = rows.index("x"), rows.index("y"), base[names.index("yaw")]
+            turn = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+            expected[[x, y]] = turn @ at_origin[[x, y]]
+        expected += [base[i] if i >= 0 else 0.0 for i in shifts]
+        same = np.abs(there - expected) <= 1e-9 * (1 + np.abs(there))
+        carried = [ok and bool(here) for ok, here in zip(carried, same, strict=True)]
+    if turns and not all(carried[rows.index(row)] for row in "xy"):
+        # Where one of both is not known, turns bring that into the other.
+        carried = [ok and row == "z" for ok, row in zip(carried, rows, strict=True)]
+    return {
+        "placed_rows": [int(ok) for ok in carried],
+        "shifted_by": shifts,
+        "turned_by": names.index("yaw") if turns else -1,
+        "turned_rows": [rows.index(row) if turns else -1 for row in "xy"],
+    }
 
 
 def _sampling(measures: Measures, kernels: OptimiserKernels) -> dict[str, Any]:

@@ -9,18 +9,16 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 
-from flexopt.export.closing import DURATION_S, RATE_HZ, settling_start
-from flexopt.export.control import damps_self_motion
+from flexopt.export.closing import AGE_MAX, DURATION_S, RATE_HZ, settling_start, steady_hold
+from flexopt.export.context import SINGLE_MARGIN_DEG
+from flexopt.export.control import torque_unit
 from flexopt.export.operations import ACCEPTANCE_COUNT, TOLERANCES, Array, Field, Operation, Samples
 from flexopt.export.sources import WITH_OUTPUT, Library
 
 VECTOR_COUNT = 12
 VECTOR_SEED = 1
-# rad/s of the closed loop of the ROS 2 node's default gains.
-BANDWIDTH = 3.0
 
 
 def project_files(library: Library, bundle_hash: str) -> dict[str, str]:
@@ -81,6 +79,11 @@ class _Project:
         parts = operation.split(samples.inputs)
         return [(field, part[0].tolist()) for field, part in zip(operation.inputs, parts, strict=False)]
 
+    def _keeps_farther(self, operation: Operation) -> bool:
+        """Whether it refuses postures that are farther from singular ones than was asked for."""
+        asked = self.library.context.singularity_margin**2
+        return any(guard.status == "SINGULAR_POSTURE" and (guard.minimum or 0.0) > asked for guard in operation.guards)
+
     def _example(self) -> str:
         operations = {o.name: o for o in self.library.all_operations}
         if {"kinematics", "controller"} <= set(self.library.operations):
@@ -102,29 +105,23 @@ class _Project:
         return self._render("example_calls.c", calls=[(o, self._accepted(o)) for o in self.library.all_operations])
 
     def _ros2_node(self) -> str:
-        posture, inertia = self._start()
         context = self.library.context
+        hold = steady_hold(context)
+        damped = hold.gains.nullspace_damping > 0
+        gains = {"proportional_gain": repr(hold.gains.kp), "derivative_gain": repr(hold.gains.kv)}
         return self._render(
             "ros2_node.cpp",
             joints=context.machine.joints,
             placement=context.machine.base_coordinates if context.placement_matters else (),
-            damped=damps_self_motion(context.plant, "inverse"),
-            kp=inertia * BANDWIDTH**2,
-            kv=2 * inertia * BANDWIDTH,
-            posture=[repr(float(v)) for v in posture],
+            damped=damped,
+            hold=hold,
+            gains=gains | ({"nullspace_damping": repr(hold.gains.nullspace_damping)} if damped else {}),
+            rate=RATE_HZ,
+            age_max=AGE_MAX,
+            posture=[repr(float(v)) for v in hold.posture],
+            unit=torque_unit(context).replace(", ", " or "),
+            joint_units=" or ".join(dict.fromkeys(context.machine.joint_units)),
         )
-
-    def _start(self) -> tuple[Array, float]:
-        """A posture far from singular ones, and the mean inertia of its joints."""
-        context = self.library.context
-        plant, p, base = context.plant, context.plant.parameter_values, ca.DM.zeros(context.plant.n_base, 1)
-        postures = context.joint_angles.draw(np.random.default_rng(VECTOR_SEED), 64)
-        sines = plant.singularity_sine_squared.call([base, ca.DM(postures.T), p])[0].full().ravel()
-        posture = postures[int(np.argmax(sines))].round(4)
-        rest = plant.rest.call([base, ca.DM(posture), p])[0]
-        mass = plant.mass.call([rest, base, p])[0].full()
-        inertia = float(np.trace(mass[plant.n_passive :, plant.n_passive :])) / plant.n_actuated
-        return posture, float(f"{inertia:.4g}")
 
     def _readme(self) -> str:
         library = self.library
@@ -141,6 +138,9 @@ class _Project:
             acceptance=library.acceptance,
             acceptance_count=ACCEPTANCE_COUNT,
             guarded=any(o.guards for o in library.all_operations),
+            singularity_margin_deg=math.degrees(math.asin(library.context.singularity_margin)),
+            single_margin_deg=SINGLE_MARGIN_DEG,
+            farther=[o.name for o in library.all_operations if self._keeps_farther(o)],
             loop_closed={"kinematics", "controller"} <= set(library.operations),
             judged=library.context.judged_loop,
             settings=library.context.loop,

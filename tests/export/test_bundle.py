@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import flexopt
+from flexopt.cli.bundles import export_command
 from flexopt.errors import ExportError, InputError
 from flexopt.export import PARTS, ExportReport, export_c
+from flexopt.export.context import SINGLE_MARGIN_DEG
 from tests.export.programs import MAKE
 from tests.oracles.machines import Structure, random_machine
 
@@ -64,6 +69,33 @@ def test_an_option_changes_the_hash(machine: flexopt.Machine, tmp_path: Path) ->
         for k, options in enumerate([{}, {"real": "float"}, {"baked": True}, {"singularity_margin_deg": 2.0}])
     }
     assert len(hashes) == 4
+
+
+def test_single_precision_says_where_it_keeps_farther_from_singular_postures(
+    machine: flexopt.Machine, tmp_path: Path
+) -> None:
+    """The README of single precision alone, where less is asked for; what it says are the tests of the functions."""
+
+    def bundle(**options: Any) -> tuple[dict[str, float], str]:
+        report = export_c(machine, tmp_path / "b", parts=["controller", "measures"], **options)
+        operations = [o for part in report.manifest["parts"].values() for o in part["operations"]]
+        least = {o["c_name"]: g["minimum"] for o in operations for g in o["guards"] if g["name"] == "sine_squared"}
+        return least, " ".join((report.folder / "README.md").read_text().split())
+
+    least, readme = bundle(real="float", singularity_margin_deg=5.0)
+    sentence = "refuses what is nearer than 10 degrees to singular postures, whatever less is asked for (here 5)"
+    assert f"`SINGULAR_POSTURE`: `excavator_measures` {sentence}" in readme
+    sines = {name: math.degrees(math.asin(math.sqrt(value))) for name, value in least.items()}
+    assert sines == pytest.approx({"excavator_torque_inverse": 5.0, "excavator_measures": 10.0})
+    assert SINGLE_MARGIN_DEG == 10.0
+    for options in ({"real": "double"}, {"real": "float", "singularity_margin_deg": 10.5}):
+        least, readme = bundle(**options)
+        assert len(set(least.values())) == 1
+        assert "whatever less" not in readme
+    said = CliRunner().invoke(export_command, ["--help"]).output
+    assert f"keep {SINGLE_MARGIN_DEG:g} at least" in " ".join(said.split())
+    docs = Path(__file__).parents[2] / "docs" / "howto" / "posture-to-c.md"
+    assert f"nearer than {SINGLE_MARGIN_DEG:g}° to singular" in docs.read_text(encoding="utf-8")
 
 
 @pytest.mark.needs("gcc", "clang", "make")

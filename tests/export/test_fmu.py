@@ -30,6 +30,7 @@ from flexopt.errors import CompilerNotFound, InputError, NoSolutionFound, Singul
 from flexopt.export.fmu import FmuReport, package
 from flexopt.export.fmu.units import unit_of
 from flexopt.model import Machine, machine_from_dict
+from flexopt.model.parameter_values import with_parameters
 from flexopt.simulation.scenario import build_scenario, checked_options
 from tests.export.fmu_library import (
     TOLERANCE,
@@ -224,6 +225,47 @@ def test_gains_change_during_a_run(report: FmuReport, folder: Path) -> None:
         assert after == [0.0, *before[1:]]
         assert slave.real(*report.outputs[:10]) == state
         slave.refuses("machine.payload.mass must not change now", slave.set, machine__payload__mass=1.0)
+
+
+def described(report: FmuReport) -> tuple[str, dict[str, str], str]:
+    """The model's description, that of each variable, and the page in one line."""
+    model = fmpy.read_model_description(str(report.path))
+    with zipfile.ZipFile(report.path) as archive:
+        page = archive.read("documentation/index.html").decode()
+    return model.description, {v.name: v.description for v in model.modelVariables}, " ".join(page.split())
+
+
+@pytest.mark.long("boom-stick-bucket")
+@pytest.mark.parametrize("name", ["excavator", "boom-stick-bucket"])
+def test_another_servo_gain_is_set_as_the_page_says(tmp_path: Path, name: str) -> None:
+    """As `flexopt.simulate` runs the velocity-served loop with twice the servo gain; only levers have a limit, too."""
+    machine, posture = flexopt.load(name), POSTURE if name == "excavator" else [-1.354, -1.5032, -0.2305]
+    loop, gain, own = {"drive": "velocity", "kp": 1.5, "kv": 0.1}, 3e4, 50.0
+    machine = with_parameters(machine, {f"{joint}.joint_damping": own for joint in machine.joints})
+    levers, start = name != "excavator", {"offset": [0.02] * len(posture), "duration": 0.5}
+    loop |= {"nullspace_damping": 500.0} if levers else {}
+    report = flexopt.export_fmu(machine, tmp_path / "m.fmu", posture, loop=loop | {"servo_gain": gain}, **start)
+    text, texts, page = described(report)
+    sentence = "joints are velocity-served: Kp 1.5 1/s, Kv 0.1, servo gain 30000 N m s/rad"
+    assert sentence in text
+    assert sentence in page
+    assert texts["controller.kp.x"].endswith("axis x; servo gain times Kp of the velocity-served loop")
+    dampings = [f"machine.{joint}.joint_damping" for joint in machine.joints]
+    for damping in dampings:
+        assert texts[damping].endswith("; 30000 N m s/rad of it is the servo's braking")
+        assert f"<code>{damping}</code>" in page
+    assert ("actuator.servo_gain" in texts) == levers
+    assert ("No levers limit the command" in page) != levers
+    changed = dict.fromkeys(dampings, 2 * gain + own)
+    changed |= {f"controller.{k}.{row}": 2 * gain * loop[k] for k in ("kp", "kv") for row in machine.task_rows}
+    changed |= {"actuator.servo_gain": 2 * gain} if levers else {}
+    expected = flexopt.simulate(machine, posture, loop=loop | {"servo_gain": 2 * gain}, **start)
+    assert worst(run(report, start_values=changed), shown(expected), report.outputs) < TOLERANCE
+
+
+def test_a_loop_in_torques_says_nothing_of_servos(report: FmuReport) -> None:
+    text, texts, page = described(report)
+    assert not any("servo" in each for each in (text, page, *texts.values()))
 
 
 @pytest.mark.long("2.0")

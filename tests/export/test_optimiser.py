@@ -16,6 +16,7 @@ import flexopt
 from benchmarks.optimiser import draw_pairs, value_of
 from flexopt.errors import InputError
 from flexopt.export.optimiser import SEARCH, build_optimiser
+from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.plant import build_plant
 from flexopt.plant.reach import reach
 from flexopt.selection.check import prove
@@ -242,6 +243,32 @@ def test_unreachable_target_leaves_the_result_alone(machine, excavator):
         answer = excavator.solve(problem, start, result=result)
         assert answer.status == "NO_FEASIBLE"
         assert (answer.value, answer.cost) == (7.0, 11)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 0.0), (-3.0, 0.5), (-COORDINATE_MAX, 0.5)])
+def test_a_target_out_of_reach_of_every_placement_is_refused_at_once(machine, excavator, low, high):
+    """By the distance from the nearest first joint, not row by row; just inside and the budget alone ends the call."""
+    at, lower, upper = reach(build_plant(machine)), list(excavator.default_problem().lower), [high, 3.0, 3.0]
+    lower[0] = low
+    for angle in (0.0, 0.7, 1.4):
+        ray = np.array([math.cos(angle), math.sin(angle)])
+        for share, status in ((1.002, "NO_FEASIBLE"), (0.999, "ENDED_EARLY")):
+            target = at.center + [high, 0.0] + share * at.outer * ray
+            problem = excavator.problem(target, lower=lower, upper=upper)
+            assert excavator.solve(problem, None, excavator.options(budget=1)).status == status
+
+
+def test_nothing_within_reach_is_refused(machine, excavator):
+    """Almost stretched arms inside random bounds, some ten thousand reaches away."""
+    plant, rng = build_plant(machine), np.random.default_rng(15)
+    for far in (1.0, 1e5):
+        for _ in range(50):
+            z = np.array([rng.uniform(-far, far), rng.uniform(-3, 3), rng.choice([-1, 1]) * rng.uniform(1e-3, 0.1)])
+            room = rng.uniform(0, 1, (2, 3)) * rng.choice([0.0, 1.0], (2, 3))
+            target = plant.end_point(plant.rest(z[0], z[1:], plant.parameter_values), z[0], plant.parameter_values)
+            bounds = {"lower": z - room[0], "upper": z + room[1], "sine_squared_min": 1e-8}
+            problem = excavator.problem(target.full().ravel(), **bounds)
+            assert excavator.solve(problem, z, excavator.options(starts=0, budget=1)).feasible
 
 
 def changed(name: str, value: Any, index: int | None = None) -> Any:

@@ -20,6 +20,7 @@ from flexopt.export.context import build_context
 from flexopt.export.optimiser_part import OptimiserPart, draw_target, optimiser
 from flexopt.export.verify import optimiser as verify
 from flexopt.export.verify.bench import Bench
+from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import tree_from_dict
 from flexopt.plant import build_plant
 from flexopt.plant.reach import outer_reach
@@ -295,6 +296,43 @@ def test_a_target_too_high_leaves_the_result_alone(slewing, excavator):
         answer = excavator.solve(problem, start, excavator.options(budget=100_000), result)
         assert answer.status == "NO_FEASIBLE"
         assert (answer.value, answer.cost) == (7.0, 11)
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0), (0.7, 0.7), (-0.2, 0.1), (-COORDINATE_MAX, COORDINATE_MAX)])
+@pytest.mark.parametrize("beside", [0.0, 0.7])
+def test_a_target_out_of_reach_of_every_placement_is_refused_at_once(slewing, excavator, turn, beside):
+    """Where the slewing axis is put by the plant's own skeleton; one that may turn counts as one that turns any way."""
+    plant, rng = build_plant(slewing), np.random.default_rng(16)
+    own = {parameter.name: parameter.value for parameter in slewing.parameters}
+    own |= {"house.position.x": beside, "house.position.y": -beside / 2}
+    p, radius = list(own.values()), outer_reach(plant)[1]
+    problem = excavator.default_problem()
+    lower, upper = np.array(problem.lower), np.array(problem.upper)
+    lower[:3], upper[:3] = [-0.5, 0.2, turn[0]], [-0.5, 1.0, turn[1]]
+
+    def refused(target: np.ndarray, budget: int = 1) -> bool:
+        given = excavator.problem(target, lower=lower, upper=upper, parameters=p)
+        return excavator.solve(given, None, excavator.options(budget=budget)).status == "NO_FEASIBLE"
+
+    placements = rng.uniform(lower[:3], np.minimum(upper[:3], lower[:3] + 2 * np.pi), (40, 3))
+    slew = 1 + [body.name for body in slewing.bodies].index("house")
+    first = np.array([plant.skeleton(plant.rest(b, np.zeros(4), p), b, p).full()[:, slew] for b in placements])
+    assert np.ptp(first[:, 2]) == 0.0
+    for axis in first:
+        ray = rng.normal(size=3)
+        assert not refused(axis + 0.999 * radius * ray / np.linalg.norm(ray))
+    # As far as the corner of the box, the circle about it and the arm reach, and a little farther.
+    middle = np.array([-0.5, 1.0])
+    circle = 0.0 if turn[0] == turn[1] else beside * math.hypot(1, 0.5)
+    middle = (
+        middle if circle else first[np.argmax(first[:, 1]), :2] + [0.0, 1.0 - placements[np.argmax(first[:, 1]), 1]]
+    )
+    for angle in (0.0, 0.9, math.pi / 2):
+        ray = np.array([math.cos(angle), math.sin(angle)])
+        for share, expected in ((0.999, False), (1.002, True)):
+            target = np.array([*(middle + (circle + share * radius) * ray), first[0, 2]])
+            assert refused(target) == expected
+            assert not expected or refused(target, excavator.default_options().budget)
 
 
 @pytest.mark.parametrize(

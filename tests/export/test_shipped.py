@@ -14,9 +14,11 @@ from benchmarks.bundles import ended, examine
 from benchmarks.optimiser import built, draw_pairs, run, summary
 from flexopt.cli import main
 from flexopt.export import PARTS, export_c
+from flexopt.export.bundle import build_library
 from flexopt.export.closing import settling_start
 from flexopt.export.context import build_context
 from flexopt.export.control import controller, kinematics
+from flexopt.export.project import project_files
 from flexopt.export.simulator import simulator
 from flexopt.model import shipped_names
 from tests.export.programs import GCC, MAKE
@@ -81,9 +83,41 @@ def test_the_example_of_a_redundant_arm_damps_its_self_motion(name: str, stand_i
     operations = {o.name: o for o in (*kinematics(at), *controller(at), *(() if stand_in else simulator(at)))}
     start = settling_start(at, operations)
     assert start is not None
-    assert start.nullspace_damping > 0
+    assert start.gains.nullspace_damping > 0
     low, high = np.array(machine.limits).T
     assert np.all((start.posture > low) & (start.posture < high))
+
+
+def ros2_node_of(name: str) -> str:
+    """The text of its ROS 2 node."""
+    machine = flexopt.load(name)
+    options = {"control": "inverse", "gain": 1.0, "baked": False, "singularity_margin_deg": 1.0}
+    library = build_library(machine, ["controller"], real="double", prefix="case", **options)
+    return project_files(library, "0" * 64)["examples/ros2_node.cpp"]
+
+
+@pytest.mark.parametrize("name", shipped_names("models"))
+def test_the_ros2_node_holds_the_machine_at_the_rate_that_it_states(name: str) -> None:
+    """By `flexopt.outcome`, and with as old a measurement as the time-out lets through, at the slowest rate that does."""
+    machine, text = flexopt.load(name), ros2_node_of(name)
+    given = {
+        key: float(x) for key, x in re.findall(r'declare_parameter\("(\w+_(?:gain|damping))", ([-+.e\d]+)\)', text)
+    }
+    rate = float(re.search(r"kRate = (\d+);", text)[1])
+    samples = float(re.search(r"kTimeout = (\d+) / kRate;", text)[1])
+    assert f"for {rate:g} of them a second" in text
+    assert f"the time-out of {samples:g} samples" in text
+    begins = re.search(r"start = \{\{(.*?)\}\}", text)[1]
+    posture = [float(x) for x in begins.split(", ")]
+    redundant = len(machine.joints) > len(machine.task_rows)
+    assert ("nullspace_damping" in given) == redundant
+    constructed = re.search(r"Controller controller\((.*)\);", text)[1]
+    assert [float(x) for x in constructed.split(", ")] == list(given.values())
+    loop = {"drive": "torque", "kp": given["proportional_gain"], "kv": given["derivative_gain"]}
+    loop |= {"nullspace_damping": given["nullspace_damping"]} if redundant else {}
+    for period, dead_time in ((1 / rate, 0.0), (1 / rate, samples / rate), (samples / rate, samples / rate)):
+        found = flexopt.outcome(machine, posture, loop=loop | {"rate": 1 / period, "dead_time": dead_time})
+        assert found.decay > 0, (period, dead_time)
 
 
 @pytest.mark.long

@@ -46,11 +46,12 @@ def describe(model: FmuModel, version: Version, identifier: str, token: str, too
     entries, three = _entries(model), version == "3.0"
     machine, exchange = model.scenario.machine, model.kind == "model-exchange"
     names = [entry.variable.name for entry in entries]
+    served = f"; {model.served.sentence}" if model.served else ""
     root = ET.Element("fmiModelDescription", {
         "fmiVersion": version,
         "modelName": one_line(machine.name),
         "instantiationToken" if three else "guid": token,
-        "description": one_line(f"Closed loop of {machine.name} and its task-space controller"),
+        "description": one_line(f"Closed loop of {machine.name} and its task-space controller{served}"),
         "version": package_version("flexopt"),
         "generationTool": tool,
         "variableNamingConvention": "structured" if all(map(_is_structured, names)) else "flat",

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.export.control import RATE_MAX
-from flexopt.export.fmu.settings import Groups, settings
+from flexopt.export.fmu.settings import Groups, Served, settings
 from flexopt.export.fmu.variable import EFFORT, Variable, row_text, words
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.quantities import COORDINATE_MAX, coordinate_max
@@ -45,11 +45,13 @@ class Interface:
         scenario: the run from which every start value is taken.
         kind: who integrates.
         run: of the scenario, from which the sizes of the states are taken.
+        served: of a velocity-served loop, what it was before it was written in torques.
     """
 
     scenario: Scenario
     kind: Kind
     run: Trajectory
+    served: Served | None = None
 
     @cached_property
     def plant(self) -> Plant:
@@ -85,12 +87,15 @@ class Interface:
         Pins of cylinders, which end the machine's, are left out: levers are part of the loop's structure.
         """
         found = [
-            Variable(f"machine.{p.name}", p.unit, words(p.name), p.value, *parameter_range(p))
+            Variable(f"machine.{p.name}", p.unit, self._text(p.name), p.value, *parameter_range(p))
             for p in self.scenario.machine.parameters[: self.n_machine]
         ]
         for variables in self.settings.values():
             found += variables
         return tuple(found)
+
+    def _text(self, parameter: str) -> str:
+        return words(parameter) + (self.served.of_parameter(parameter) if self.served else "")
 
     @cached_property
     def n_machine(self) -> int:
@@ -100,7 +105,7 @@ class Interface:
     @cached_property
     def settings(self) -> Groups:
         """Entries of a after the machine's parameters."""
-        found = settings(self.scenario, self.loop.structure)
+        found = settings(self.scenario, self.loop.structure, self.served)
         still = [v for name, v in self._placement.items() if name not in self.moving]
         return found | ({"placement": still} if still else {})
 

@@ -22,6 +22,7 @@ from flexopt.export.fmu.description import build_description, describe
 from flexopt.export.fmu.documents import page, reference_table
 from flexopt.export.fmu.interface import KINDS, Kind, moving_placement
 from flexopt.export.fmu.model import FmuModel
+from flexopt.export.fmu.settings import Served
 from flexopt.export.fmu.source import VERSIONS, Version, body, source
 from flexopt.export.kernels import Unsupported
 from flexopt.foundation.arguments import Arguments
@@ -185,15 +186,19 @@ def export_fmu(
     target = Path(path)
     given: dict[str, Any] = {"posture": posture} | keywords
     real = cast("Loop | None", loop) or (own_loop(machine, given) if kind == "co-simulation" else None)
+    served: Served | None = None
     if real is not None:
-        machine, given, _, sentences = with_loop(machine, real, given, "export_fmu")
+        own = machine
+        machine, given, loop_numbers, sentences = with_loop(machine, real, given, "export_fmu")
+        if loop_numbers.drive == "velocity":
+            served = Served(loop_numbers, _changed(own, machine))
         for sentence in sentences:
             warnings.warn(sentence, FlexoptWarning, stacklevel=3)
     checked = checked_options("export_fmu", machine, _loop_options(kind, given))
     _check_base_path(machine, checked)
     reference = target.with_name(f"{target.stem}_reference.csv")
     _check_replaceable(target, reference)
-    model = FmuModel(build_scenario(machine, checked), kind, _quiet(machine, checked))
+    model = FmuModel(build_scenario(machine, checked), kind, _quiet(machine, checked), served)
     try:
         content = body(model)
     except Unsupported as error:
@@ -221,6 +226,12 @@ def export_fmu(
         warnings=_warnings(model.run),
         provenance=provenance(machine, version=version, kind=kind, **checked.model_dump(exclude_defaults=True)),
     )
+
+
+def _changed(machine: AnyMachine, other: AnyMachine) -> tuple[str, ...]:
+    """Names of the parameters that differ."""
+    pairs = zip(machine.parameters, other.parameters, strict=True)
+    return tuple(mine.name for mine, theirs in pairs if mine.value != theirs.value)
 
 
 def _check_base_path(machine: AnyMachine, options: SimulationOptions) -> None:

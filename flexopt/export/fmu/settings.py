@@ -1,17 +1,19 @@
 """What a master may set besides the machine's parameters: posture, start, controller, sensors, actuators.
 
-In: a `Scenario` and the structure of the FMU's loop. Out: groups of variables, named as the loop's constants where they
-become such.
+In: a `Scenario`, the structure of the FMU's loop, what drives serve. Out: groups of variables, named as the loop's
+constants where they become such.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from flexopt.export.fmu.variable import EFFORT, Variable, force_unit, one_unit
 from flexopt.foundation.control import damping_unit, gain_units
 from flexopt.foundation.quantities import JOINT_DAMPING, coordinate_max
+from flexopt.loop.settings import LoopSettings
 from flexopt.loop.structure import LoopStructure
 from flexopt.model.loop import BANDWIDTH, LOOP_GAIN, SERVO_GAIN, TORQUE
 from flexopt.model.simulation import NOISE, RATE_NOISE
@@ -20,11 +22,49 @@ from flexopt.simulation.scenario import Scenario
 Groups = dict[str, list[Variable]]
 
 
-def settings(scenario: Scenario, structure: LoopStructure) -> Groups:
+@dataclass(frozen=True)
+class Served:
+    """What an FMU of a velocity-served loop says: its loop is written in torques, without servos.
+
+    Attributes:
+        settings: the loop.
+        braked: names of the parameters that hold the servos' braking besides the joints' own damping.
+    """
+
+    settings: LoopSettings
+    braked: tuple[str, ...]
+
+    @property
+    def servo_gain(self) -> str:
+        """With its unit."""
+        return f"{self.settings.servo_gain or 1.0:.6g} {self.settings.damping_unit}"
+
+    @property
+    def gains(self) -> str:
+        """The gains that ask for rates, with their units, of each axis where they differ."""
+        names = ("kp", "kv", "ki") if self.settings.feedback == "pid" else ("kp", "kv")
+        told: list[str] = []
+        for name, unit in zip(names, self.settings.gain_units, strict=False):
+            values = [f"{value:.6g}" for value in getattr(self.settings, name).tolist()]
+            numbers = values[0] if len(set(values)) == 1 else f"({', '.join(values)})"
+            told.append(f"{name.capitalize()} {numbers} {unit}".rstrip())
+        return ", ".join(told)
+
+    @property
+    def sentence(self) -> str:
+        """What kind of loop it is."""
+        return f"joints are velocity-served: {self.gains}, servo gain {self.servo_gain}"
+
+    def of_parameter(self, name: str) -> str:
+        """What the description of a machine's parameter adds."""
+        return f"; {self.servo_gain} of it is the servo's braking" if name in self.braked else ""
+
+
+def settings(scenario: Scenario, structure: LoopStructure, served: Served | None = None) -> Groups:
     """Entries of a after the machine's parameters but those of the placement."""
     return (
         _start(scenario)
-        | _controller(scenario, structure)
+        | _controller(scenario, structure, served)
         | _sensor(scenario, structure)
         | _actuator(scenario, structure)
     )
@@ -46,13 +86,14 @@ def _start(scenario: Scenario) -> Groups:
     return {"posture": posture, "offset": offset}
 
 
-def _controller(scenario: Scenario, structure: LoopStructure) -> Groups:
+def _controller(scenario: Scenario, structure: LoopStructure, served: Served | None) -> Groups:
     options, machine, found = scenario.options, scenario.machine, Groups()
     rows, joints = machine.task_rows, machine.joint_units
     names = (("kp", "proportional"), ("kv", "derivative"), ("ki", "integral"))
     told = zip(names, gain_units(options.control, joints), strict=True)
     for (name, text), units in list(told)[: {"pd": 2, "pid": 3}.get(structure.law, 0)]:
         unit, more = one_unit(units)
+        more += f"; servo gain times {name.capitalize()} of the velocity-served loop" if served else ""
         found[name] = [
             Variable(f"controller.{name}.{row}", unit, f"{text} gain, axis {row}{more}", value, *LOOP_GAIN.range, True)
             for row, value in zip(rows, spread(getattr(options, name), len(rows)), strict=True)
@@ -100,7 +141,7 @@ def _actuator(scenario: Scenario, structure: LoopStructure) -> Groups:
             ]  # fmt: skip
     if structure.hydraulic is not None:
         unit, more = one_unit(damping_unit(machine.joint_units))
-        text = f"torque or force of a joint rate behind the levers{more}"
+        text = f"limit of the command: this times a joint's rate at full lever; no gain of the loop{more}"
         found["servo_gain"] = [
             Variable("actuator.servo_gain", unit, text, actuator.servo_gain, 1e-9, SERVO_GAIN.high, True)
         ]

@@ -15,17 +15,64 @@ static bool prepare(const problem_t *problem, workspace_t *s)
   return all_finite(NT, s->first_joint) && is_finite(s->reach) && (s->reach > R(0.0));
 }
 
-/* Whether the target may be within reach: in the rows along which no placement moves the machine it is no farther from
- * where the arm begins than the arm is long. */
+/* How far target row k is from where the first joint can lie in it, m: from `middle`, shifted within the bounds. */
+static real_t apart(const problem_t *problem, int k, real_t middle)
+{
+  static const int shifted_by[NT] = SHIFTED_BY;
+  const int i = shifted_by[k];
+  real_t low = middle;
+  real_t high = middle;
+  real_t away = R(0.0);
+  if (i >= 0) {
+    low = (problem->lower[i] <= -UNBOUNDED) ? problem->target[k] : (middle + problem->lower[i]);
+    high = (problem->upper[i] >= UNBOUNDED) ? problem->target[k] : (middle + problem->upper[i]);
+  }
+  if (problem->target[k] < low) {
+    away = low - problem->target[k] - (EDGE * (fabs(problem->target[k]) + fabs(low)));
+  } else if (problem->target[k] > high) {
+    away = problem->target[k] - high - (EDGE * (fabs(problem->target[k]) + fabs(high)));
+  } else {
+    /* inside */
+  }
+  return (away > R(0.0)) ? away : R(0.0);
+}
+
+/* Whether the target may be within reach: it is no farther from where the bounds let the arm begin than the arm is long.
+ * Placements shift the machine along its rows and turn it about the origin from which they shift it; a placement that may
+ * turn counts as one that turns any way. */
 static bool within_reach(const problem_t *problem, const workspace_t *s)
 {
-  static const bool fixed[NT] = FIXED_ROWS;
-  bool ok = true;
+  static const bool placed[NT] = PLACED_ROWS;
+  real_t middle[NT];
+  real_t around = R(0.0);
+  real_t turned = R(0.0);
+  real_t others = R(0.0);
   for (int k = 0; k < NT; k++) {
-    const real_t away = fabs(problem->target[k] - s->first_joint[k]);
-    ok = ok && (!fixed[k] || (away <= (R(1.001) * s->reach)));
+    middle[k] = s->first_joint[k];
   }
-  return ok;
+#if TURNED_BY >= 0
+  {
+    const real_t x = middle[TURNED_X];
+    const real_t y = middle[TURNED_Y];
+    const bool held = problem->lower[TURNED_BY] >= problem->upper[TURNED_BY];
+    const real_t along = held ? cos(problem->lower[TURNED_BY]) : R(0.0);
+    const real_t across = held ? sin(problem->lower[TURNED_BY]) : R(0.0);
+    middle[TURNED_X] = (along * x) - (across * y);
+    middle[TURNED_Y] = (across * x) + (along * y);
+    around = held ? R(0.0) : sqrt((x * x) + (y * y));
+  }
+#endif
+  for (int k = 0; k < NT; k++) {
+    const real_t away = placed[k] ? apart(problem, k, middle[k]) : R(0.0);
+    if ((k == TURNED_X) || (k == TURNED_Y)) {
+      turned += away * away;
+    } else {
+      others += away * away;
+    }
+  }
+  turned = sqrt(turned) - around;
+  turned = (turned > R(0.0)) ? turned : R(0.0);
+  return sqrt((turned * turned) + others) <= (R(1.001) * s->reach);
 }
 
 static bool in_range(const problem_t *problem, const options_t *options)

@@ -25,7 +25,7 @@
 {% if of_machine %}
 #define STEPS {{ start.substeps }} /* of the machine in a sample of the controller: RK4 wants angular frequency times step below 2.8 */
 {% else %}
-#define INERTIA ((double){{ number(start.inertia) }}) /* kg m^2, of each joint of the stand-in: the mean of the machine's in the start posture */
+#define INERTIA ((double){{ number(start.gains.inertia) }}) /* kg m^2, of each joint of the stand-in: the mean of the machine's in the start posture */
 {% endif %}
 
 static {{ prefix }}_real workspace[{{ PREFIX }}_WORKSPACE];
@@ -64,10 +64,10 @@ int main(void)
   int failures = 0, k, i, j;
 
   printf("%s: machine %s\n", {{ prefix }}_build_info()->bundle_sha256, {{ prefix }}_build_info()->machine);
-  controller.proportional_gain = {{ number(start.kp) }};
-  controller.derivative_gain = {{ number(start.kv) }};
-{% if start.nullspace_damping %}
-  controller.nullspace_damping = {{ number(start.nullspace_damping) }}; /* of the arm's self-motion */
+  controller.proportional_gain = {{ number(start.gains.kp) }};
+  controller.derivative_gain = {{ number(start.gains.kv) }};
+{% if start.gains.nullspace_damping %}
+  controller.nullspace_damping = {{ number(start.gains.nullspace_damping) }}; /* of the arm's self-motion */
 {% endif %}
 {% if of_machine %}
   machine.step = ({{ prefix }}_real)1 / RATE_HZ / STEPS;
@@ -100,7 +100,7 @@ int main(void)
     }
     for (j = 0; j < {{ PREFIX }}_JOINTS; ++j) {
       controller.joint_angles[j] = {{ state }}.coordinates[{{ first }}j];
-{% if start.nullspace_damping %}
+{% if start.gains.nullspace_damping %}
       controller.joint_rates[j] = {{ rates }}[{{ first if of_machine else "" }}j];
 {% endif %}
     }

@@ -70,7 +70,14 @@ typedef {{ p }}_{{ name }} {{ name }}_t;
 /* Variables: whether each is an angle; may be held as others make up for it; whether the base alone turns no measure. */
 {{ table("ANGLES", angles) -}}
 {{ table("SPARE", spare) -}}
-{{ table("FIXED_ROWS", fixed_rows) -}}
+
+/* Rows of the target in which it is known where the arm begins, the variable that shifts it along each (-1: none); the one
+ * that turns it, and the rows that this turns. */
+{{ table("PLACED_ROWS", placed_rows) -}}
+{{ table("SHIFTED_BY", shifted_by) -}}
+#define TURNED_BY {{ turned_by }}
+#define TURNED_X {{ turned_rows[0] }}
+#define TURNED_Y {{ turned_rows[1] }}
 #define BASE_IDLE {{ "true" if base_idle else "false" }}
 
 /* The default problem. */

@@ -3,12 +3,21 @@
 // The controller itself (class Controller) needs no ROS; compiled without ROS 2 the file becomes a program that runs it
 // once. With ROS 2 (C++17, package rclcpp, sensor_msgs, geometry_msgs, std_msgs) it is a node:
 //
-//   subscribes  joint_states     sensor_msgs/JointState         the actuated joints by name, rad and rad/s
+//   subscribes  joint_states     sensor_msgs/JointState         the actuated joints by name, {{ joint_units }}, and their rates
 //               end_point        geometry_msgs/PointStamped     measured, inertial frame, m
 //               target           geometry_msgs/PointStamped     wanted, inertial frame, m
-//   publishes   joint_torques    std_msgs/Float64MultiArray     N m, in the order of the machine's joints
+//   publishes   joint_torques    std_msgs/Float64MultiArray     {{ unit }}, in the order of the machine's joints
 //
-// Nothing is published while an input is missing, older than the time-out, or refused by the library.
+// Torques go out for each end_point that comes in. The gains are for {{ rate }} of them a second, joint_states as fast:
+{% if hold.decays %}
+// then the machine's loop about rest decays in the posture ({{ posture | join(", ") }}),{% if placement %} the base at 0,{% endif %} and with
+// every other sample lost, too. Elsewhere it may not; `flexopt evaluate` tells, with these gains and
+{% else %}
+// a beginning, as in none of the postures that were tried such gains make the machine's loop about rest decay.
+// `flexopt evaluate` tells which do, with
+{% endif %}
+// `--loop drive=torque --loop rate={{ rate }} --loop kp=... --loop kv=...{% if damped %} --loop nullspace_damping=...{% endif %}`.
+// Nothing is published while an input is missing, older than the time-out of {{ age_max }} samples, or refused by the library.
 #include <array>
 #include <cstddef>
 #include <cstdio>
@@ -20,17 +29,19 @@ class Controller {
  public:
   static constexpr std::size_t kJoints = {{ PREFIX }}_JOINTS;
   static constexpr std::size_t kTask = {{ PREFIX }}_TASK;
+  static constexpr double kRate = {{ rate }};  // of end_point and joint_states, Hz
+  static constexpr double kTimeout = {{ age_max }} / kRate;  // s
   static const std::array<std::string, kJoints>& joint_names() {
     static const std::array<std::string, kJoints> names = {{ "{{" }}{% for joint in joints %}"{{ joint | c_text }}"{% if not loop.last %}, {% endif %}{% endfor %}{{ "}}" }};
     return names;
   }
 
-  Controller(double proportional_gain, double derivative_gain) {
+  Controller(double proportional_gain, double derivative_gain{% if damped %}, double nullspace_damping{% endif %}) {
     input_.proportional_gain = static_cast<{{ prefix }}_real>(proportional_gain);
     input_.derivative_gain = static_cast<{{ prefix }}_real>(derivative_gain);
 {% if damped %}
     // Of the self-motion.
-    input_.nullspace_damping = static_cast<{{ prefix }}_real>(derivative_gain);
+    input_.nullspace_damping = static_cast<{{ prefix }}_real>(nullspace_damping);
 {% endif %}
 {% if not baked %}
     {{ prefix }}_default_parameters(&parameters_);
@@ -94,8 +105,8 @@ class ControllerNode : public rclcpp::Node {
  public:
   ControllerNode()
       : Node("{{ prefix }}_controller"),
-        controller_(declare_parameter("proportional_gain", {{ "%.6g" | format(kp) }}), declare_parameter("derivative_gain", {{ "%.6g" | format(kv) }})),
-        timeout_(rclcpp::Duration::from_seconds(declare_parameter("timeout", 0.05))) {
+        controller_({% for name, value in gains.items() %}declare_parameter("{{ name }}", {{ value }}){{ ", " if not loop.last }}{% endfor %}),
+        timeout_(rclcpp::Duration::from_seconds(declare_parameter("timeout", Controller::kTimeout))) {
 {% if placement %}
     // Where the base stands: {{ placement | join(", ") }}.
     const auto placement = declare_parameter("placement", std::vector<double>({{ PREFIX }}_PLACEMENT, 0.0));
@@ -122,10 +133,10 @@ class ControllerNode : public rclcpp::Node {
     for (std::size_t j = 0; j < Controller::kJoints; ++j) {
       const auto found = std::find(m.name.begin(), m.name.end(), names[j]);
       const auto index = static_cast<std::size_t>(found - m.name.begin());
-      if (found == m.name.end() || index >= m.position.size()) return;
+      if (found == m.name.end() || index >= m.position.size(){% if damped %} || index >= m.velocity.size(){% endif %}) return;
       controller_.set_joint(j, m.position[index]);
 {% if damped %}
-      if (index < m.velocity.size()) controller_.set_rate(j, m.velocity[index]);
+      controller_.set_rate(j, m.velocity[index]);
 {% endif %}
     }
     joints_time_ = m.header.stamp;
@@ -141,10 +152,15 @@ class ControllerNode : public rclcpp::Node {
     const rclcpp::Time now(m.header.stamp);
     std::array<double, Controller::kTask> point{};
     for (std::size_t i = 0; i < Controller::kTask; ++i) point[i] = coordinate(m, i);
-    controller_.set_measured(point, have_measured_ ? (now - measured_time_).seconds() : 0.0);
+    const bool slow = have_measured_ && now - measured_time_ > timeout_;
+    const bool has_rate = have_measured_ && !slow;
+    controller_.set_measured(point, has_rate ? (now - measured_time_).seconds() : 0.0);
     measured_time_ = now;
     have_measured_ = true;
-    if (!have_joints_ || !have_target_ || now - joints_time_ > timeout_) return;
+    if (slow) {
+      RCLCPP_WARN_THROTTLE(get_logger(), *get_clock(), 1000, "end_point comes too slowly for the gains");
+    }
+    if (!has_rate || !have_joints_ || !have_target_ || now - joints_time_ > timeout_) return;
     std::array<double, Controller::kJoints> torque{};
     const {{ prefix }}_status status = controller_.step(torque);
     if (status != {{ PREFIX }}_OK) {
@@ -175,7 +191,7 @@ int main(int argc, char** argv) {
 #else
 
 int main() {
-  Controller controller({{ "%.6g" | format(kp) }}, {{ "%.6g" | format(kv) }});
+  Controller controller({{ gains.values() | join(", ") }});
   const std::array<double, Controller::kJoints> start = {{ "{{" ~ posture | join(", ") ~ "}}" }};
   for (std::size_t j = 0; j < Controller::kJoints; ++j) controller.set_joint(j, start[j]);
   std::array<double, Controller::kTask> origin{};
@@ -183,9 +199,9 @@ int main() {
   for (std::size_t i = 0; i < Controller::kTask; ++i) controller.set_target(i, 0.01);
   std::array<double, Controller::kJoints> torque{};
   const {{ prefix }}_status status = controller.step(torque);
-  std::printf("without ROS 2: %s\n", {{ prefix }}_status_text(status));
+  std::printf("without ROS 2: %s; torques, {{ unit }}:\n", {{ prefix }}_status_text(status));
   for (std::size_t j = 0; j < Controller::kJoints; ++j) {
-    std::printf("  %s %.6g N m\n", Controller::joint_names()[j].c_str(), torque[j]);
+    std::printf("  %s %.6g\n", Controller::joint_names()[j].c_str(), torque[j]);
   }
   return {{ prefix }}_has_output(status) ? 0 : 1;
 }
