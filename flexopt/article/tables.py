@@ -41,7 +41,7 @@ NOTE = (
     "article does not print the servo gain kr of ε_max: it is inferred from posture A, so that posture B is the check. "
     "The measures printed for posture B do not belong to the end-point printed for it (workspace x = 1.32687 m): they "
     "are those of x = 1.5575 m. The article contradicts itself there. Posture B is no local maximum of w1 either; "
-    "`flexopt select article` finds those."
+    "“flexopt select article” finds those."
 )
 
 

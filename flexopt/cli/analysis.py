@@ -222,7 +222,9 @@ def _identified(swing: str, imu: Any, settings: dict[str, Any], as_json: bool) -
 
     held = {name: settings[name] for name in ("base", "gravity") if settings.get(name) is not None}
     held |= {} if imu is None else {"imu": imu}
-    with option_names({"log": swing, **held}), warnings_to_stderr(as_json):
+    named = option_names({"log": swing, **held})
+    with named, warnings_to_stderr(as_json), progress_bar("stages of the log") as progress:
+        held |= {"progress": progress}
         try:
             found = identify(settings["machine"], swing, **held)
         except InputError as error:

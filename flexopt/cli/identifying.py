@@ -18,6 +18,7 @@ from flexopt.cli.common import (
     numbers,
     of_picture,
     option_names,
+    progress_bar,
     read,
     value,
     warnings_to_stderr,
@@ -49,6 +50,6 @@ def identify_command(as_json: bool, machine: str, log: str, out: str | None, **o
     draw = check_picture(options)
     check_output("--out", out, (".json",))
     loaded = read(load, machine)
-    with option_names(options), warnings_to_stderr(as_json):
-        result = identify(loaded, log, **given(options))
+    with option_names(options), warnings_to_stderr(as_json), progress_bar("stages") as progress:
+        result = identify(loaded, log, progress=progress, **given(options))
     hand_out(result, out, draw, as_json=as_json)

@@ -147,17 +147,18 @@ def reproduce_command(as_json: bool, out: str | None, figures: str | None, **opt
     look = check_sheet(arguments, options, "--figures", given=figures is not None)
     arguments.done()
 
-    folder = out or REPORT_FOLDER
+    folder, drawn = out or REPORT_FOLDER, list[Path]()
     check_folder("--out", folder)
     with warnings_to_stderr(as_json), progress_bar("stages") as progress:
         result = reproduce(progress=progress)
     write_output("--out", folder, lambda: result.write(folder))
     if figures is not None:
-        write_output("--out", folder, lambda: result.write_figures(folder, form=form, **look))
+        write_output("--out", folder, lambda: drawn.extend(result.write_figures(folder, form=form, **look)))
     if as_json:
         print_json(result.to_dict())
     else:
-        say(f"{result!r}\n\nreport: {Path(folder) / 'report.html'}, {Path(folder) / 'report.json'}")
+        said = f"{result!r}\n\nreport: {Path(folder) / 'report.html'}, {Path(folder) / 'report.json'}"
+        say(said + (f"\nfigures: {', '.join(map(str, drawn))}" if drawn else ""))
 
 
 @click.command("report", short_help="Everything about a problem on one page.")

@@ -139,4 +139,6 @@ def _loop(machine: AnyMachine, settings: LoopSettings, *, gravity: bool) -> dict
         "neutral": neutral_directions(motions.structure, plant.n_actuated, settings.kp, settings.ki),
         "excess": plant.n_actuated - plant.n_task,
         "to_q": motions.loop.to_q.ravel(order="F").tolist(),
+        # What velocity servos add to the parameters: κ counts their damping as the joints' own.
+        "braking": (motions.drive_damping * settings.servo_gain).tolist() if settings.servo_gain else None,
     }

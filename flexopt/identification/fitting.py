@@ -7,6 +7,7 @@ every column as its residuals have it, samples left out because they do not belo
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -112,7 +113,14 @@ def longest_step(swing: HeldSwing, theta: Vector, time: Vector) -> float:
     return longest
 
 
-def fit(swing: HeldSwing, log: MeasuredLog, theta: Vector, deviation: Vector, sigma: Vector) -> Fit:
+def fit(
+    swing: HeldSwing,
+    log: MeasuredLog,
+    theta: Vector,
+    deviation: Vector,
+    sigma: Vector,
+    told: Callable[[float], None],
+) -> Fit:
     """The least squares from that start; noise and samples to leave out follow from the residuals, in passes.
 
     Args:
@@ -120,6 +128,7 @@ def fit(swing: HeldSwing, log: MeasuredLog, theta: Vector, deviation: Vector, si
         log: what was measured.
         theta: (n_θ,), deviation: (2m,) of the first state from rest: the start.
         sigma: (c,) first guess of the noise.
+        told: is told which share of the passes is done.
 
     Raises:
         NoSolutionFound: no swing could be computed.
@@ -146,6 +155,7 @@ def fit(swing: HeldSwing, log: MeasuredLog, theta: Vector, deviation: Vector, si
         residual = np.where(used, problem.simulated(z)[0] - log.values, np.nan)
         before, were = sigma, used
         sigma, used = _noise(log, residual, problem.simulated(z)[0], z.size, least)
+        told((number + 1) / PASSES)
         settled = bool(np.all(np.abs(np.log(sigma / before)) < SETTLED)) and bool(np.array_equal(used, were))
         if number and settled:
             break

@@ -11,10 +11,11 @@ import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Array, ArrayLike, BaseLike, PostureLike, RangeLike, Vector
+from flexopt.foundation.arrays import Array, ArrayLike, BaseLike, PostureLike, Progress, RangeLike, Vector
 from flexopt.foundation.boundary import of_machine, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import Quantity, pair, vector
+from flexopt.foundation.stages import Stages
 from flexopt.identification.cleaning import after_stop, evened, held_posture, swinging, without_spikes
 from flexopt.identification.confidence import Confidence, confidence, hidden, is_open_in_words
 from flexopt.identification.fitting import INTEGRATION, Fit, fit, longest_step
@@ -50,6 +51,9 @@ ALIKE = 10.8
 ANOTHER = "(a column of another direction would tell them apart)"
 # First guess of the noise, of what a column moves.
 NOISE = 0.02
+# Stages that a caller is told of: after the starts, the small motions, the fits and in all, as long as each other at
+# a log of some thousand samples.
+STARTED, GROWN, FITTED, STAGES = 5, 11, 19, 20
 
 
 def _window(arguments: Arguments, field: str, value: Any) -> tuple[float, float] | None:
@@ -73,6 +77,7 @@ def identify(
     gravity: bool = False,
     window: RangeLike | None = None,
     imu: ArrayLike | None = None,
+    progress: Progress | None = None,
 ) -> Identification:
     """Parameters of a machine from a log of its free swing with the arm held: after a push, or a swing and stop.
 
@@ -105,6 +110,7 @@ def identify(
         window: (from, to), s, of the log; by default all that follows the last motion of the measured joints.
         imu: where the accelerometer sits, m, in the axes of the body that carries the arm (in the plane x along it to
             the arm's first joint, y to its left); its origin by default.
+        progress: called with the number of stages done and of all.
 
     Returns:
         Values, their 95 % intervals, what the log leaves open, modes, residuals and the machine with these numbers.
@@ -127,6 +133,7 @@ def identify(
         >>> sorted(found.values)
         ['base.damping.rotation', 'base.stiffness.rotation']
     """
+    stages = Stages(progress, STAGES)
     stand = np.zeros(len(machine.base_coordinates)) if base is None else np.asarray(base, dtype=float)
     chosen = _windowed(cast(MeasuredLog, log), cast("tuple[float, float] | None", window))
     held, doubts = _held(machine, chosen, cast("Vector | None", posture))
@@ -150,15 +157,19 @@ def identify(
         shown, spiked = shown.part(slice(None), kept), spiked[:, kept]
         swing = swing_of(shown)
         starts, beginning = near_starts(_small(swing, shown), _poles(shown, swing.m), springs)
+    stages.reach(STARTED)
     mounted = axis_doubts(swing, shown) + place_doubts(swing)
     doubts += mounted
     small, poles = _small(swing, shown), _poles(shown, swing.m)
     doubts += size_doubts(small, poles)
-    candidates = grown(small, starts, beginning, springs)
+    candidates = grown(
+        small, starts, beginning, springs, lambda share: stages.reach(STARTED + share * (GROWN - STARTED))
+    )
+    stages.reach(GROWN)
     noise = _first_noise(small, candidates[0][0])
     _check_motion(shown, noise)
     doubts += _decay_doubts(swing, poles, np.where(np.isin(np.arange(len(entries)), springs), starts[0], 0.0))
-    found, others = _fits(swing, shown, candidates, noise, mounted)
+    found, others = _fits(swing, shown, candidates, noise, mounted, stages)
     _check_motion(shown, found.sigma)
     doubts += swinging_joints(swing, chosen, found)
     weak, unseen = hidden(swing, found, shown.time)
@@ -176,11 +187,18 @@ def identify(
         "window": window,
         "imu": place,
     }
-    return _result(swing, shown, spiked, found, known, doubts, options)
+    result = _result(swing, shown, spiked, found, known, doubts, options)
+    stages.reach(STAGES)
+    return result
 
 
 def _fits(
-    swing: HeldSwing, log: MeasuredLog, starts: list[tuple[Vector, Vector]], noise: Vector, mounted: Sequence[str]
+    swing: HeldSwing,
+    log: MeasuredLog,
+    starts: list[tuple[Vector, Vector]],
+    noise: Vector,
+    mounted: Sequence[str],
+    stages: Stages,
 ) -> tuple[Fit, list[Vector]]:
     """The best fit and θ of others that the log does not tell from it; of these the nearest to the file is the best.
 
@@ -192,7 +210,14 @@ def _fits(
             "shows a motion that this machine does not make with any springs near its file's: are signs and units of "
             "its columns right, and its first and last samples no spikes?" + "".join(f" And {each}" for each in mounted)
         )
-    fits = [fit(swing, log, theta, deviation, noise) for theta, deviation in starts]
+    each_of, fits = (FITTED - GROWN) / len(starts), list[Fit]()
+    for k, (theta, deviation) in enumerate(starts):
+
+        def told(share: float, begun: float = GROWN + k * each_of) -> None:
+            stages.reach(begun + share * each_of)
+
+        fits.append(fit(swing, log, theta, deviation, noise, told))
+    stages.reach(FITTED)
     least = min(fits, key=lambda each: each.misfit)
     alike = [each for each in fits if each.misfit <= least.misfit + ALIKE]
     best = min(alike, key=lambda each: float(each.theta @ each.theta))

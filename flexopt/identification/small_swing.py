@@ -232,20 +232,26 @@ def _different(thetas: Sequence[Vector], springs: Sequence[int]) -> list[Vector]
 
 
 def grown(
-    small: SmallSwing, thetas: Sequence[Vector], beginning: SmallSwing, springs: Sequence[int]
+    small: SmallSwing,
+    thetas: Sequence[Vector],
+    beginning: SmallSwing,
+    springs: Sequence[int],
+    told: Callable[[float], None],
 ) -> list[tuple[Vector, Vector]]:
     """θ and x0 (deviation from rest) fitted to ever longer stretches, up to the whole log.
 
-    The best first, then those others that fit nearly as well: few columns may not tell which mode is which.
+    The best first, then those others that fit nearly as well: few columns may not tell which mode is which. `told` is
+    told which share of this is done.
     """
     whole = float(small.time[-1] - small.time[0])
     found = list[tuple[Vector, float]]()
-    for start in thetas:
+    for k, start in enumerate(thetas, start=1):
         theta, left, end = start, math.inf, float(beginning.time[-1] - beginning.time[0])
         while end < whole or not math.isfinite(left):
             end = min(whole, LONGER * end)
             theta, left = small.until(end).improved(theta)
         found.append((theta, left))
+        told(k / (len(thetas) + 1))
     found.sort(key=lambda each: each[1])
     all_of_it = small.until(whole)
     for other in same_poles(small.swing, found[0][0], springs):

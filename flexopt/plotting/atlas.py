@@ -130,8 +130,7 @@ def _frame(axes: Axes, atlas: Atlas) -> None:
     x, y = (f"{mathtext(name)}, {unit}" for name, unit in zip(atlas.varied, atlas.units, strict=True))
     axes.set_xlabel(x)
     axes.set_ylabel(y)
-    held = [name for name in atlas.joints if name not in atlas.varied]
-    listed = ", ".join(f"{mathtext(name)} = {value:g}" for name, value in zip(held, atlas.fixed, strict=True))
+    listed = ", ".join(f"{mathtext(name)} = {value:g} {unit}" for name, value, unit in atlas.held)
     axes.set_title("robust postures" + (f", {mathtext(listed, TITLE_MAX)}" if listed else ""))
 
 

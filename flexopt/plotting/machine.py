@@ -105,10 +105,12 @@ def draw_ground(axes: Axes, height: float) -> None:
     axes.axhline(height, color=colors().ground_line, linewidth=1.2, zorder=1)
 
 
-def draw_target(axes: Axes, point: Points, name: str = "", *, line: bool = False, left: bool = False) -> None:
+def draw_target(
+    axes: Axes, point: Points, name: str = "", *, line: bool = False, side: tuple[int, int] = (1, 1)
+) -> None:
     """Where the end-point shall be, one point (2,) or several (2, K), joined where they are a path.
 
-    `left`: the first one's name stands there, as something else is written on its right.
+    `side`: where the first one's name stands: right (1) or left (-1) of it, above (1) or below (-1) it.
     """
     inks, points = colors(), np.reshape(point, (2, -1))
     axes.plot(
@@ -117,8 +119,9 @@ def draw_target(axes: Axes, point: Points, name: str = "", *, line: bool = False
     )  # fmt: skip
     if name:
         axes.annotate(
-            name, (float(points[0, 0]), float(points[1, 0])), xytext=(-6 if left else 6, 6), zorder=6,
-            textcoords="offset points", ha="right" if left else "left", fontsize="small",
+            name, (float(points[0, 0]), float(points[1, 0])), xytext=(6 * side[0], 6 * side[1]), zorder=6,
+            textcoords="offset points", ha="left" if side[0] > 0 else "right",
+            va="baseline" if side[1] > 0 else "top", fontsize="small",
             bbox={"boxstyle": "round,pad=0.1", "facecolor": inks.page, "edgecolor": "none", "alpha": 0.7},
         )  # fmt: skip
 

@@ -22,8 +22,10 @@ from flexopt.plotting.shape import Points, Shape, View
 
 # Room about what is drawn, share of the machine's size.
 ROOM = 0.1
-# Share of the picture within which a name right of the target would be on the target's own.
-NEAR = 0.2
+# Shares of the picture: width and height of a target's name and its distance from the target, width of other names.
+NAME, APART, OTHER = (0.13, 0.045), 0.015, 0.14
+# Sides of the target on which its name may stand, the usual one first; points of a link that it keeps away from.
+SIDES, SAMPLES = ((1, 1), (-1, 1), (1, -1), (-1, -1)), 65
 
 
 @dataclass(frozen=True)
@@ -78,12 +80,13 @@ def draw_scene(
             _draw_anchors(axes, view, actors)
     for actor in actors:
         draw_shape(axes, view, actor.shape, actor.color, ghost=actor.ghost, label=actor.label)
-    beside = named_points(view, constraints) - marks[:, :1]
-    across = NEAR * float(np.ptp(extent[0]))
-    left = bool(np.any((beside[0] > 0) & (beside[0] < across) & (np.abs(beside[1]) < across / 2)))
-    draw_target(axes, marks, name, line=line, left=left)
+    side = SIDES[0]
     if name:
-        extent = np.hstack([extent, marks + np.array([[0.0], [room]])])
+        whole = float(np.ptp(extent, axis=1).max()) + 2 * room
+        side = _free_side(marks[:, 0], whole, _written_on(view, actors, named_points(view, constraints), whole))
+        corner = np.array(side) * (APART + np.array(NAME)) * whole
+        extent = np.hstack([extent, marks[:, :1] + corner[:, None]])
+    draw_target(axes, marks, name, line=line, side=side)
     axes.set_aspect("equal", adjustable=fill)
     low, high = extent.min(axis=1) - room, extent.max(axis=1) + room
     # Matplotlib may widen what is set as if by itself, and shrinks it no further than to what it knows as data.
@@ -109,6 +112,28 @@ def target_point(tip: Points, rows: Sequence[str], target: Sequence[float] | Poi
         if row in "xyz"[: point.size]:
             point["xyz".index(row)] = value
     return point
+
+
+def _written_on(view: View, actors: Sequence[Actor], named: Points, whole: float) -> Points:
+    """Points (2, K) that a name shall not lie on: of the links, and of names in a picture of the size `whole`."""
+    shares, found = np.linspace(0.0, 1.0, SAMPLES), list[Points]()
+    for shape in (actor.shape for actor in actors):
+        seen = view.of(shape.skeleton)
+        found += [seen[:, [i]] + shares * (seen[:, [j]] - seen[:, [i]]) for i, j in shape.segments]
+    across = np.array([[OTHER * whole / 2], [0.0]])
+    found += [point[:, None] + (2 * shares - 1) * across for point in named.T]
+    return np.hstack(found)
+
+
+def _free_side(mark: Points, whole: float, taken: Points) -> tuple[int, int]:
+    """On which side of a target (2,) its name is farthest from points (2, K); the usual side where it makes none."""
+    clear, low, size = list[float](), APART * whole, np.array(NAME)[:, None] * whole
+    for side in SIDES:
+        across = (taken - mark[:, None]) * np.array(side)[:, None]
+        beyond = across - np.clip(across, low, low + size)
+        # A link that ends at the target is as near to names on all sides that it does not pass.
+        clear.append(round(min(float(np.hypot(*beyond).min(initial=np.inf)) / low, 2.0**0.5), 6))
+    return SIDES[int(np.argmax(clear))]
 
 
 def _draw_anchors(axes: Axes, view: View, actors: Sequence[Actor]) -> None:

@@ -18,6 +18,8 @@ from flexopt.plotting.sheet import Sheet, picture
 from flexopt.plotting.units import labelled
 
 WIDE = 3
+# Of the bars' whiskers; on sheets narrower than this, in, the legend has two rows.
+INTERVAL, NARROW = "95 % interval", 6.0
 
 
 def _grid(found: Sensitivity) -> tuple[int, int]:
@@ -68,6 +70,9 @@ def plot_sensitivity(sheet: Sheet, found: Sensitivity) -> None:
         for side in ("top", "right"):
             panel.spines[side].set_visible(False)
     if sheet.axes is None:
+        # One name for the whiskers of both kinds of bars.
+        panels[0].errorbar([], [], xerr=[], fmt="none", ecolor=inks.text, elinewidth=0.8, capsize=2, label=INTERVAL)
         handles, labels = panels[0].get_legend_handles_labels()
-        sheet.figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+        columns = 4 if sheet.size[0] >= NARROW else 2
+        sheet.figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
     sheet.title(f"{mathtext(found.machine)}: what matters most")

@@ -114,7 +114,8 @@ def picture(
             ways = asked if isinstance(asked, list) else [asked]
             inches = _inches(size, ways[0]) if ax is None else _given(ax)
             way = max(range(len(ways)), key=lambda k: _share(inches, ways[k]))
-            with styled(theme, _letters(inches, ways[way])) as palette:
+            letters = _letters_of(ax) if isinstance(ax, Axes) else _letters(inches, ways[way])
+            with styled(theme, letters) as palette:
                 sheet = _sheet(ax, inches, palette, way)
                 draw(sheet, result, **options)
                 _finish(sheet)
@@ -278,6 +279,11 @@ def _letters(inches: Inches, asked: Inches) -> float:
     return min(LARGEST, max(SMALLEST, LETTERS * _share(inches, asked)))
 
 
+def _letters_of(ax: Axes) -> float:
+    """As large as those that a caller's axes have beside them already."""
+    return min(LARGEST, max(SMALLEST, float(ax.xaxis.label.get_fontsize())))
+
+
 def _share(inches: Inches, asked: Inches) -> float:
     return min(inches[0] / asked[0], inches[1] / asked[1])
 
@@ -315,8 +321,13 @@ def _finish(sheet: Sheet) -> None:
     """Axes keep their colours where Matplotlib makes ticks later, or has made them before."""
     palette = sheet.palette
     plain_numbers(sheet.figure, sheet.axes)
+    if sheet.axes is not None:
+        _title_above_legend(sheet.axes, sheet.figure.figure)
     for axes in [sheet.axes] if sheet.axes is not None else sheet.figure.axes:
         axes.tick_params(which="both", color=palette.muted, labelcolor=palette.text)
+        if sheet.axes is not None:
+            width = cast(Any, matplotlib).rcParams["grid.linewidth"]
+            axes.tick_params(which="both", grid_color=palette.grid, grid_linewidth=width)
         for spine in axes.spines.values():
             spine.set_edgecolor(palette.muted)
         for text in (axes.xaxis.label, axes.yaxis.label):
@@ -327,6 +338,18 @@ def _finish(sheet: Sheet) -> None:
     if any(_gives_way(axes) for axes in sheet.figure.axes):
         # Limits that give way to the frame change the numbers beside it, and these the frame.
         sheet.figure.figure.draw_without_rendering()
+
+
+def _title_above_legend(axes: Axes, figure: Figure) -> None:
+    """Where one pair of axes is all there is, the picture's title would lie on the names above the axes."""
+    legend = axes.get_legend()
+    if legend is None or not axes.get_title():
+        return
+    figure.draw_without_rendering()
+    names, frame = legend.get_window_extent(), axes.get_window_extent()
+    if names.y0 >= frame.y1:
+        pad = (names.y1 - frame.y1) * 72.0 / figure.dpi + matplotlib.rcParams["axes.titlepad"]
+        axes.set_title(axes.get_title(), pad=pad)
 
 
 def _gives_way(axes: Axes) -> bool:

@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.plain import shown
 from flexopt.foundation.results import Result
+from flexopt.model.loop import GAINS
+from flexopt.model.simulation import SimulationOptions
 from flexopt.robustness.residues import residue_unit
 from flexopt.study.places import MOVE, STAY
 
@@ -116,6 +118,12 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[SavedQuantity, ...]]] = {
 ROUNDING = 1e-12
 # Letters of a line in the table: longer words and sentences go on in the next.
 LETTERS = 40
+# A number with an error has two digits of it, unless it is below this share of the number; more decimals, or zeros
+# before the point, are written as a power of ten.
+BELOW, LONGEST = 5e-6, 8
+# What runs have by default whatever else they are asked; the servo gain follows from the machine.
+ALWAYS: dict[str, Any] = SimulationOptions.model_construct().model_dump(mode="json")
+ALWAYS["actuator"].pop("servo_gain")
 
 
 @dataclass(frozen=True)
@@ -323,7 +331,12 @@ def _number(value: Any) -> float | None:
 
 def _differences(documents: Sequence[Any]) -> list[tuple[str, tuple[str, ...]]]:
     """Machine, versions, options, and of verdicts the loop and what is uncertain, that are not the same in all."""
-    flat = [dict(_leaves(document.get("provenance") or {}, "")) for document in documents]
+    flat = list[dict[str, str]]()
+    for document in documents:
+        asked: Any = document.get("provenance") or {}
+        if _kind(document) == "run" and isinstance(asked, dict):
+            asked = cast(dict[str, Any], asked) | {"options": _options_of_run(document)}
+        flat.append(dict(_leaves(asked, "")))
     for each, document in zip(flat, documents, strict=True):
         of = document.get("verdict") if isinstance(document.get("verdict"), dict) else document
         settings = _at(of, "settings") if _listed(of, "places") else None
@@ -337,6 +350,41 @@ def _differences(documents: Sequence[Any]) -> list[tuple[str, tuple[str, ...]]]:
         if len(set(texts)) > 1:
             found.append((key.removeprefix("options."), texts))
     return found
+
+
+def _options_of_run(document: Any) -> dict[str, Any]:
+    """What a run was asked, and what it then had by default.
+
+    One number stands for equal ones. Gains are those of the run's own loop, with their unit where they ask for rates.
+    """
+    found = _completed(ALWAYS, _at(document, "provenance.options"))
+    if "end_point" in found:
+        found.setdefault("elbow", "up")
+    served, units = _at(document, "loop.drive") == "velocity", _listed(document, "loop.gain_units")
+    for k, gain in enumerate(GAINS):
+        value = _single(_at(document, f"loop.{gain}") if served else found.get(gain))
+        unit = units[k] if served and k < len(units) and value else ""
+        found[gain] = f"{json.dumps(value)} {unit}" if unit else value
+    found["base"] = _single(found.get("base") or 0.0)
+    return found
+
+
+def _completed(defaults: dict[str, Any], given: Any) -> dict[str, Any]:
+    """The tables one upon the other; None is what is not given."""
+    asked = cast(dict[str, Any], given) if isinstance(given, dict) else {}
+    found = {key: value for key, value in (defaults | asked).items() if value is not None}
+    for key, value in defaults.items():
+        if isinstance(value, dict):
+            found[key] = _completed(cast(dict[str, Any], value), asked.get(key))
+        elif asked.get(key) is None and value is not None:
+            found[key] = value
+    return found
+
+
+def _single(value: Any) -> Any:
+    """The one number that all of a list are."""
+    listed = cast(list[Any], value) if isinstance(value, list) else []
+    return listed[0] if listed and all(each == listed[0] for each in listed) else cast(Any, value)
 
 
 def _leaves(value: Any, outer: str) -> list[tuple[str, str]]:
@@ -357,6 +405,12 @@ def _text(value: float | str | None, error: float | None) -> str:
         return "–"
     if isinstance(value, str):
         return value
-    digits = f"{value:.5g}"
-    # An error that is less than what the digits leave out would claim more of them than it holds for.
-    return digits + (f" ± {error:.1g}" if error and error >= abs(float(digits) - value) else "")
+    # An error that is less than what five digits leave out would claim more of them than it holds for.
+    if not error or not math.isfinite(value + error) or error < BELOW * abs(value):
+        return f"{value:.5g}"
+    decimals = 1 - math.floor(math.log10(error))
+    if not -LONGEST < decimals < LONGEST:
+        digits = max(1, math.floor(math.log10(abs(value) or error)) + decimals + 1)
+        return f"{value:#.{digits}g} ± {error:#.2g}"
+    told, doubt = (f"{round(number, decimals):z.{max(decimals, 0)}f}" for number in (value, error))
+    return f"{told} ± {doubt}"

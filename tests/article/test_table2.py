@@ -99,3 +99,7 @@ def test_maxima_along_a_height_lie_where_another_method_finds_them(control, elbo
     for x in found:
         exact = minimize_scalar(w, bounds=(x - 0.003, x + 0.003), method="bounded", options={"xatol": 1e-7}).x
         assert x == pytest.approx(exact, abs=1e-4)
+
+
+def test_the_note_is_plain_text_on_a_page_and_in_a_terminal():
+    assert "`" not in reproduce_table2().note

@@ -238,6 +238,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         gravity=False,
         window=[0.0, 2.0],
         imu=[0.0, 0.0],
+        progress=print,
     ),
     "inverse_kinematics": lambda: _machine(target=TARGET, base=0.5, gravity=False, elbow="up", seed=0),
     "load": lambda: {"name_or_path": "excavator"},

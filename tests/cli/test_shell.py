@@ -273,6 +273,21 @@ def test_help_of_the_article_names_every_figure() -> None:
         assert name in told
 
 
+def test_figures_of_the_article_are_named_where_they_are_written(
+    command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    class Done:
+        def write(self, _: str) -> None: ...
+
+        def write_figures(self, folder: str, *, form: str, **_: object) -> tuple[Path, ...]:
+            return Path(folder) / f"figure5.{form}", Path(folder) / f"gaps.{form}"
+
+    monkeypatch.setattr("flexopt.article.reproduce", lambda **_: Done())
+    told = command("reproduce", "--out", str(tmp_path), "--figures", "svg").stdout.split()
+    assert f"{tmp_path / 'figure5.svg'}," in told
+    assert told[-1] == str(tmp_path / "gaps.svg")
+
+
 def test_words_behind_a_wide_table_leave_its_columns_whole() -> None:
     """No gap goes through what is said of each row: it goes on below, with what the row is about."""
     remarks = ("rests on lift upper bound, kink of w1, and one placement alike", "one of a set of dimension 2")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
+import subprocess
 from pathlib import Path
 
 import casadi as ca
@@ -21,6 +23,23 @@ from tests.explorer.numbers import ASK, by_node, by_python, deviations, model_sc
 
 MACHINES = ("excavator", "boom-stick-bucket", "slewing-excavator")
 NODE = shutil.which("node")
+
+
+@pytest.mark.needs("node")
+@pytest.mark.parametrize(("name", "posture"), [("excavator", POSTURE), ("boom-stick-bucket", [-1.0, -1.5, -1.0])])
+def test_the_gain_from_which_a_mode_grows_is_pythons(name: str, posture: list[float]) -> None:
+    """κ of equal gains; of velocity-served joints with their servos' damping, as `flexopt.outcome` has it."""
+    machine = flexopt.load(name)
+    known, page = flexopt.outcome(machine, posture), flexopt.explore(machine, posture).page
+    assert known.settings.drive == ("torque" if name == "excavator" else "velocity")
+    at = json.dumps([[0.0], posture])
+    text = f"{model_script(page)}\nconst at = {at}.map((x) => Float64Array.from(x));\n"
+    text += "const found = new Model(DATA, GRAPHS).modes(...at);\n"
+    text += "console.log(JSON.stringify(found.map((mode) => mode.kappa)));"
+    done = subprocess.run(["node", "-"], input=text, capture_output=True, text=True, check=True)
+    found = [math.inf if kappa is None else kappa for kappa in json.loads(done.stdout)]
+    assert math.inf > min(found)
+    np.testing.assert_allclose(found, known.allowance_isotropic, rtol=1e-9)
 
 
 @pytest.mark.long

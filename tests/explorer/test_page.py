@@ -373,3 +373,16 @@ def test_a_gain_is_read_in_one_format(chromium: Browser, pages: Path) -> None:
         sliders = page.locator("#sliders").inner_text()
         assert "10000 N m" in sliders
         assert "2·10⁶ N m s" in sliders
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "gain"), [("excavator", "Kv"), ("boom-stick-bucket", "g Kv")])
+def test_a_mode_grows_from_a_gain_on_whatever_serves_the_joints(
+    name: str, gain: str, chromium: Browser, pages: Path
+) -> None:
+    posture = POSTURE if name == "excavator" else [-1.0, -1.5, -1.0]
+    with opened(chromium, flexopt.explore(flexopt.load(name), posture), pages) as page:
+        told = page.locator("#modes tbody").inner_text()
+        assert "grows" in told
+        assert told.count(f"if {gain} > κ = ") == told.count("grows")
+        assert ("g the servo gain" in page.locator("#numbers").inner_text()) == (gain != "Kv")

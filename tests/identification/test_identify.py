@@ -173,6 +173,19 @@ def test_gaps_spikes_and_uneven_samples() -> None:
     assert "sampled unevenly" in found.notes[0]
 
 
+def test_who_waits_is_told_how_much_is_done() -> None:
+    t, told = np.arange(200) / 50, list[tuple[int, int]]()
+    turn = 2e-3 * np.exp(-0.2 * t) * np.cos(14.4 * t) + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
+    flexopt.identify(
+        flexopt.load("excavator"), {"t": t, "gyro_z": turn}, posture=[0.5, -1.2], unknown=TURN,
+        progress=lambda done, total: told.append((done, total)),
+    )  # fmt: skip
+    done, (total,) = [part for part, _ in told], {whole for _, whole in told}
+    assert done == sorted(set(done))
+    assert done[-1] == total
+    assert len(done) >= 4
+
+
 def test_no_spikes_where_there_are_none() -> None:
     t = np.arange(0.0, 5.0, 0.01)
     for seed in range(20):

@@ -42,6 +42,12 @@ def test_curves_and_points(atlas: flexopt.Atlas, tmp_path: Path) -> None:
     assert any(np.isnan(line).any() for line in drawn)
 
 
+def test_joints_that_are_held_have_their_unit() -> None:
+    atlas = flexopt.atlas(flexopt.load("boom-stick-bucket"), posture=[-0.5], cells=(8, 8))
+    assert atlas.plot().axes[0].get_title() == "robust postures, bucket = -0.5 rad"
+    assert "bucket -0.5 rad held" in repr(atlas)
+
+
 @pytest.mark.long
 def test_names_of_all_that_is_drawn(atlas: flexopt.Atlas) -> None:
     (legend,) = atlas.plot().legends

@@ -9,6 +9,7 @@ from functools import cache
 from io import BytesIO
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pytest
 from IPython.core.formatters import DisplayFormatter
@@ -42,6 +43,13 @@ def made(name: str) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", flexopt.FlexoptWarning)
         return SPECIMENS[name]()
+
+
+@cache
+def two_members() -> flexopt.Ensemble:
+    return flexopt.simulate_ensemble(
+        flexopt.load("excavator"), (0.0448, -2.0499), vary={"kp": [1e4, 1e5]}, kv=2e3, duration=0.5
+    )
 
 
 @pytest.mark.long(
@@ -274,6 +282,12 @@ def test_intervals_are_seen_on_bars_as_dark_as_they_are():
             assert all(part.get_path_effects() for part in (*caps, *lines))
 
 
+def test_all_that_a_sensitivity_draws_has_a_name():
+    (legend,) = made("sensitivity excavator").plot().legends
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names == ["at most, by slopes", "alone", "in all", "95 % interval"]
+
+
 def test_what_may_stand_where_is_said_and_marked():
     figure = made("problem pipe-laying").plot()  # holds = "point"
     above = figure.axes[1]
@@ -297,13 +311,10 @@ def test_a_notebook_shows_a_picture_that_is_a_cells_value():
 
 def test_own_axes():
     """A picture of one panel goes into anyone's axes, of several into a part of a figure, and nothing else changes."""
-    ensemble = flexopt.simulate_ensemble(
-        flexopt.load("excavator"), (0.0448, -2.0499), vary={"kp": [1e4, 1e5]}, kv=2e3, duration=0.5
-    )
     figure = Figure(figsize=(9.0, 4.0), layout="constrained")
     left, right = figure.subfigures(1, 2)
     axes = left.add_subplot()
-    assert ensemble.plot(ax=axes) is figure
+    assert two_members().plot(ax=axes) is figure
     assert axes.get_ylabel() == "decay, 1/s"
     assert made("run excavator").plot(ax=right, theme="dark") is figure
     assert len(right.axes) == 6
@@ -314,6 +325,23 @@ def test_own_axes():
     whole = Figure(layout="constrained")
     assert made("problem article").plot(ax=whole) is whole
     assert not faults(whole)
+
+
+@pytest.mark.parametrize("size", [8.0, 13.0])
+def test_letters_and_grid_of_own_axes_go_together(size):
+    """Title and legend are as large as what the axes have beside them already, and lie on nothing."""
+    with matplotlib.rc_context({"font.size": size, "grid.color": "#ff0000", "grid.linewidth": 3.0}):
+        figure = Figure(figsize=(6.0, 4.0), layout="constrained")
+        axes = figure.add_subplot()
+    two_members().plot(ax=axes)
+    assert not faults(figure)
+    beside = {axes.xaxis.label.get_fontsize(), *(text.get_fontsize() for text in axes.get_xticklabels())}
+    above = [axes.title.get_fontsize(), *(text.get_fontsize() for text in axes.get_legend().get_texts())]
+    assert beside == {size}
+    assert all(0.8 * size < letters <= size for letters in above)
+    grid = axes.get_xgridlines()[0]
+    assert to_hex(grid.get_color()) == LIGHT.grid
+    assert grid.get_linewidth() < 1.0
 
 
 @pytest.mark.parametrize(

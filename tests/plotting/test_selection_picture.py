@@ -7,9 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
 
 import flexopt
+from flexopt.plotting.scene import Actor, draw_scene
 from flexopt.plotting.selection import _shares
+from flexopt.plotting.shape import chain, views
+from tests.plotting.looking import drawn
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +49,31 @@ def test_a_mode_that_is_not_reached_has_no_share():
     hidden = replace(stand, scale=stand.scale * [1.0, 1e-13, 1.0], w=stand.w * [1.0, 1e-13, 1.0])
     assert repr(hidden).count("–   –") == 1
     assert np.isnan(_shares(hidden)).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("turn", [*range(0, 360, 30), None])
+def test_the_name_of_the_target_lies_on_no_link(turn):
+    """Two machines that come to it from directions at a right angle to each other; by Matplotlib's own boxes.
+
+    None: they come from all four sides but one.
+    """
+    figure = Figure(figsize=(5.0, 5.0))
+    axes = figure.add_subplot()
+    target = np.array([0.3, 1.5])
+    actors = []
+    for angle in np.deg2rad([turn, turn + 90] if turn is not None else [45, 135, 225]):
+        away = np.array([np.cos(angle), np.sin(angle)])
+        skeleton = target[:, None] + np.outer(away, [2.4, 2.0, 1.2, 0.0])
+        actors.append(Actor(chain(skeleton), "C0"))
+    draw_scene(axes, views(actors[0].shape)[0], actors, target, name="target")
+    (name,) = [text for text in axes.texts if text.get_text() == "target"]
+    box = name.get_window_extent(drawn(figure))
+    assert axes.get_window_extent().contains(box.x0, box.y0)
+    assert axes.get_window_extent().contains(box.x1, box.y1)
+    links = [patch for patch in axes.patches if type(patch) is Polygon]
+    assert len(links) == 3 * len(actors)
+    seen = [link.get_transform().transform_path(link.get_path()) for link in links]
+    assert not [k for k, outline in enumerate(seen) if outline.intersects_bbox(box)]
 
 
 @pytest.mark.long

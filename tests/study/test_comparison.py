@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from PIL import Image
 
 import flexopt
+from flexopt.study.comparison import ComparedRow
 from tests.cli.command import Command
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
@@ -49,10 +51,66 @@ def test_runs(command: Command, tmp_path: Path) -> None:
     assert [name for name, _ in document["differences"]] == ["posture"]
     table = command("compare", *files)
     assert table.code == 0
-    for run in runs.values():
-        assert f"{-run.growth_rate:.5g} ± {run.growth_rate_error:.1g}" in table.stdout
+    shown = re.findall(r"([−-]?[0-9.]+) ± ([0-9.]+)", table.stdout)
+    for run, (number, doubt) in zip(runs.values(), shown, strict=True):
+        # Two digits of the doubt, and none of the number below them.
+        assert float(doubt) == float(f"{run.growth_rate_error:.1e}")
+        assert len(number.partition(".")[2]) == len(doubt.partition(".")[2])
+        assert abs(float(number) + run.growth_rate) <= 0.05 * run.growth_rate_error
     with Image.open(tmp_path / "runs.png") as drawn:
         assert drawn.size[0] > 1000
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (0.49941, 0.8, "0.50 ± 0.80"),
+        (-0.19946, 0.012, "-0.199 ± 0.012"),
+        (-1e-3, 0.5, "0.00 ± 0.50"),
+        (1234.5, 150.0, "1230 ± 150"),
+        (1.234e-12, 3e-13, "1.23e-12 ± 3.0e-13"),
+        (0.0, 3e-4, "0.00000 ± 0.00030"),
+        (0.382583, 1e-12, "0.38258"),
+        (0.5, None, "0.5"),
+        (0.5, float("inf"), "0.5"),
+    ],
+)
+def test_numbers_have_no_digits_below_their_doubt(value: float, error: float | None, text: str) -> None:
+    assert ComparedRow("decay", "1/s", (value,), (error,), None).texts() == [text]
+
+
+def test_runs_that_are_the_same_show_no_difference(command: Command, tmp_path: Path) -> None:
+    """Whoever named what is so by default; what differs is named with what it was by default."""
+    machine, posture, gains = flexopt.load("excavator"), POSTURES["chosen"], {"kp": 1e4, "kv": 1e3, "duration": 0.5}
+    runs = {
+        "plain": flexopt.simulate(machine, posture, **gains),
+        "named": flexopt.simulate(
+            machine, posture, **gains | {"kp": [1e4, 1e4]}, rate=200.0, feedback="pd", integrator="rk4", base=0.0,
+            ki=0.0, sensor={"delay": 0.0}, gravity=False, seed=0, control="inverse",
+        ),
+        "late": flexopt.simulate(machine, posture, **gains, sensor={"delay": 0.01}),
+    }  # fmt: skip
+    files = {name: save(tmp_path, name, run) for name, run in runs.items()}
+    same = command("compare", files["plain"], files["named"])
+    assert same.code == 0, same.stderr
+    assert "what it was asked" not in same.stdout
+    assert "–" not in same.stdout
+    document = command("compare", files["plain"], files["late"], "--json").document
+    assert document["differences"] == [["sensor.delay", ["0.0", "0.01"]]]
+
+
+def test_gains_of_velocity_served_runs_are_the_loop_s(command: Command, tmp_path: Path) -> None:
+    machine, posture = flexopt.load("mobile-manipulator"), (0.0, -1.0, 1.5, -0.5, -1.57, 0.0)
+    files = [
+        save(
+            tmp_path,
+            f"kp{kp:g}",
+            flexopt.simulate(machine, posture, loop={"drive": "velocity", "kp": kp}, duration=0.2),
+        )
+        for kp in (1.0, 2.0)
+    ]
+    document = command("compare", *files, "--json").document
+    assert document["differences"] == [["kp", ["1.0 1/s", "2.0 1/s"]]]
 
 
 def test_evaluations_of_other_machines(command: Command, tmp_path: Path) -> None:

@@ -121,23 +121,37 @@ class Model {
     return true;
   }
 
+  // D with the damping of velocity servos, a copy; null of joints that have none.
+  braked(base, posture) {
+    const { braking } = this.data.loop;
+    if (braking === null) return null;
+    const p = this.p.map((x, k) => x + braking[k]);
+    return this.graphs.more.run([base, posture, p, this.deflection(base, posture)]).D.slice();
+  }
+
   // All that is shown of the modes in a configuration; null in a singular posture.
   modes(base, posture) {
     if (!this.solve(base, posture)) return null;
-    const { m, r, n } = this, c = this.scratch, { follow, D } = this.about("more", base, posture);
+    const { m, r, n } = this, c = this.scratch, braked = this.braked(base, posture);
+    const { follow, D } = this.about("more", base, posture);
     return Array.from({ length: m }, (_, i) => {
       const a = Array.from(c.f.subarray(i * 2 * r, i * 2 * r + r)), b = Array.from(c.f.subarray(i * 2 * r + r, (i + 1) * 2 * r));
       const passive = c.phi.subarray(i * m, (i + 1) * m), q = m + n, shape = new Float64Array(q);
       shape.set(passive);
       for (let k = 0; k < n; k++) for (let l = 0; l < m; l++) shape[m + k] += follow[k + l * n] * passive[l];
-      let damping = 0;
-      for (let k = 0; k < q; k++) for (let l = 0; l < q; l++) damping += shape[k] * D[k + l * q] * shape[l];
+      const damped = (by) => {
+        let sum = 0;
+        for (let k = 0; k < q; k++) for (let l = 0; l < q; l++) sum += shape[k] * by[k + l * q] * shape[l];
+        return sum;
+      };
+      const damping = damped(D), served = braked === null ? damping : damped(braked);
       const omega = Math.sqrt(c.squares[i]), dot = a.reduce((s, x, k) => s + x * b[k], 0);
       const size = Math.hypot(...a) * Math.hypot(...b);
       let alone = true;
       for (let k = 0; k < m; k++) alone = alone && (k === i || !this.together(i, k));
       return {
         omega, hz: omega / (2 * Math.PI), zeta: damping / (2 * omega), w: c.w[i], a, b, dot, size, shape, alone,
+        kappa: dot < 0 ? served / -dot : Infinity,
         angle: Math.acos(Math.max(-1, Math.min(1, dot / size))),
       };
     });

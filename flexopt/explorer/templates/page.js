@@ -206,7 +206,9 @@ class Explorer extends Pictures {
   makeControls() {
     const { data } = this, box = $("sliders");
     $("subtitle").textContent = data.description;
-    $("kappa").hidden = data.loop.drive !== "torque";
+    if (data.loop.drive !== "torque") {
+      $("kappa").textContent = ", more than the damping of the mode and of the joints' servos takes out once g Kv exceeds the κ shown, g the servo gain";
+    }
     $("unit").textContent = `w and |a||b| in ${data.unit === "mixed" ? "mixed units" : data.unit.replace("kg m2", "kg m²")}; Jacobian ${data.control} control.`;
     const gain = (name) => {
       const numbers = data.loop.numbers[name], same = numbers.every((x) => x === numbers[0]);
@@ -432,11 +434,11 @@ class Explorer extends Pictures {
       const cells = Array.from(row.cells);
       row.classList.toggle("chosen", i === this.mode);
       if (!modes) { cells.slice(1).forEach((cell) => { cell.textContent = "–"; }); return; }
-      const { hz, w, size, angle, dot, zeta, omega, alone } = modes[i];
+      const { hz, w, size, angle, dot, kappa, alone } = modes[i];
       const numbers = [digits(hz), alone ? `${digits(angle * 180 / Math.PI)}°` : "one frequency with another", digits(w), digits(size)];
       numbers.forEach((text, k) => { cells[k + 2].textContent = text; });
-      const grows = dot < 0, kappa = 2 * zeta * omega / -dot;
-      const torques = this.data.loop.drive === "torque", bound = !grows || !torques ? "" : zeta > 0 ? `if Kv > κ = ${digits(kappa)}` : "at any Kv > 0";
+      const grows = dot < 0, gain = this.data.loop.drive === "torque" ? "Kv" : "g Kv";
+      const bound = !grows ? "" : kappa > 0 ? `if ${gain} > κ = ${digits(kappa)}` : "at any Kv > 0";
       cells[1].innerHTML = `<span class="word ${grows ? "grows" : "settles"}">${grows ? "▲ grows" : "▼ settles"}</span><span class="kappa">${bound}</span>`;
     });
     this.putBase.forEach((put, k) => put(this.base[k]));

@@ -283,6 +283,14 @@ class Atlas(Pictured, Result):
         return first, second
 
     @property
+    def held(self) -> list[tuple[str, float, str]]:
+        """The joints that do not vary: name, where, and "rad" or "m"."""
+        others = [
+            (name, unit) for name, unit in zip(self.joints, self.joint_units, strict=True) if name not in self.varied
+        ]
+        return [(name, float(value), unit) for (name, unit), value in zip(others, self.fixed, strict=True)]
+
+    @property
     def title(self) -> str:
         """One line about it."""
         return f"{self.machine}: robust postures under Jacobian {self.control} control"
@@ -308,8 +316,7 @@ class Atlas(Pictured, Result):
         write_netcdf(path, self.dataset)
 
     def __repr__(self) -> str:
-        held = [name for name in self.joints if name not in self.varied]
-        fixed = ", ".join(f"{name} {value:g}" for name, value in zip(held, self.fixed, strict=True))
+        fixed = ", ".join(f"{name} {value:g} {unit}" for name, value, unit in self.held)
         spans = ", ".join(
             f"{name} {low:g} to {high:g} {unit}{' (all round)' * closes}"
             for name, (low, high), unit, closes in zip(
