@@ -118,7 +118,11 @@ def _without_power(bar: Colorbar, image: AxesImage) -> str:
     if type(image.norm) is not Normalize or not largest > 0 or 1e-3 <= largest < 1e4:
         return ""
     power = math.floor(math.log10(largest))
-    bar.formatter = FuncFormatter(lambda x, _: f"{x / 10.0**power:.6g}".replace("-", "\N{MINUS SIGN}"))
+
+    def scaled(x: float, _: int | None) -> str:
+        return f"{x / 10.0**power:.6g}".replace("-", "\N{MINUS SIGN}")
+
+    bar.formatter = FuncFormatter(scaled)
     return f" ($10^{{{power}}}$)"
 
 
