@@ -461,9 +461,9 @@ def test_what_a_machine_lacks_for_a_constraint_is_told_before_a_selection(tmp_pa
     path = tmp_path / "lacking.toml"
     text = 'name = "l"\nmachine = "excavator"\n[target]\nend_point = [0.0, 1.6]\n[constraints]\ntip_over_margin = 0.2\n'
     path.write_text(text, encoding="utf-8")
-    (sentence,) = flexopt.check(path).warnings
-    assert "constraints.tip_over_margin" in sentence
-    assert "[support]" in sentence
+    (fault,) = flexopt.check(path).faults
+    assert fault.field == "constraints.tip_over_margin"
+    assert "[support]" in fault.sentence
     with pytest.raises(InputError, match="tip_over_margin"):
         flexopt.solve_problem(flexopt.load_problem(path))
 

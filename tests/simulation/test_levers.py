@@ -12,6 +12,9 @@ from flexopt.simulation import sampled_loop
 from tests.oracles.cylinders import DIGGER, digger, digger_in_space, length_in_plane
 from tests.oracles.spatial import in_space
 
+# Loops here ask cylinders for more than their speed.
+pytestmark = pytest.mark.filterwarnings("ignore:nothing in this run holds:flexopt.errors.FlexoptWarning")
+
 POSTURE = [-0.2, -1.2, -0.6]
 GAIN = 2e3
 LENGTHS = (0.5, 2.0, 1.1)
@@ -93,6 +96,11 @@ def test_bad_levers_are_named() -> None:
         flexopt.simulate(plane(), POSTURE, actuator={"levers": "each", "servo_gain": 0})
 
 
+def of_levers(run: flexopt.Trajectory) -> list[str]:
+    """Warnings but that of cylinders beyond their speed: a lever's torque does not know how fast they move."""
+    return [sentence for sentence in run.warnings if not sentence.startswith("nothing in this run holds")]
+
+
 def crawler(**more) -> dict:
     """The digger with an effort for the bucket, whose cylinder names no force."""
     data = digger()
@@ -120,7 +128,7 @@ def test_without_a_gain_full_levers_ask_for_what_the_drives_can_give(levers: str
     np.testing.assert_array_equal(run.torque, same.torque)
     # Levers are full, and the arm comes nearer to its target all the same.
     assert np.linalg.norm(run.error[-1]) < 0.9 * np.linalg.norm(run.error[0])
-    assert run.warnings == ()
+    assert of_levers(run) == []
 
 
 def test_levers_that_ask_for_next_to_nothing_say_so() -> None:
@@ -138,9 +146,8 @@ def test_levers_that_ask_for_next_to_nothing_say_so() -> None:
     unknown["links"][2].pop("effort")
     with pytest.warns(flexopt.FlexoptWarning, match="digger names no effort from which to take a gain, so give one"):
         flexopt.simulate(flexopt.machine_from_dict(unknown), POSTURE, actuator={"levers": "each"}, **options)
-    assert flexopt.simulate(
-        flexopt.machine_from_dict(unknown), POSTURE, actuator={"levers": "each", "servo_gain": 2e3}, **options
-    ).warnings == ()  # fmt: skip
+    given = {"levers": "each", "servo_gain": 2e3}
+    assert of_levers(flexopt.simulate(flexopt.machine_from_dict(unknown), POSTURE, actuator=given, **options)) == []
 
 
 def test_the_heavy_machine_moves_behind_its_levers() -> None:

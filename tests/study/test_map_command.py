@@ -42,7 +42,7 @@ def test_text_and_gravity(command):
     assert plain.code == gravity.code == 0
     assert "end" not in plain.stderr.replace("postures", "")
     assert "Jacobian inverse control over x -3.015 to 3.015 m (9 points)" in plain.stdout
-    assert "angle_1 0 to 1 rad (9 points)" in gravity.stdout
+    assert "angle_1 (angle of boom) 0 to 1 rad (9 points)" in gravity.stdout
 
 
 @pytest.mark.parametrize(
