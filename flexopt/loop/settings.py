@@ -207,7 +207,7 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
         gain = servo_gain_of_efforts(machine, stand.posture)
         cylinder = any(cylinder.force is not None for cylinder in machine.cylinders)
         counts = ", or where a cylinder with a force drives it, than that gives" if cylinder else ""
-        sources["servo_gain"] = f"{SERVING} for more than its effort{counts}{_hardly_served(machine, gain)}"
+        sources["servo_gain"] = f"{SERVING} for more than its effort{counts}{_hardly_served(machine, gain or 0.0)}"
     gains: dict[str, float] = {}
     for name in ("kp", "kv"):
         given, allowed = getattr(loop, name), getattr(loop, f"{name}_range")
@@ -269,7 +269,7 @@ def _hardly_served(machine: AnyMachine, gain: float) -> str:
         f"{joint} brakes itself by {damping:.4g} {damping_unit((unit,))} and makes "
         f"{100 * gain / (gain + damping):.2g} % of the rate asked for"
         for joint, unit, damping in joints
-        if damping > gain
+        if damping > gain > 0
     ]
     return f"; {'; '.join(told)}: give servo_gain" if told else ""
 

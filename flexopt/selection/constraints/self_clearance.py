@@ -70,8 +70,9 @@ def overlapping_pairs(machine: AnyMachine) -> tuple[tuple[int, int], ...]:
     distances = ca.Function("distances", [g.base, g.posture, g.p], [rows], ["base", "posture", "p"], ["distances"])
     low, high = sampled_ranges(machine, arm_length(plant)).T
     postures = low[:, None] + (high - low)[:, None] * low_discrepancy(plant.n_actuated, LOOKED, 0)
-    found = distances(np.zeros((plant.n_base, LOOKED)), postures, plant.parameter_values).full()
-    return tuple(pair for pair, most in zip(pairs, found.max(axis=1), strict=True) if most < 0)
+    p = np.repeat(plant.parameter_values.full(), LOOKED, axis=1)
+    found = distances.call([np.zeros((plant.n_base, LOOKED)), postures, p])[0].full()
+    return tuple(pair for pair, most in zip(pairs, found.max(axis=1).tolist(), strict=True) if most < 0)
 
 
 def _kept_apart(machine: AnyMachine) -> tuple[tuple[int, int], ...]:
