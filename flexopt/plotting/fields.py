@@ -112,18 +112,20 @@ def draw_field(axes: Axes, plane: FieldPlane, values: Values, *, label: str, cli
     _bar(axes, image, label, extend="min" if clipped and finite.size else "neither")
 
 
-def _without_power(bar: Colorbar, image: AxesImage) -> str:
-    """Scale the numbers of a bar, and what its label says of it: over the bar a power of ten meets the title."""
+def _scaled(label: str, bar: Colorbar, image: AxesImage) -> str:
+    """A bar's label with the power of ten before its unit, its numbers scaled: over the bar a power meets the title."""
     largest = max(map(abs, image.get_clim()))
     if type(image.norm) is not Normalize or not largest > 0 or 1e-3 <= largest < 1e4:
-        return ""
+        return label
     power = math.floor(math.log10(largest))
 
     def scaled(x: float, _: int | None) -> str:
         return f"{x / 10.0**power:.6g}".replace("-", "\N{MINUS SIGN}")
 
     bar.formatter = FuncFormatter(scaled)
-    return f" ($10^{{{power}}}$)"
+    name, comma, unit = label.rpartition(", ")
+    factor = f"$10^{{{power}}}$"
+    return name + comma + (factor + unit[1:] if unit.startswith("1/") else f"{factor} {unit}")
 
 
 def _bar(axes: Axes, image: AxesImage, label: str, *, extend: Literal["neither", "both", "min", "max"]) -> Colorbar:
@@ -131,7 +133,7 @@ def _bar(axes: Axes, image: AxesImage, label: str, *, extend: Literal["neither",
     figure = axes.get_figure()
     assert figure is not None
     bar = figure.colorbar(image, cax=axes.inset_axes((1.03, 0.0, 0.05, 1.0)), extend=extend)
-    bar.set_label(label + _without_power(bar, image))
+    bar.set_label(_scaled(label, bar, image))
     bar.outline.set_edgecolor(colors().line)  # pyright: ignore[reportCallIssue]
     return bar
 

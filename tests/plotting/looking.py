@@ -97,7 +97,8 @@ def without_units(figure: Figure) -> list[str]:
             if not numbers or not axis.get_visible():
                 continue
             label = axis.get_label().get_text() or _shared(figure, axes, name)
-            unit = label.rpartition(", ")[2]
+            unit = re.sub(r"^\$10\^\{-?\d+\}\$ ?", "", label.rpartition(", ")[2])
+            unit = f"1{unit}" if unit.startswith("/") else unit
             if not label or (unit not in UNITS and re.search(r"\b(m|rad|s|Hz)\b", unit) is None):
                 found.append(f"{name} axis {label!r} of {axes.get_title() or axes.get_title('left')!r}")
     return found
