@@ -15,7 +15,7 @@ from benchmarks.optimiser import built, draw_pairs, run, summary
 from flexopt.cli import main
 from flexopt.export import PARTS, export_c
 from flexopt.export.bundle import build_library
-from flexopt.export.closing import settling_start
+from flexopt.export.closing import settling_start, steady_hold
 from flexopt.export.context import build_context
 from flexopt.export.control import controller, kinematics
 from flexopt.export.project import project_files
@@ -86,6 +86,21 @@ def test_the_example_of_a_redundant_arm_damps_its_self_motion(name: str, stand_i
     assert start.gains.nullspace_damping > 0
     low, high = np.array(machine.limits).T
     assert np.all((start.posture > low) & (start.posture < high))
+
+
+@pytest.mark.parametrize("name", shipped_names("models"))
+def test_the_example_holds_the_machine_as_the_ros2_node_does(name: str) -> None:
+    """Whose loop decays, see below: one that settles alone may be at the brink of growing."""
+    at = build_context(
+        flexopt.load(name), control="inverse", gain=1.0, single=False, baked=False, singularity_margin_deg=10.0
+    )
+    start = settling_start(at, {o.name: o for o in (*kinematics(at), *controller(at), *simulator(at))})
+    hold = steady_hold(at)
+    assert start is not None
+    assert start.decays
+    assert hold.decays
+    assert start.posture.tolist() == hold.posture.tolist()
+    assert start.gains == hold.gains
 
 
 def ros2_node_of(name: str) -> str:

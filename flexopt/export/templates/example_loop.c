@@ -64,6 +64,12 @@ int main(void)
   int failures = 0, k, i, j;
 
   printf("%s: machine %s\n", {{ prefix }}_build_info()->bundle_sha256, {{ prefix }}_build_info()->machine);
+{% if start.decays %}
+  /* With these gains, at RATE_HZ, the machine's loop about rest decays in the start posture, with every other sample
+   * lost, too. Elsewhere it may not; flexopt evaluate tells. */
+{% elif of_machine %}
+  /* Gains for this move alone: about rest the machine's loop may grow with them. flexopt evaluate tells which do not. */
+{% endif %}
   controller.proportional_gain = {{ number(start.gains.kp) }};
   controller.derivative_gain = {{ number(start.gains.kv) }};
 {% if start.gains.nullspace_damping %}
