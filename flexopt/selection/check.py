@@ -92,7 +92,8 @@ def prove_program(program: Program, x: Vector) -> Proof:
     kinks = dict(zip((kink.name for kink in local.kinks), local.shares(multipliers, kept), strict=True))
     if program.goal != "weighted":
         dimension = None
-    active = (*local.names, *kinks)
+    # Several rows may be one constraint, each on a side of a kink.
+    active = tuple(dict.fromkeys((*local.names, *kinks)))
     return Proof(violations, active, off, stationarity, curvature, kinks, unsurpassed, dimension, pull)
 
 

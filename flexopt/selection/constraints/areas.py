@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
 from itertools import pairwise
 from typing import Any, cast
 
@@ -25,17 +24,24 @@ from flexopt.errors import Fault
 from flexopt.model.constraints import Area, Constraints
 from flexopt.model.polygons import Corners
 from flexopt.plant import Plant
-from flexopt.selection.constraints.convex_pieces import convex_pieces, pockets
+from flexopt.selection.constraints.convex_pieces import convex_pieces, hull, pockets
 from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
 from flexopt.selection.constraints.polygon_distance import (
+    NUMBERS,
     corners_of,
     left_of_edges,
     polygon_constants,
     polygon_distance,
 )
 
-Clear = Callable[[Scene, ca.SX], ca.SX]
+# A constraint as people see it, and as rows for a solver.
+Seen = tuple[ca.SX, list[ca.SX]]
 INSIDE = "distance inside region"
+# Rows of the best of several areas: more are no more than a placement's three coordinates can be held by, and one that
+# ties.
+OF_SEVERAL = 4
+# Up to which share of what they are computed from distances are the same, of another edge or corner.
+SAME = 1e-12
 
 
 def _faults(plant: Plant, field: str, areas: Sequence[Area] | None) -> list[Fault]:
@@ -85,21 +91,73 @@ def _own(scene: Scene) -> ca.SX:
     return ca.SX(ca.DM(polygon_constants(cast(Corners, scene.plant.machine.support_points))))
 
 
-def _gap(scene: Scene, c: ca.SX) -> ca.SX:
-    """Largest gap between the footprint and a convex piece along a normal of an edge, m; minus the depth."""
-    around = [left_of_edges(corner, c) for corner in scene.footprint]
-    within = [left_of_edges(scene.from_anchor(corner), _own(scene)) for corner in corners_of(c)]
+def _gap(footprint: list[ca.SX], own: list[ca.SX], around: ca.SX, c: ca.SX) -> ca.SX:
+    """Largest gap between the footprint and a convex piece along a normal of an edge, m; minus the depth.
+
+    Args:
+        footprint: its corners;  own: those of the piece in the anchor frame.
+        around: the footprint's constants in that frame;  c: the piece's.
+    """
+    of_piece = [left_of_edges(corner, c) for corner in footprint]
+    of_footprint = [left_of_edges(corner, around) for corner in own]
     # Of every edge the offsets of the other's corners to its left: the deepest is in the way.
-    edges: list[tuple[ca.SX, ...]] = [*zip(*around, strict=True), *zip(*within, strict=True)]
+    edges: list[tuple[ca.SX, ...]] = [*zip(*of_piece, strict=True), *zip(*of_footprint, strict=True)]
     return ca.mmax(ca.vertcat(*(-ca.mmax(ca.vertcat(*offsets)) for offsets in edges)))
+
+
+def _gaps(scene: Scene, c: ca.SX) -> list[ca.SX]:
+    """The gap as two rows, at the ends of where an edge of the footprint and one of the piece face each other.
+
+    Flush with an edge the gap is the lesser of both, and turns either way lead to another of them. An end is a corner
+    of the footprint beside the piece's edge, or one of the piece beside the footprint's. Where no edges face each other
+    so that this is the gap, both rows are that.
+    """
+    corners, own = scene.footprint, _own(scene)
+    there = corners_of(c)
+    from_anchor = [scene.from_anchor(corner) for corner in there]
+    gap = _gap(corners, from_anchor, own, c)
+    off_piece = [[-offset for offset in left_of_edges(corner, c)] for corner in corners]
+    off_own = [[-offset for offset in left_of_edges(corner, own)] for corner in from_anchor]
+    first, last, facing = gap, gap, ca.SX(0)
+    n, m = len(corners), len(there)
+    for j in range(m):
+        edge = c[j * NUMBERS : (j + 1) * NUMBERS]
+        along = [ca.dot(edge[2:4], corner - edge[:2]) for corner in corners]
+        for i in range(n):
+            # Edges of either go round counter-clockwise, so that facing ones run against each other.
+            k = (i + 1) % n
+            against = (along[i] - along[k]) / own[i * NUMBERS + 4]
+            low = ca.if_else(along[k] > 0, off_piece[k][j], off_own[j][i])
+            high = ca.if_else(along[i] < edge[4], off_piece[i][j], off_own[(j + 1) % m][i])
+            meet = ca.logic_and(ca.fmax(along[k], 0) < ca.fmin(along[i], edge[4]), against > facing)
+            size = 1 + ca.fabs(low) + ca.fabs(high)
+            meet = ca.logic_and(meet, ca.fabs(ca.fmin(low, high) - gap) <= SAME * size)
+            first, last = ca.if_else(meet, low, first), ca.if_else(meet, high, last)
+            facing = ca.if_else(meet, against, facing)
+    return [first, last]
 
 
 def _distance(scene: Scene, c: ca.SX) -> ca.SX:
     """Distance of the footprint from a convex piece, m; minus the depth where they meet."""
-    gap = _gap(scene, c)
+    own, there = _own(scene), [scene.from_anchor(corner) for corner in corners_of(c)]
+    gap = _gap(scene.footprint, there, own, c)
     apart = [-polygon_distance(corner, c) for corner in scene.footprint]
-    apart += [-polygon_distance(scene.from_anchor(corner), _own(scene)) for corner in corners_of(c)]
+    apart += [-polygon_distance(corner, own) for corner in there]
     return ca.if_else(gap > 0, ca.mmin(ca.vertcat(*apart)), gap)
+
+
+def _least(rows: Sequence[ca.SX], count: int) -> list[ca.SX]:
+    """The least so many, in order; of fewer rows the largest repeated."""
+    sorted_rows: list[ca.SX] = []
+    for row in rows:
+        moved, kept = row, list[ca.SX]()
+        for each in sorted_rows:
+            # By comparison alone, so that of equal ones each keeps its derivative.
+            less = moved < each
+            kept.append(ca.if_else(less, moved, each))
+            moved = ca.if_else(less, each, moved)
+        sorted_rows = [*kept, moved][:count]
+    return [*sorted_rows, *sorted_rows[-1:] * (count - len(sorted_rows))]
 
 
 def _pieces(numbers: ca.SX, sizes: Sequence[int]) -> list[ca.SX]:
@@ -113,38 +171,57 @@ def _region_groups(plant: Plant, constraints: Constraints) -> list[Group]:
     whole = _whole(plant, constraints)
     if plant.frames.dimension == 2:
         given = cast(tuple[tuple[float, float], ...], constraints.region)
-        areas = [[_interval(plant, area, whole=whole, inside=True)] for area in given]
-        shape = "interval"
+        areas, shape = [[_interval(plant, area, whole=whole, inside=True)] for area in given], "interval"
     else:
         polygons = cast(tuple[Corners, ...], constraints.region)
-        lacks = [pockets(polygon) if whole else [] for polygon in polygons]
-        areas = [list(map(polygon_constants, (area, *lack))) for area, lack in zip(polygons, lacks, strict=True)]
-        shape = "footprint" if whole else "point"
-    labels = [INSIDE]
-    if shape == "footprint" and len(areas) == 1:
-        labels = [f"{INSIDE} of corner ({x:g}, {y:g})" for x, y in plant.machine.support_points]
-        labels += [INSIDE] * (len(areas[0]) > 1)
+        parts = [(area, hull(area), *pockets(area)) for area in polygons]
+        areas, shape = [list(map(polygon_constants, each)) for each in parts], "footprint" if whole else "point"
+    lacks = len(areas[0]) - 2
+    labels = {"interval": [INSIDE], "point": [INSIDE] * (2 + lacks)}.get(shape)
+    if labels is None:
+        corners = [f"{INSIDE} of corner ({x:g}, {y:g})" for x, y in plant.machine.support_points]
+        labels = [corner for corner in corners for _ in range(2)] + [INSIDE] * (2 * lacks)
+    if len(areas) > 1:
+        labels = [INSIDE] * (1 if shape == "interval" else OF_SEVERAL)
     sizes = tuple(tuple(len(part) for part in area) for area in areas)
     numbers = tuple(number for area in areas for part in area for number in part)
     return [Group("region", (shape, sizes), numbers, tuple(ConstraintRow(x, "m", 0.0, math.inf) for x in labels))]
 
 
-def _region_graph(clear: Clear, scene: Scene, shape: Any, c: ca.SX) -> list[ca.SX]:
+def _inside(scene: Scene, kind: str, parts: list[ca.SX]) -> list[Seen]:
+    """Of one area the distance inside it of what is held, corner by corner, and off what it lacks of its hull."""
+    if kind == "interval":
+        inside = _in_interval(scene, parts[0])
+        return [(inside, [inside])]
+    outline, around, *lacks = parts
+    points = scene.footprint if kind == "footprint" else [scene.anchor]
+    seen: list[Seen] = [(polygon_distance(x, outline), _least(left_of_edges(x, around), 2)) for x in points]
+    if kind == "point":
+        return [(seen[0][0], [*seen[0][1], *(-polygon_distance(scene.anchor, lack) for lack in lacks)])]
+    if lacks:
+        seen.append(_off(scene, lacks))
+    return seen
+
+
+def _off(scene: Scene, pieces: list[ca.SX]) -> Seen:
+    """The footprint off all of these convex pieces."""
+    apart = ca.mmin(ca.vertcat(*(_distance(scene, piece) for piece in pieces)))
+    return apart, [row for piece in pieces for row in _gaps(scene, piece)]
+
+
+def _in_region(scene: Scene, shape: Any, c: ca.SX) -> list[Seen]:
     kind, sizes = cast(tuple[str, tuple[tuple[int, ...], ...]], shape)
-    inside: list[list[ca.SX]] = []
-    for area, numbers in zip(sizes, _pieces(c, [sum(area) for area in sizes]), strict=True):
-        outline, *lacks = _pieces(numbers, area)
-        if kind == "interval":
-            rows = [_in_interval(scene, outline)]
-        else:
-            points = scene.footprint if kind == "footprint" else [scene.anchor]
-            rows = [polygon_distance(point, outline) for point in points]
-        if lacks:
-            rows.append(ca.mmin(ca.vertcat(*(clear(scene, lack) for lack in lacks))))
-        inside.append(rows)
-    if len(inside) == 1:
-        return inside[0]
-    return [ca.mmax(ca.vertcat(*(ca.mmin(ca.vertcat(*rows)) for rows in inside)))]
+    numbers = _pieces(c, [sum(area) for area in sizes])
+    areas = [_inside(scene, kind, _pieces(own, area)) for area, own in zip(sizes, numbers, strict=True)]
+    if len(areas) == 1:
+        return areas[0]
+    deepest = ca.mmax(ca.vertcat(*(ca.mmin(ca.vertcat(*(value for value, _ in area))) for area in areas)))
+    count = 1 if kind == "interval" else OF_SEVERAL
+    best, *others = (_least([row for _, rows in area for row in rows], count) for area in areas)
+    for other in others:
+        better = other[0] > best[0]
+        best = [ca.if_else(better, one, each) for one, each in zip(other, best, strict=True)]
+    return [(deepest, best)]
 
 
 def _keep_out_groups(plant: Plant, constraints: Constraints) -> list[Group]:
@@ -152,32 +229,41 @@ def _keep_out_groups(plant: Plant, constraints: Constraints) -> list[Group]:
     for index, area in enumerate(constraints.keep_out or ()):
         if plant.frames.dimension == 2:
             interval = _interval(plant, cast(tuple[float, float], area), whole=whole, inside=False)
-            shape, parts = "interval", [interval]
+            shape, parts, count = "interval", [interval], 1
         else:
-            corners = cast(Corners, area)
-            shape, parts = ("footprint", convex_pieces(corners)) if whole else ("point", [corners])
-            parts = list(map(polygon_constants, parts))
+            pieces = convex_pieces(cast(Corners, area))
+            shape, count = ("footprint", 2 * len(pieces)) if whole else ("point", len(pieces))
+            parts = [polygon_constants(part) for part in (*([] if whole else [cast(Corners, area)]), *pieces)]
         row = ConstraintRow(f"distance from keep_out[{index}]", "m", 0.0, math.inf)
         numbers = tuple(number for part in parts for number in part)
-        groups.append(Group("keep_out", (shape, tuple(map(len, parts))), numbers, (row,)))
+        groups.append(Group("keep_out", (shape, tuple(map(len, parts))), numbers, (row,) * count))
     return groups
 
 
-def _keep_out_graph(clear: Clear, scene: Scene, shape: Any, c: ca.SX) -> list[ca.SX]:
+def _kept_out(scene: Scene, shape: Any, c: ca.SX) -> list[Seen]:
     kind, sizes = cast(tuple[str, tuple[int, ...]], shape)
     if kind == "interval":
-        return [-_in_interval(scene, c)]
-    if kind == "point":
-        return [-polygon_distance(scene.anchor, c)]
-    return [ca.mmin(ca.vertcat(*(clear(scene, piece) for piece in _pieces(c, sizes))))]
+        outside = -_in_interval(scene, c)
+        return [(outside, [outside])]
+    if kind == "footprint":
+        return [_off(scene, _pieces(c, sizes))]
+    outline, *pieces = _pieces(c, sizes)
+    return [(-polygon_distance(scene.anchor, outline), [-polygon_distance(scene.anchor, piece) for piece in pieces])]
 
 
-REGION = ConstraintKind(
-    _region_groups, partial(_region_graph, _gap), _region_faults, report=partial(_region_graph, _distance)
-)
-KEEP_OUT = ConstraintKind(
-    _keep_out_groups,
-    partial(_keep_out_graph, _gap),
-    lambda plant, given: _faults(plant, "keep_out", given.keep_out),
-    report=partial(_keep_out_graph, _distance),
-)
+def _kind(
+    groups: Callable[[Plant, Constraints], list[Group]],
+    seen: Callable[[Scene, Any, ca.SX], list[Seen]],
+    faults: Callable[[Plant, Constraints], list[Fault]],
+) -> ConstraintKind:
+    def solved(scene: Scene, shape: Any, c: ca.SX) -> list[ca.SX]:
+        return [row for _, rows in seen(scene, shape, c) for row in rows]
+
+    def reported(scene: Scene, shape: Any, c: ca.SX) -> list[ca.SX]:
+        return [value for value, rows in seen(scene, shape, c) for _ in rows]
+
+    return ConstraintKind(groups, solved, faults, report=reported)
+
+
+REGION = _kind(_region_groups, _in_region, _region_faults)
+KEEP_OUT = _kind(_keep_out_groups, _kept_out, lambda plant, given: _faults(plant, "keep_out", given.keep_out))

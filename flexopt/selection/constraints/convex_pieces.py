@@ -34,6 +34,12 @@ def pockets(corners: Sequence[Corner]) -> list[Corners]:
     return found
 
 
+def hull(corners: Sequence[Corner]) -> Corners:
+    """The polygon's convex hull."""
+    ring = _without_straight(corners)
+    return tuple(ring[k % len(ring)] for k in _on_hull(ring))
+
+
 def _without_straight(corners: Sequence[Corner]) -> list[Corner]:
     """The same polygon without corners in the middle of straight edges."""
     n = len(corners)

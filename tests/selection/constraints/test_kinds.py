@@ -207,11 +207,14 @@ def test_areas_in_space():
     one, other, out = (shapely.Polygon(corners) for corners in (first, second, hole))
     for _ in range(200):
         base = [*rng.uniform([-1, -1], [9, 4]), rng.uniform(-3, 3)]
-        rows, g, _ = of(plant, {"region": [first, second], "keep_out": [hole]}, base, np.zeros(3))
+        rows, g, reported = of(plant, {"region": [first, second], "keep_out": [hole]}, base, np.zeros(3))
         at = shapely.Point(base[:2])
-        assert g[0] == pytest.approx(max(signed(one, at), signed(other, at)), abs=1e-12)
-        assert g[1] == pytest.approx(-signed(out, at), abs=1e-12)
-    assert rows.labels == ("distance inside region", "distance from keep_out[0]")
+        expected = [max(signed(one, at), signed(other, at)), -signed(out, at)]
+        for name, value in zip(dict.fromkeys(rows.labels), expected, strict=True):
+            of_name = np.array(rows.labels) == name
+            assert reported[of_name] == pytest.approx(value, abs=1e-12)
+            assert (g[of_name].min() >= 0) == (value >= 0)
+    assert set(rows.labels) == {"distance inside region", "distance from keep_out[0]"}
     assert (rows.lower == 0).all()
 
 
@@ -264,9 +267,50 @@ def test_a_footprint_in_one_of_several_areas():
     two = [[[0, 0], [3, 0], [3, 3], [0, 3]], [[3.1, 0], [9, 0], [9, 3], [3.1, 3]]]
     for base, expected in [((1.5, 1.5, 0.0), 0.5), ((3.05, 1.5, 0.0), -1.05), ((6.0, 1.0, math.pi / 2), 0.0)]:
         rows, g, reported = of(plant, {"region": two}, base, np.zeros(3))
-        assert rows.labels == ("distance inside region",)
+        assert set(rows.labels) == {"distance inside region"}
         assert reported[0] == pytest.approx(expected, abs=1e-12)
         assert g[0] == pytest.approx(expected, abs=1e-12)
+
+
+def turned(corners, angle, away):
+    c, s = math.cos(angle), math.sin(angle)
+    return (np.array(corners) @ np.array([[c, s], [-s, c]]) + away).tolist()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_rows_tell_both_sides_of_a_kink(seed):
+    """Flush with an edge, in or off an area, and in a corner: one-sided slopes of Shapely's distances."""
+    rng = np.random.default_rng(seed)
+    support, area = [[-1, -0.5], [1, -0.5], [1, 0.5], [-1, 0.5]], [[0, 0], [5, 0], [6, 2], [5, 4], [0, 4]]
+    angle, away = rng.uniform(-3, 3), rng.uniform(-2, 2, 2)
+    area, slid, apart = turned(area, angle, away), rng.uniform(-0.4, 4.4), rng.uniform(0.01, 0.3)
+    plant = build_plant(tree_from_dict(grounded(3, 0, coupled=False) | {"support": {"polygon": support}}))
+    polygon = shapely.Polygon(area)
+    for table, place in (
+        # Its rear towards the area's left edge; the ends of where they face each other belong to either.
+        ({"keep_out": [area]}, (-apart - 1, slid, 0.0)),
+        ({"keep_out": [area]}, (slid, -apart - 0.5, math.pi)),
+        ({"region": [area]}, (1 + apart, 0.5 + apart, 0.0)),
+        ({"region": [area]}, (3.0, 0.5 + apart, math.pi)),
+        ({"region": [area], "holds": "point"}, (apart, apart, 0.0)),
+    ):
+        base = np.array([*(turned([place[:2]], angle, away)[0]), place[2] + angle])
+        rows = build_constraints(plant, read_constraints(table))
+        x = ca.SX.sym("x", 3)
+        g = rows.function(x, np.zeros(3), plant.parameter_values, rows.constants)
+        value, slopes = (part.full() for part in ca.Function("g", [x], [g, ca.jacobian(g, x)]).call([ca.DM(base)]))
+        least = value.min()
+        assert least == pytest.approx(apart, abs=1e-12)
+        active = slopes[value.ravel() <= least + 1e-9]
+
+        def exact(at, table=table):
+            held = shapely.Point(at[:2]) if "holds" in table else placed(support, at)
+            return polygon.distance(held) if "keep_out" in table else polygon.exterior.distance(held)
+
+        for way in rng.normal(size=(20, 3)):
+            # Second derivatives are at most some 1 / apart.
+            step = 1e-6
+            assert (exact(base + step * way) - least) / step == pytest.approx((active @ way).min(), abs=1e-3)
 
 
 def test_the_word_for_a_point():
@@ -278,11 +322,12 @@ def test_the_word_for_a_point():
     bare = build_plant(tree_from_dict(data))
     for machine, more in ((plant, {"holds": "point"}), (bare, {}), (bare, {"holds": "point"})):
         rows, g, _ = of(machine, table | more, (1.0, 2.0, 0.3), np.zeros(3))
-        assert rows.labels == ("distance inside region", "distance from keep_out[0]")
-        assert g == pytest.approx([1.0, -1.0], abs=1e-15)
+        # Of a region the two nearest edges.
+        assert rows.labels == ("distance inside region",) * 2 + ("distance from keep_out[0]",)
+        assert g == pytest.approx([1.0, 2.0, -1.0], abs=1e-15)
     rows, g, _ = of(plant, table, (1.0, 2.0, 0.0), np.zeros(3))
     assert rows.labels[0] == "distance inside region of corner (-1, -0.5)"
-    assert g == pytest.approx([0.0, 1.5, 1.5, 0.0, -2.0], abs=1e-15)
+    assert g == pytest.approx([0.0, 1.5, 1.5, 2.0, 1.5, 2.0, 0.0, 1.5, -2.0, -2.0], abs=1e-15)
     with pytest.raises(InputError, match=r"holds = 'footprint': needs what the undercarriage stands on"):
         build_constraints(bare, read_constraints(table | {"holds": "footprint"}))
     with pytest.raises(ModelError, match="holds = 'feet'"):
