@@ -32,11 +32,13 @@ WITHOUT = "Meshes and shapes of the robot file are drawn where flexopt's extra m
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
 # A simplified mesh may have so many times its share of the triangles. Meshes in pieces resist: corners that are so near
 # to each other, as shares of the mesh's size, are then made one first.
-MISSED, GRIDS = 1.5, (0.0, 1e-3, 3e-3, 1e-2)
+MISSED, GRIDS = 1.5, (0.0, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 STEPS = 2**16 - 1
 _READING: Mapping[str, Mapping[str, Any]] = {".obj": {"skip_materials": True}}
 
 Faces = NDArray[np.int64]
+# Corners (n, 3), m, and numbers of those of each triangle (k, 3).
+Part = tuple[Vector, Faces]
 
 
 class _Unreadable(Exception):
@@ -109,9 +111,9 @@ def body_meshes(visuals: Iterable[Visual], most: int = TRIANGLES) -> Meshes:
     except ImportError:
         files = {visual.file for visual in visuals if visual.shape == "mesh"}
         return Meshes(left_out=(f"{_meshes(len(files))}: {NEEDED}",) if files else (), note=WITHOUT)
-    known: dict[tuple[str, str], tuple[Vector, Faces] | str] = {}
-    parts: dict[str | None, list[tuple[Vector, Faces]]] = {}
-    read = 0
+    known: dict[tuple[str, str], Part | str] = {}
+    placed: list[tuple[Visual, tuple[str, str]]] = []
+    counts: list[int] = []
     for visual in visuals:
         key = visual.shape, visual.file
         if visual.why:
@@ -124,28 +126,30 @@ def body_meshes(visuals: Iterable[Visual], most: int = TRIANGLES) -> Meshes:
                 known[key] = f"{visual.file} ({error})"
         found = known[key]
         if not isinstance(found, str):
-            corners, triangles = found
-            read += len(triangles)
-            if read > READ_MAX:
+            counts.append(len(found[1]))
+            if sum(counts) > READ_MAX:
                 known[key] = f"{visual.file or visual.shape} and what follows (more than {READ_MAX} triangles)"
+                counts.pop()
                 break
-            placed = corners @ np.array(visual.matrix).T + np.array(visual.position)
-            parts.setdefault(visual.body, []).append((placed, triangles))
+            placed.append((visual, key))
+    allowed, parts = _allowed(counts, most), dict[str | None, list[Part]]()
+    for visual, key in placed:
+        found = known[key]
+        if not isinstance(found, str) and len(found[1]) > allowed:
+            try:
+                found = known[key] = _simplified(found, allowed)
+            except _Unreadable as error:
+                found = known[key] = f"{visual.file} ({error})"
+        if not isinstance(found, str):
+            corners = found[0] @ np.array(visual.matrix).T + np.array(visual.position)
+            parts.setdefault(visual.body, []).append((corners, found[1]))
     left_out = [found for found in known.values() if isinstance(found, str)]
-    joined = [_joined(body, of_body) for body, of_body in parts.items()]
-    counts = [len(mesh.triangles) for mesh in joined]
-    allowed = _allowed(counts, most)
-    drawn: list[BodyMesh] = []
-    for mesh in joined:
-        try:
-            drawn.append(_simplified(mesh, allowed) if len(mesh.triangles) > allowed else mesh)
-        except _Unreadable as error:
-            left_out.append(f"the meshes of {mesh.body or 'what stands on the ground'} ({error})")
+    drawn = [_joined(body, of_body) for body, of_body in parts.items()]
     return Meshes(tuple(drawn), sum(counts), tuple(left_out))
 
 
 def _allowed(counts: Sequence[int], most: int) -> int:
-    """Triangles that each body may have, so that those of all are not more: bodies of few leave theirs to others."""
+    """Triangles that each mesh may have, so that those of all are not more: meshes of few leave theirs to others."""
     left = most
     for k, count in enumerate(sorted(counts)):
         if count * (len(counts) - k) > left:
@@ -198,27 +202,27 @@ def _first_line(error: Exception) -> str:
     return text.splitlines()[0][:120]
 
 
-def _joined(body: str | None, parts: Sequence[tuple[Vector, Faces]]) -> BodyMesh:
+def _joined(body: str | None, parts: Sequence[Part]) -> BodyMesh:
     starts = np.cumsum([0, *(len(corners) for corners, _ in parts)])
     corners = np.concatenate([corners for corners, _ in parts])
     triangles = [start + triangles for start, (_, triangles) in zip(starts, parts, strict=False)]
     return BodyMesh(body, corners, np.concatenate(triangles))
 
 
-def _simplified(mesh: BodyMesh, wanted: int) -> BodyMesh:
+def _simplified(mesh: Part, wanted: int) -> Part:
     """With so many triangles."""
     try:
         simplify: Any = import_module("fast_simplification").simplify
     except ImportError:
-        sentence = f'{len(mesh.triangles)} triangles; fewer by fast-simplification: pip install "flexopt[meshes]"'
+        sentence = f'{len(mesh[1])} triangles; fewer by fast-simplification: pip install "flexopt[meshes]"'
         raise _Unreadable(sentence) from None
     for share in GRIDS:
-        corners, triangles = _on_grid(mesh.corners, mesh.triangles, share)
+        corners, triangles = _on_grid(*mesh, share)
         if len(triangles) > wanted:
             corners, triangles = simplify(corners, triangles.astype(np.int32), target_count=wanted)
         if 0 < len(triangles) <= MISSED * wanted:
-            return BodyMesh(mesh.body, np.asarray(corners, dtype=np.float64), np.asarray(triangles, dtype=np.int64))
-    raise _Unreadable(f"{len(mesh.triangles)} triangles, which cannot be simplified to {wanted}")
+            return np.asarray(corners, dtype=np.float64), np.asarray(triangles, dtype=np.int64)
+    raise _Unreadable(f"{len(mesh[1])} triangles, which cannot be simplified to {wanted}")
 
 
 def _on_grid(corners: Vector, triangles: Faces, share: float) -> tuple[Vector, Faces]:

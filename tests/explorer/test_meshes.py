@@ -224,6 +224,25 @@ def test_meshes_in_pieces_are_simplified_or_refused(tmp_path: Path) -> None:
     assert found.bodies or "cannot be simplified to 100" in found.left_out[0]
 
 
+def test_meshes_of_one_body_have_a_share_each(tmp_path: Path) -> None:
+    """As of a robot whose trunk, screen and other arm are held fast: no one takes what the others need."""
+    visuals: list[Visual] = []
+    for k, subdivisions in enumerate((1, 4, 5, 6)):
+        file = tmp_path / f"ball{k}.stl"
+        trimesh.creation.icosphere(subdivisions).export(file)
+        visuals.append(Visual(body="b", file=str(file), position=(3.0 * k, 0.0, 0.0)))
+    found = body_meshes(visuals, most=2000)
+    assert not found.left_out
+    corners, triangles = found.bodies[0].corners, found.bodies[0].triangles
+    of_ball = np.round(corners[triangles[:, 0], 0] / 3).astype(int)
+    counts = np.bincount(of_ball)
+    assert counts[0] == 80
+    assert counts.sum() <= meshes.MISSED * 2000
+    assert counts[1:].min() >= 0.9 * counts[1:].max()
+    middles = np.stack([3.0 * np.arange(4), np.zeros(4), np.zeros(4)], axis=1)
+    assert np.allclose(np.linalg.norm(corners[triangles[:, 0]] - middles[of_ball], axis=1), 1, atol=0.03)
+
+
 @given(st.lists(st.integers(1, 10**6), min_size=1, max_size=30), st.integers(100, 10**5))
 def test_small_bodies_leave_their_triangles_to_large_ones(counts: list[int], most: int) -> None:
     """No more than may be all together, as many as may be, and no body cut below one that is kept whole."""
