@@ -6,6 +6,7 @@ import json
 import re
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
@@ -29,6 +30,8 @@ BAD_INPUT, FAILED, ABORTED = 2, 3, 130
 FILE_NAME_MAX = 255
 # Of the clock, s.
 TICK = 1.0
+# How often a log hears of progress, s.
+SELDOM = 30.0
 # What brakes a redundant arm's self-motion: a key of loops and of runs.
 BRAKE = "nullspace_damping"
 # Keys of tables that sentences advise, and what stands for their value.
@@ -218,17 +221,35 @@ def read(load: Callable[[str], T], name: str) -> T:
         return load(name)
 
 
+class _Lines:
+    """How far something is, for a log: no more often than every `SELDOM` s, and at the end."""
+
+    def __init__(self, what: str) -> None:
+        self.what, self.at, self.said, self.last = what, "", "", time.monotonic()
+
+    def show(self, done: int, total: int) -> None:
+        """Note it, and say it where nothing was said for long."""
+        self.at = f"{self.what} {done}/{total}"
+        if time.monotonic() - self.last >= SELDOM:
+            self.end()
+
+    def end(self) -> None:
+        """Say what was not said yet."""
+        if self.at != self.said:
+            click.echo(self.at, err=True)
+        self.said, self.last = self.at, time.monotonic()
+
+
 @contextmanager
 def progress_bar(what: str = "starts") -> Generator[Callable[[int, int], None]]:
-    """A bar on standard error where that is a terminal, else one line at the end; nothing with --quiet."""
+    """A bar on standard error where that is a terminal, else a line now and then and at the end; none with --quiet."""
     if VOICE.quiet:
         yield lambda _done, _total: None
         return
     if not sys.stderr.isatty():
-        told = list[str]()
-        yield lambda done, total: told.__setitem__(slice(None), [f"{what} {done}/{total}"])
-        for line in told:
-            click.echo(line, err=True)
+        lines = _Lines(what)
+        yield lines.show
+        lines.end()
         return
     VOICE.telling = True
     try:
@@ -243,9 +264,9 @@ def progress_bar(what: str = "starts") -> Generator[Callable[[int, int], None]]:
         VOICE.telling = False
 
 
-def announce(stage: str) -> None:
-    """Say on standard error what comes now, where no bar shows it; nothing with --quiet."""
-    if not (VOICE.quiet or sys.stderr.isatty()):
+def announce(stage: str, *, always: bool = False) -> None:
+    """Say on standard error what comes now, where no bar shows it, or `always`; nothing with --quiet."""
+    if not VOICE.quiet and (always or not sys.stderr.isatty()):
         say(stage, err=True)
 
 

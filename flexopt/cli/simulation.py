@@ -74,7 +74,7 @@ TEXTS = {
     "seed": ("N", "Seed of the measurement noise."),
 }
 # Of a machine without a [loop], and of one whose [loop] other options displace.
-UNSAID = "no gains are given, so the article's are taken; --loop default takes what suits the machine"
+UNSAID = "no gains are given, so those of the reproduced article are taken; --loop default takes what suits the machine"
 BESIDE = (
     "options of the loop stand in place of the file's whole [loop], rate, dead time and filter included{gains}; "
     "--loop KEY=VALUE replaces one of its keys"
@@ -177,7 +177,7 @@ def tell_gains(machine: AnyMachine, real: Any, asked: Mapping[str, Any], sampled
     gained = bool({"kp", "kv", "feedback"} & asked.keys())
     if taken or VOICE.quiet or (gained and machine.loop is None):
         return
-    beside = BESIDE.format(gains="" if gained else ", and the gains are the article's")
+    beside = BESIDE.format(gains="" if gained else ", and the gains are those of the reproduced article")
     say(f"flexopt: {UNSAID if machine.loop is None else beside}", err=True)
 
 

@@ -17,6 +17,7 @@ from flexopt.cli.common import (
     JSON,
     PDF,
     WEIGHTS,
+    announce,
     check_folder,
     check_output,
     check_pdf,
@@ -201,8 +202,10 @@ def report_command(as_json: bool, problem: str, out: str | None, pdf: str | None
             loop=real_loop(own, options["loop"]), ranges=table("--ranges", options["ranges"]),
             **given(options, "members", "runs"),
         )  # fmt: skip
+    announce("the pictures are drawn", always=True)
     write_output("--out", folder, lambda: result.write(folder))
     if pdf is not None:
+        announce("the page is printed", always=True)
         write_output("--pdf", pdf, lambda: result.to_pdf(pdf))
     if as_json:
         print_json(result.to_dict())

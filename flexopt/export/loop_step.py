@@ -42,12 +42,6 @@ class _Law:
         return self.loop.nullspace_damping > 0 and plant.n_actuated > plant.n_task
 
     @property
-    def drifts(self) -> bool:
-        """Whether the arm has a self-motion that nothing brakes: drives that follow rates hold it."""
-        plant = self.at.plant
-        return plant.n_actuated > plant.n_task and not self.damped and not self.served
-
-    @property
     def keeps(self) -> bool:
         """Whether it has states, which go out and come in again."""
         return self.integral or self.loop.filter_hz is not None
@@ -166,7 +160,7 @@ def _about(loop: LoopSettings, law: _Law) -> str:
         ": what is called next_ is handed in at the next call." if law.keeps else ", and needs none of the last call."
     )
     text += "" if law.served else WEIGHT
-    if law.drifts:
+    if loop.lets_drift:
         text += (
             " The arm has more joints than task rows, and nothing here brakes its self-motion, which may drift: "
             "nullspace_damping of [loop] does."

@@ -151,6 +151,10 @@ class Outcome(Result):
             -self.decay, self.decay_rounding, self.frequency_hz, self.settings.rate, self.settings.nullspace_damping
         )
         lines.append(f"  sampled loop: {self._word}, {self.frequency_hz:.4g} Hz{why}")
+        if self.settings.lets_drift:
+            lines.append(
+                "  the arm's self-motion, no part of the decay, is not damped; loop.nullspace_damping brakes it"
+            )
         lines += [f"  the arm's self-motion drifts, decay {-rate:+.3g}/s" for rate in self.drift if rate > 0]
         stable = ", ".join(self._stable) or "nowhere"
         most = f"above {self.settings.highest_kp:.4g}" if math.isinf(self.allowed_gain) else _told(self.allowed_gain)

@@ -67,6 +67,12 @@ class LoopSettings(Result):
     joint_units: tuple[str, ...]
     sources: Mapping[str, str]
 
+    @property
+    def lets_drift(self) -> bool:
+        """Whether the arm has a self-motion that nothing brakes: drives that follow rates hold it."""
+        redundant = len(self.joint_units) > self.kp.size
+        return redundant and not self.nullspace_damping and self.drive != "velocity"
+
     DOCUMENT = """
     control feedback drive kp kv ki rate[Hz] dead_time[s] filter_hz[Hz] bandwidth_hz[Hz] servo_gain nullspace_damping
     torque_limit rate_limit joint_units gain_units force_units sources

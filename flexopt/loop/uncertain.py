@@ -29,6 +29,8 @@ from flexopt.plant import build_plant
 
 # Corners are members up to that many intervals; searches start at so many of the slowest, and take so many steps.
 CORNERED, SEARCHES, STEPS = 6, 2, 12
+# From corner to corner towards the worst of a measure.
+WALK = 5
 # Parameters that a message names.
 NAMED = 4
 
@@ -208,6 +210,38 @@ class UncertainLoop:
             if found.fun < best[0]:
                 best = float(found.fun), np.clip(found.x, 0.0, 1.0)
         return best
+
+    def farther(
+        self, measure: str, members: Sequence[Vector | None], values: Sequence[float], sense: float
+    ) -> list[float]:
+        """What a measure of `LoopPoint` comes to at the corners to which its exact gradient points.
+
+        From the worst of its values on, as long as it becomes worse; NaN, where it is none, is the last.
+
+        Args:
+            measure: by name;  values: of these members, None being the nominal one.
+            sense: 1 where the least is the worst, −1 where the greatest is.
+        """
+        found = list[float]()
+        if any(map(math.isnan, values)):
+            return found
+        first = min(range(len(values)), key=lambda k: sense * values[k])
+        u, worst = members[first], values[first]
+        u = np.full(len(self.box.uncertainty), 0.5) if u is None else u
+        at = self.outcome(u)
+        for _ in range(WALK):
+            measured = getattr(at, measure)()
+            by = at.gradient(measured)
+            slopes = sense * np.nan_to_num(self.box.slopes(u, by["p"], float(by[DEAD_TIME][0])))
+            corner = np.where(slopes > 0, 0.0, np.where(slopes < 0, 1.0, u))
+            if np.array_equal(corner, u):
+                break
+            u, at = corner, self.outcome(corner)
+            found.append(getattr(at, measure)().value)
+            if not sense * found[-1] < sense * worst:
+                break
+            worst = found[-1]
+        return found
 
 
 def matters_most(box: UncertaintyBox, members: Vector, values: Sequence[float]) -> tuple[str, float]:

@@ -20,6 +20,8 @@ from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
 REACH_MAX = 100.0  # m: the longest booms are about as long
 FAR = 10.0  # a centre of mass so many lengths away
 LONGER = 100.0  # a length so many times the others' median
+# A share of the reach: of a wrist, whose joints' axes meet, no length tells the size.
+SMALL = 0.1
 WIDE = 4.0  # radius of gyration over what is known of a body's size
 MASS_PER_AREA = (0.7, 2e4)  # kg/m²: total mass over the square of the reach
 SAG = 0.1  # of the reach, under the machine's own weight
@@ -203,7 +205,7 @@ def _inertia(part: BodyNumbers, reach: float, planar: bool) -> Iterator[Implausi
         words = f"the radius of gyration, {radius:.2g} m, is {radius / max(part.length, part.com):.1%} of the length"
         meant = f"the inertia is probably in t m²: {1000 * part.inertia:g} kg m²"
         yield ImplausibleNumber(f"{part.where}.inertia", given, words, meant)
-    elif radius > WIDE * size > 0:
+    elif radius > max(WIDE * size, SMALL * reach) > 0:
         words = f"the radius of gyration, {radius:.3g} m, is {radius / size:.0f} times the size of the body"
         yield ImplausibleNumber(f"{part.where}.inertia", given, words, _unit_of_inertia(part, radius, size))
 

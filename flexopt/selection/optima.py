@@ -55,6 +55,9 @@ BELOW = 1e-4
 # How many of the ends that could not be verified and are better than every optimum are taken up again.
 TAKEN_UP = 2
 
+# What to do where there are feasible points, none of which can be proved the best about.
+ADVICE = "more starts, or another objective, such as one w_i alone, may lead to an optimum that can be verified"
+
 # IPOPT's word for a point from which only rounding is left to be stepped.
 NO_STEP = "Search_Direction_Becomes_Too_Small"
 
@@ -209,7 +212,7 @@ def _below(problem: SelectionProblem, best: float, point: Vector, starts: int) -
     short = value_at(problem, point) - best
     return NoSolutionFound(
         f"the best optimum of {problem.objective.name} from {starts} starts, {best:.6g}, is below {best + short:.6g} "
-        f"of a configuration that was seen ({where}) and leads to no verified optimum",
+        f"of a configuration that was seen ({where}) and leads to no verified optimum; {ADVICE}",
         violations={"below what was seen": short},
         iterate=iterate,
     )
@@ -463,8 +466,9 @@ def _no_solution(
     sizes = "; ".join(f"{name} by {size:.3g} {units.get(name, '')}".rstrip() for name, size in proof.violations.items())
     iterate = _named(problem, z)
     where = ", ".join(f"{name} = {value:.6g}" for name, value in iterate.items())
+    advice = "" if infeasible(single(problem), z) else f"; {ADVICE}"
     return NoSolutionFound(
-        f"{heading}; the best iterate ({where}) violates {sizes}{in_the_way(problem.assumed)}",
+        f"{heading}; the best iterate ({where}) violates {sizes}{in_the_way(problem.assumed)}{advice}",
         violations=proof.violations,
         iterate=iterate,
     )

@@ -7,7 +7,8 @@ each place what the loop does over the uncertainty, nonlinear runs, the drive th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Unpack, cast
 
 import numpy as np
@@ -53,7 +54,7 @@ from flexopt.study.verdict_result import Band, PlaceVerdict, Verdict
 MEMBERS, RUNS = 64, 16
 # How many points and runs a verdict may take.
 SIZES = {"members": whole(2, 100_000), "runs": whole(0, 100_000)}
-# Members at whose corners gains, margins and moves are looked at: up to 2³ of them.
+# Intervals at whose corners gains, margins and moves are looked at, 2³ at most; gradients lead to others.
 CORNERED = 3
 # Choosing places, decays there, runs, and gains.
 STAGES = 4
@@ -287,9 +288,15 @@ def _place(
     own, stay = decays[name], decays.get(STAY)
     nominal = min(each[0].decay().value for each in outcomes)
 
-    def band(measure: str, worst: Callable[..., Vector], factor: float = 1.0) -> Band:
-        values = factor * np.array([[getattr(outcome, measure)().value for outcome in each] for each in outcomes])
-        return _band(worst(values, axis=0))
+    def band(measure: str, *, least: bool = False, factor: float = 1.0) -> Band:
+        values = np.array([[getattr(outcome, measure)().value for outcome in each] for each in outcomes])
+        sense, worst = (1.0, np.min) if least else (-1.0, np.max)
+        # Not every corner is among the few.
+        rows = zip(place.loops, values.tolist(), strict=True)
+        more = [value for loop, own in rows for value in loop.farther(measure, few, own, sense)]
+        found = _band(factor * worst(values, axis=0))
+        end = float(worst([found.least if least else found.greatest, *(factor * value for value in more)]))
+        return replace(found, least=end) if least else replace(found, greatest=end)
 
     return PlaceVerdict(
         name=name,
@@ -304,10 +311,10 @@ def _place(
         slowest_hz=outcomes[slowest.target][-1].loop.frequency_hz,
         slowest_target=slowest.target,
         better=math.nan if stay is None else float(np.mean(faster(own, stay))),
-        allowed_gain=band("allowed_gain", np.min),
-        delay_margin=band("delay_margin", np.min),
-        settling=band("settling", np.max),
-        swing=band("swing", np.max, MOVE),
+        allowed_gain=band("allowed_gain", least=True),
+        delay_margin=band("delay_margin", least=True),
+        settling=band("settling"),
+        swing=band("swing", factor=MOVE),
         swing_unit=swing_unit(outcomes[0][0]),
         runs=runs,
     )

@@ -140,7 +140,8 @@ def _stand(verdict: Verdict) -> list[tuple[str, BoxNumber, str]]:
             placed = i < place.base.shape[-1]
             # A placement for all targets is said once.
             if not (placed and same and k):
-                found.append((f"{name}, {at}" if at and not (placed and same) else name, BoxNumber(number(x), x), unit))
+                told = f"{name}, {at}" if at and not (placed and same) else name
+                found.append((told, BoxNumber(coordinate(x), x), unit))
     return found
 
 

@@ -340,12 +340,8 @@ class Verdict(Pictured, Result):
 
     @property
     def drifts(self) -> str:
-        """That the controller does not brake the arm's self-motion, a sentence; empty where it does, or there is none.
-
-        Drives that follow rates hold it.
-        """
-        machine, loop = self.problems[0].machine, self.settings
-        if len(machine.joints) <= len(machine.task_rows) or loop.nullspace_damping or loop.drive == "velocity":
+        """That nothing brakes the arm's self-motion, a sentence; empty where something does, or there is none."""
+        if not self.settings.lets_drift:
             return ""
         where = "in the linear loop"
         if any(place.runs for place in self.places):

@@ -68,7 +68,7 @@ def test_text_and_files(command: Command) -> None:
 
 
 def test_gains_that_nobody_gave_are_told_of(command: Command) -> None:
-    said = "no gains are given, so the article's are taken"
+    said = "no gains are given, so those of the reproduced article are taken"
     assert said in command(*POSTURE, "--duration", "1").stderr
     for given in (("--kp", "1e5"), ("--loop", "default")):
         assert said not in command(*POSTURE, *given, "--duration", "1").stderr
@@ -83,7 +83,7 @@ def test_the_loop_of_a_machine_file_is_run(command: Command) -> None:
     assert "Kp 1e+04 N m, Kv 1000 N m s" in run.stdout
     assert run.stderr == ""
     beside = "in place of the file's whole [loop], rate, dead time and filter included"
-    assert f"{beside}, and the gains are the article's" in command(*asked, "--rate", "100").stderr
+    assert f"{beside}, and the gains are those of the reproduced article" in command(*asked, "--rate", "100").stderr
     assert f"{beside}; --loop KEY=VALUE replaces" in command(*asked, "--kp", "2e4").stderr
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -332,3 +333,30 @@ def test_along_a_path_the_way_is_beside_standing_still() -> None:
     begun = flexopt.plan_base(machine, TARGETS, starts=1, start=plan.base[0], workers=1, duration=20.0)
     names = [place.name for place in flexopt.verdict(begun, **FEW | {"runs": 0}).places]
     assert names == ["stay", "candidate 1"]
+
+
+@pytest.mark.long
+def test_the_worst_of_margins_is_met_at_whatever_corner_it_is() -> None:
+    """Of four intervals: the last, dead time, is the one that matters most, and three have their corners looked at."""
+    machine = flexopt.load("excavator")
+    factors, values = {"stiffness": (0.6, 1.6), "damping": (0.5, 2.0)}, {"payload.mass": (0.0, 300.0)}
+    late, loop = (0.0, 0.03), {"drive": "torque", "kp": 2e3, "kv": 500.0}
+    ranges = [flexopt.Uncertainty(of=[name], factor=factor) for name, factor in factors.items()]
+    ranges += [flexopt.Uncertainty(of=[name], value=value) for name, value in values.items()]
+    ranges.append(flexopt.Uncertainty(of=["dead_time"], value=late))
+    few: dict[str, Any] = {"starts": 4, "members": 16, "runs": 0}
+    found = flexopt.verdict(machine, (0.0, 1.6), base=0.0, posture=[0.9929, -2.6306], loop=loop, ranges=ranges, **few)
+    best = max(found.places, key=lambda place: place.decay.least)
+    assert best.decay.least > 0
+    outcomes: list[flexopt.Outcome] = []
+    for stiffness, damping, mass, dead_time in product(*factors.values(), *values.values(), late):
+        data = machine.to_dict()
+        for name, factor in (("stiffness", stiffness), ("damping", damping)):
+            data["base"][name] = {key: factor * value for key, value in data["base"][name].items()}
+        data["payload"] = (data.get("payload") or {}) | {"mass": mass}
+        there = flexopt.machine_from_dict(data)
+        outcomes.append(flexopt.outcome(there, best.posture, base=best.base, loop=loop | {"dead_time": dead_time}))
+    # Within the box it may be worse still.
+    assert best.allowed_gain.least <= (1 + 1e-9) * min(each.allowed_gain for each in outcomes)
+    assert best.delay_margin.least <= (1 + 1e-9) * min(each.delay_margin for each in outcomes)
+    assert best.swing.greatest >= (1 - 1e-9) * 0.1 * max(each.swing for each in outcomes)
