@@ -25,8 +25,9 @@ from flexopt.model.simulation import PART_OF_SAMPLE
 from flexopt.model.uncertainty import SPRINGS, parameters_of
 from flexopt.plant import build_plant
 from flexopt.plant.plant import STATIC_ITERATIONS
+from flexopt.robustness.evaluation import UNREACHED
 from flexopt.robustness.measures import SOLVE_TOLERANCE
-from flexopt.robustness.residues import residue_unit
+from flexopt.robustness.residues import ROUNDING, residue_unit
 
 # A joint without limits is shown over a whole turn or this way, m, about zero.
 TURN, SLIDE = math.pi, 1.0
@@ -67,6 +68,8 @@ def contents(
         "coordinates": list(plant.coordinates),
         "joints": list(machine.joints),
         "joint_units": list(machine.joint_units),
+        "unreached": UNREACHED,
+        "rounding": ROUNDING,
         "limits": [[x if math.isfinite(x) else None for x in pair] for pair in machine.limits],
         "ranges": [_range(pair, unit) for pair, unit in zip(machine.limits, machine.joint_units, strict=True)],
         "placement": list(machine.base_coordinates),

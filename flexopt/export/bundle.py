@@ -100,8 +100,9 @@ class ExportReport(Result):
         judged = self.manifest["options"]["loop"]
         if judged is not None:
             verb = "decays" if judged["decay"] > 0 else "grows"
+            drifts = "; its self-motion is not damped, loop.nullspace_damping brakes it" * judged["lets_drift"]
             lines.append(
-                f"  the loop {verb} at {abs(judged['decay']):.4g}/s in the posture {_listed(judged['posture'])}"
+                f"  the loop {verb} at {abs(judged['decay']):.4g}/s in the posture {_listed(judged['posture'])}{drifts}"
             )
         return "\n".join([*lines, f"  {len(self.files)} files; next: make -C {self.folder} test"])
 
@@ -270,6 +271,7 @@ def judged_loop(machine: AnyMachine, loop: Loop, posture: Any, base: Any) -> dic
         warnings.warn(f"export_c: in this posture the loop grows at {-found.decay:.4g}/s", FlexoptWarning, stacklevel=3)
     told: dict[str, Any] = {name: json_ready(getattr(found, name)) for name in JUDGED}
     place = [] if base is None else np.ravel(base).tolist()
+    told["lets_drift"] = found.settings.lets_drift
     return {"settings": found.settings.to_dict(), "posture": np.ravel(posture).tolist(), "base": place} | told
 
 

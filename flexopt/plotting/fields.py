@@ -115,7 +115,7 @@ def draw_field(axes: Axes, plane: FieldPlane, values: Values, *, label: str, cli
 def _scaled(label: str, bar: Colorbar, image: AxesImage) -> str:
     """A bar's label with the power of ten before its unit, its numbers scaled: over the bar a power meets the title."""
     largest = max(map(abs, image.get_clim()))
-    if type(image.norm) is not Normalize or not largest > 0 or 1e-3 <= largest < 1e4:
+    if type(image.norm) is not Normalize or not largest > 0 or 1e-2 <= largest < 1e4:
         return label
     power = math.floor(math.log10(largest))
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.ticker import MaxNLocator
 
 from flexopt.foundation.boundary import instance
 from flexopt.foundation.escapes import mathtext
@@ -183,4 +184,6 @@ def _draw_ranks(axes: Axes, selection: Selection) -> None:
         axes.axhline(now, color=inks.present)
     axes.set_xlabel("candidate, by rank")
     axes.set_ylabel(label)
-    axes.locator_params(axis="x", integer=True)
+    # Of one candidate, too, there is no rank between two.
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    axes.set_xlim(0.5, max(len(values), 1) + 0.5)

@@ -109,6 +109,8 @@ def plot_plan(sheet: Sheet, plan: BasePlan) -> None:
     panels[0].axhline(0.0, color=colors().muted, linewidth=0.8, zorder=0)
     for line in panels[0].get_lines()[: len(moving)]:
         line.set_marker("o")
+        # What it is between the targets is not known from these.
+        line.set_linestyle("none")
         line.set_markersize(3)
         line.set_clip_on(False)
     for panel, unit in zip(panels[1:], units, strict=True):

@@ -24,7 +24,7 @@ from flexopt.model import AnyMachine
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Shown
 from flexopt.simulation.linear import SampledLoop
-from flexopt.simulation.verdict import Ended, Judgement, LoopVerdict, alternating, judge
+from flexopt.simulation.verdict import Ended, Judgement, alternating, judge
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -161,7 +161,7 @@ class Trajectory(Pictured, Result):
         return self.run.ended
 
     @property
-    def verdict(self) -> LoopVerdict:
+    def verdict(self) -> str:  # a Literal, by which a completer of notebooks breaks
         """See the class."""
         return self._judgement.verdict
 

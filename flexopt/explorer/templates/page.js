@@ -207,7 +207,7 @@ class Explorer extends Pictures {
     const { data } = this, box = $("sliders");
     $("subtitle").textContent = data.description;
     if (data.loop.drive !== "torque") {
-      $("kappa").textContent = ", more than the damping of the mode and of the joints' servos takes out once g Kv exceeds the κ shown, g the servo gain";
+      $("kappa").textContent = ", more than the damping of the mode and of the joints' servos takes out once g Kv exceeds the κ beside it, g the servo gain";
     }
     $("unit").textContent = `w and |a||b| in ${data.unit === "mixed" ? "mixed units" : data.unit.replace("kg m2", "kg m²")}; Jacobian ${data.control} control.`;
     const gain = (name) => {
@@ -266,11 +266,11 @@ class Explorer extends Pictures {
     const { data } = this, unit = (u) => (u === "rad" ? " rad" : " m");
     const whole = { x: data.size, y: data.size, yaw: Math.PI };
     this.putBase = data.placement.map((name, k) => this.slider($("joints"), {
-      label: `base ${name}`, low: -whole[name], high: whole[name], value: 0, show: (x) => digits(x) + unit(data.placement_units[k]),
+      label: `base ${name}`, low: -whole[name], high: whole[name], value: 0, show: (x) => digits(coordinate(x)) + unit(data.placement_units[k]),
       set: (x) => { const base = Float64Array.from(this.base); base[k] = x; this.moveBase(base); },
     }));
     this.putJoints = data.joints.map((name, k) => this.slider($("joints"), {
-      label: name, low: data.ranges[k][0], high: data.ranges[k][1], value: 0, show: (x) => digits(x) + unit(data.joint_units[k]),
+      label: name, low: data.ranges[k][0], high: data.ranges[k][1], value: 0, show: (x) => digits(coordinate(x)) + unit(data.joint_units[k]),
       set: (x) => { const posture = Float64Array.from(this.posture); posture[k] = x; this.movePosture(posture); },
     }));
   }
@@ -435,7 +435,13 @@ class Explorer extends Pictures {
       row.classList.toggle("chosen", i === this.mode);
       if (!modes) { cells.slice(1).forEach((cell) => { cell.textContent = "–"; }); return; }
       const { hz, w, size, angle, dot, kappa, alone } = modes[i];
-      const numbers = [digits(hz), alone ? `${digits(angle * 180 / Math.PI)}°` : "one frequency with another", digits(w), digits(size)];
+      if (this.unreached(i)) {
+        [digits(hz), "–", "–", "–"].forEach((text, k) => { cells[k + 2].textContent = text; });
+        cells[1].textContent = "does not move the end-point, or is not driven";
+        return;
+      }
+      const shown = Math.abs(w) > data.rounding * size ? w : 0;
+      const numbers = [digits(hz), alone ? `${digits(angle * 180 / Math.PI)}°` : "one frequency with another", digits(shown), digits(size)];
       numbers.forEach((text, k) => { cells[k + 2].textContent = text; });
       const grows = dot < 0, gain = this.data.loop.drive === "torque" ? "Kv" : "g Kv";
       const bound = !grows ? "" : kappa > 0 ? `if ${gain} > κ = ${digits(kappa)}` : "at any Kv > 0";
@@ -446,6 +452,9 @@ class Explorer extends Pictures {
     document.body.dataset.word = word;
     $("recommend").disabled = !("recommended" in data.configurations);
   }
+
+  // Whether rounding alone is left of how a mode moves the end-point, or of how feedback drives it.
+  unreached(i) { return this.modes[i].size <= this.data.unreached * Math.max(...this.modes.map((mode) => mode.size)); }
 
   legend() {
     const canvas = $("bar"), c = canvas.getContext("2d");

@@ -11,6 +11,8 @@ function digits(x, n = 3) {
   }
   return String(Number(x.toPrecision(n))).replace("-", "−");
 }
+// A coordinate, m or rad, where nobody could tell it from 0.
+function coordinate(x) { return Math.abs(x) < 1e-7 ? 0 : x; }
 // A text with its numbers as the page writes them: one gain is not to be read in two formats.
 function inDigits(text) { return text.replace(/\d+(\.\d+)?e[+-]\d+/g, (x) => digits(Number(x), 4)); }
 // How a mode is shown: displacement as a share of the machine's size, and how often, Hz.
@@ -86,7 +88,7 @@ class Pictures {
     const modes = this.modes || [], longest = 0.2 * Math.min(view.width, view.height) + 20;
     return ["a", "b"].flatMap((key) => {
       const most = Math.max(...modes.map((mode) => Math.hypot(...mode[key]))) || 1;
-      return modes.map((mode, i) => ({ mode: i, key, vector: this.inSpace(mode[key], this.data.dimensions), length: longest * this.lengthOf(i, Math.hypot(...mode[key]) / most) }));
+      return modes.map((mode, i) => ({ mode: i, key, vector: this.inSpace(mode[key], this.data.dimensions), length: this.unreached(i) ? 0 : longest * this.lengthOf(i, Math.hypot(...mode[key]) / most) }));
     });
   }
 

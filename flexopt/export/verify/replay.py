@@ -149,6 +149,8 @@ def compare(operation: Operation, samples: Samples, answers: Answers, tolerance:
         worst = float(part.max()) if part.size else 0.0
         rows.append((field.name, worst, field.scale))
         if not worst <= tolerance:
-            faults.append(f"{name}.{field.name}: off by {worst:.2g} of {field.scale}, allowed {tolerance:g}")
+            faults.append(
+                f"{name}.{field.name}: off by {worst:.2g} of its scale ({field.scale}), allowed {tolerance:g}"
+            )
         offset += field.length
     return Agreement(tuple(rows), int(good.sum()), int(refused.sum()), tuple(faults))

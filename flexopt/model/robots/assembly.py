@@ -55,6 +55,8 @@ class Assembly:
         self._capsules = [self._capsule(index, table) for index, table in enumerate(overlay.capsules)]
         if from_collisions:
             self._capsules += [capsule for link in links for capsule in self._round(link)]
+            if not self._capsules:
+                self.warnings.append('capsules = "collision": no link that moves has collision geometry that is read')
         self._note_order()
         self._visuals = [visual for link in links for visual in self._seen(link)]
         massless = not any(body.inertial.mass or body.inertial.tensor.any() for body in self.bodies)
