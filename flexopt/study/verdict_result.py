@@ -368,10 +368,13 @@ class Verdict(Pictured, Result):
         highest = self.settings.highest_kp
         lines += [_row(place, allowed(place.allowed_gain.least, unit, highest), wide) for place in self.places]
         lines += [f"  {self.left_out}"] * bool(self.left_out)
-        if any(place.decay.least <= 0 for place in self.places):
-            lines.append("  –: there is none, for on some ground it grows")
-        elif any(math.isnan(place.settling.greatest) for place in self.places):
-            lines.append("  –: on some ground it does not settle in a minute")
+        grows = any(place.decay.least <= 0 for place in self.places)
+        late = any(math.isnan(place.settling.greatest) and place.decay.least > 0 for place in self.places)
+        if grows or late:
+            whys = ["there is none, for on some ground it grows"] * grows
+            whys += ["where it decays on all, on some it does not settle in a minute"] * (grows and late)
+            whys += ["on some ground it does not settle in a minute"] * (late and not grows)
+            lines.append(f"  –: {'; '.join(whys)}")
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
         lines += [f"  {self.drifts}"] * bool(self.drifts)
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")

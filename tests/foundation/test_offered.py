@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
+import jedi
 import pytest
 from IPython.core.completer import Completer
 from pydantic import BaseModel
@@ -57,3 +58,15 @@ def test_the_package_offers_its_public_names_and_its_rooms() -> None:
     rooms = found - set(flexopt.__all__)
     assert {"plant", "selection", "simulation"} <= rooms
     assert all(inspect.ismodule(getattr(flexopt, name)) for name in rooms)
+
+
+@pytest.mark.parametrize("made", ["simulate", "simulate_ensemble", "evaluate", "outcome"])
+def test_results_complete_by_jedi_too(made: str) -> None:
+    """It reads annotations, as IPython asks it to where it is there; one that it cannot read ends it."""
+    machine, held = flexopt.load("excavator"), (0.9929, -2.6306)
+    more: dict[str, Any] = {"simulate": {"duration": 0.1}, "outcome": {"loop": {"kp": 1e4}}}.get(made, {})
+    if made == "simulate_ensemble":
+        more = {"duration": 0.1, "vary": {"base.mass": [900.0]}}
+    result = getattr(flexopt, made)(machine, held, **more)
+    found = {each.name for each in jedi.Interpreter("result.", [{"result": result}]).complete()}
+    assert {name for name in dir(type(result)) if not name.startswith("_")} <= found
