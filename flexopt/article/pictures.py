@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from flexopt.article.curves import Curve
 from flexopt.article.gaps import GapSweep
 from flexopt.foundation.palette import colors
-from flexopt.plotting.fields import LOWEST_SHOWN, Values, draw_arm, draw_field, draw_regions, label_plane
+from flexopt.plotting.fields import LOWEST_SHOWN, Values, draw_arms, draw_field, draw_regions, label_plane
 from flexopt.plotting.sheet import sized
 from flexopt.plotting.units import labelled
 from flexopt.plotting.workspace import dataset_plane
@@ -38,8 +38,7 @@ def plot_figure5(inverse: Any, arms: Arms) -> Figure:
     for k, (title, values) in enumerate(zip(titles, panels, strict=True)):
         axes = figure.add_subplot(2, 2, k + 1)
         draw_regions(axes, plane, values)
-        for name, arm in arms.items():
-            draw_arm(axes, arm, name)
+        draw_arms(axes, arms)
         label_plane(axes, plane, title, left=k % 2 == 0, bottom=k > 1)
     figure.suptitle("Fig. 5: in phase (yellow) and out of phase (blue), Jacobian inverse control")
     return figure
@@ -52,8 +51,7 @@ def plot_figure6(transpose: Any, inverse: Any, arms: Arms) -> Figure:
     for k, (title, dataset) in enumerate((("(a) Jacobian transpose", transpose), ("(b) Jacobian inverse", inverse))):
         axes, plane = figure.add_subplot(1, 2, k + 1), dataset_plane(dataset)
         draw_field(axes, plane, _array(dataset, "epsilon_max"), label=labelled("$\\epsilon_{max}$", ""), clipped=True)
-        for name, arm in arms.items():
-            draw_arm(axes, arm, name)
+        draw_arms(axes, arms)
         gain = f"kr = {dataset.attrs['gain']:.4g} {dataset.attrs['gain_unit']}"
         label_plane(axes, plane, f"{title}, {gain}", left=k == 0)
     figure.suptitle("Fig. 6: $\\epsilon_{max}$ over the workspace")

@@ -26,6 +26,8 @@ Values = NDArray[np.float64]
 LOWEST_SHOWN = 0.05
 # Share of a field by which its values differ from rounding alone.
 SAME = 1e-9
+# How far from an end-point its name stands, as a share of a field's width.
+BESIDE = 0.08
 
 
 @dataclass(frozen=True)
@@ -216,20 +218,33 @@ def draw_best(axes: Axes, plane: FieldPlane, values: Values) -> None:
     )  # fmt: skip
 
 
-def draw_arm(axes: Axes, arm: Values, name: str) -> None:
-    """An arm (2, joints and end-point) over a field, with its name beside the end-point."""
-    inks = colors()
-    # Beyond the last link, where least of this or another arm lies.
-    last = arm[:, -1] - arm[:, -2]
-    beyond = 13.0 * last / max(float(np.linalg.norm(last)), 1e-12)
-    axes.plot(arm[0], arm[1], "-", color="white", linewidth=3.4, solid_capstyle="round", zorder=4)
-    axes.plot(
-        arm[0], arm[1], "-o", color=inks.mark, linewidth=1.9, markersize=4.0, markeredgecolor="white",
-        markeredgewidth=0.6, label=f"posture {name}", zorder=5,
-    )  # fmt: skip
-    axes.annotate(
-        name, (float(arm[0, -1]), float(arm[1, -1])), xytext=(float(beyond[0]), float(beyond[1])),
-        textcoords="offset points", fontsize=9.5, fontweight="bold", color=inks.mark, zorder=6, ha="center",
-        va="center",
-        bbox={"boxstyle": "round,pad=0.12", "facecolor": inks.page, "edgecolor": "none", "alpha": 0.85},
-    )  # fmt: skip
+def draw_arms(axes: Axes, arms: Mapping[str, Values]) -> None:
+    """Arms (2, joints and end-point) over a field, each with its name beside the end-point, off all of them."""
+    inks, links = colors(), [(arm[:, k], arm[:, k + 1]) for arm in arms.values() for k in range(arm.shape[1] - 1)]
+    away = BESIDE * abs(float(np.diff(axes.get_xlim())[0]))
+    for name, arm in arms.items():
+        # Beyond the last link, or as little turned from there as leaves room.
+        last = (arm[:, -1] - arm[:, -2]) / max(float(np.linalg.norm(arm[:, -1] - arm[:, -2])), 1e-12)
+        turns = sorted(np.linspace(-np.pi, np.pi, 24, endpoint=False).tolist(), key=abs)
+        ways = [np.array([[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]) @ last for t in turns]
+        rooms = [min(_apart(arm[:, -1] + away * way, *link) for link in links) for way in ways]
+        free = [way for way, room in zip(ways, rooms, strict=True) if room >= 0.95 * away]
+        way = free[0] if free else ways[int(np.argmax(rooms))]
+        axes.plot(arm[0], arm[1], "-", color="white", linewidth=3.4, solid_capstyle="round", zorder=4)
+        axes.plot(
+            arm[0], arm[1], "-o", color=inks.mark, linewidth=1.9, markersize=4.0, markeredgecolor="white",
+            markeredgewidth=0.6, label=f"posture {name}", zorder=5,
+        )  # fmt: skip
+        axes.annotate(
+            name, (float(arm[0, -1]), float(arm[1, -1])), xytext=(13.0 * float(way[0]), 13.0 * float(way[1])),
+            textcoords="offset points", fontsize=9.5, fontweight="bold", color=inks.mark, zorder=6, ha="center",
+            va="center",
+            bbox={"boxstyle": "round,pad=0.12", "facecolor": inks.page, "edgecolor": "none", "alpha": 0.85},
+        )  # fmt: skip
+
+
+def _apart(point: Values, start: Values, end: Values) -> float:
+    """Distance of a point from a line's length."""
+    along = end - start
+    share = float(np.clip((point - start) @ along / max(float(along @ along), 1e-300), 0.0, 1.0))
+    return float(np.linalg.norm(start + share * along - point))
