@@ -114,6 +114,7 @@ def body_meshes(visuals: Iterable[Visual], most: int = TRIANGLES) -> Meshes:
     known: dict[tuple[str, str], Part | str] = {}
     placed: list[tuple[Visual, tuple[str, str]]] = []
     counts: list[int] = []
+    beyond: list[str] = []
     for visual in visuals:
         key = visual.shape, visual.file
         if visual.why:
@@ -128,22 +129,23 @@ def body_meshes(visuals: Iterable[Visual], most: int = TRIANGLES) -> Meshes:
         if not isinstance(found, str):
             counts.append(len(found[1]))
             if sum(counts) > READ_MAX:
-                known[key] = f"{visual.file or visual.shape} and what follows (more than {READ_MAX} triangles)"
+                beyond.append(f"{visual.file or visual.shape} and what follows (more than {READ_MAX} triangles)")
                 counts.pop()
                 break
             placed.append((visual, key))
-    allowed, parts = _allowed(counts, most), dict[str | None, list[Part]]()
+    allowed, parts, seen = _allowed(counts, most), dict[str | None, list[Part]](), set[tuple[str, str]]()
     for visual, key in placed:
         found = known[key]
-        if not isinstance(found, str) and len(found[1]) > allowed:
+        if key not in seen and not isinstance(found, str) and len(found[1]) > allowed:
             try:
                 found = known[key] = _simplified(found, allowed)
             except _Unreadable as error:
-                found = known[key] = f"{visual.file} ({error})"
+                found = known[key] = f"{visual.file or visual.shape} ({error})"
+        seen.add(key)
         if not isinstance(found, str):
             corners = found[0] @ np.array(visual.matrix).T + np.array(visual.position)
             parts.setdefault(visual.body, []).append((corners, found[1]))
-    left_out = [found for found in known.values() if isinstance(found, str)]
+    left_out = [*(found for found in known.values() if isinstance(found, str)), *beyond]
     drawn = [_joined(body, of_body) for body, of_body in parts.items()]
     return Meshes(tuple(drawn), sum(counts), tuple(left_out))
 

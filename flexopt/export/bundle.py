@@ -100,7 +100,7 @@ class ExportReport(Result):
         judged = self.manifest["options"]["loop"]
         if judged is not None:
             verb = "decays" if judged["decay"] > 0 else "grows"
-            drifts = "; its self-motion is not damped, loop.nullspace_damping brakes it" * judged["lets_drift"]
+            drifts = "; it does not brake the arm's self-motion, loop.nullspace_damping does" * judged["lets_drift"]
             lines.append(
                 f"  the loop {verb} at {abs(judged['decay']):.4g}/s in the posture {_listed(judged['posture'])}{drifts}"
             )

@@ -121,7 +121,7 @@ def _decays(at: Context, posture: Array, gains: Gains) -> bool:
         LoopPoint(motions, motions.numbers(given | {"period": np.array([period])}), period).loop.growth_rate
         for period in (1 / RATE_HZ, AGE_MAX / RATE_HZ)
     ]
-    return max(rates) < 0
+    return all(rate < 0 for rate in rates)
 
 
 def _promising(at: Context) -> Iterator[tuple[Array, Array, Array, Array]]:

@@ -25,7 +25,7 @@ SINGLE_SIGNIFICANCE = 1.6e-4
 # Modes whose frequencies are closer than this, relative, keep too few digits in single precision.
 SINGLE_GAP = 1e-2
 # The rounding of the terms counts by this share, in double and in single precision: times the tolerance it is some
-# dozen units of rounding, which the modes' own make of the terms. Errors of modes are divided by the gap of their
+# dozens of units of rounding, which the modes' own make of the terms. Errors of modes are divided by the gap of their
 # frequencies; clusters of equal ones are computed as such.
 TERMS_SHARE, GAP_MIN = {False: 1e-2, True: 1.6e-2}, 1e-6
 # ε_max in single and double precision: the most that the doublings may leave, and the largest X_ii Z_ii, which

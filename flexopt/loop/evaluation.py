@@ -153,7 +153,7 @@ class Outcome(Result):
         lines.append(f"  sampled loop: {self._word}, {self.frequency_hz:.4g} Hz{why}")
         if self.settings.lets_drift:
             lines.append(
-                "  the arm's self-motion, no part of the decay, is not damped; loop.nullspace_damping brakes it"
+                "  the loop does not brake the arm's self-motion, no part of the decay; loop.nullspace_damping does"
             )
         lines += [f"  the arm's self-motion drifts, decay {-rate:+.3g}/s" for rate in self.drift if rate > 0]
         stable = ", ".join(self._stable) or "nowhere"

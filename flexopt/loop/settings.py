@@ -69,7 +69,7 @@ class LoopSettings(Result):
 
     @property
     def lets_drift(self) -> bool:
-        """Whether the arm has a self-motion that nothing brakes: drives that follow rates hold it."""
+        """Whether the arm has a self-motion that the loop does not brake: drives that follow rates hold it."""
         redundant = len(self.joint_units) > self.kp.size
         return redundant and not self.nullspace_damping and self.drive != "velocity"
 

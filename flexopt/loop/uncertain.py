@@ -227,8 +227,8 @@ class UncertainLoop:
             return found
         first = min(range(len(values)), key=lambda k: sense * values[k])
         u, worst = members[first], values[first]
-        u = np.full(len(self.box.uncertainty), 0.5) if u is None else u
         at = self.outcome(u)
+        u = np.full(len(self.box.uncertainty), 0.5) if u is None else u
         for _ in range(WALK):
             measured = getattr(at, measure)()
             by = at.gradient(measured)

@@ -205,7 +205,7 @@ def _inertia(part: BodyNumbers, reach: float, planar: bool) -> Iterator[Implausi
         words = f"the radius of gyration, {radius:.2g} m, is {radius / max(part.length, part.com):.1%} of the length"
         meant = f"the inertia is probably in t m²: {1000 * part.inertia:g} kg m²"
         yield ImplausibleNumber(f"{part.where}.inertia", given, words, meant)
-    elif radius > max(WIDE * size, SMALL * reach) > 0:
+    elif size > 0 and radius > max(WIDE * size, SMALL * reach):
         words = f"the radius of gyration, {radius:.3g} m, is {radius / size:.0f} times the size of the body"
         yield ImplausibleNumber(f"{part.where}.inertia", given, words, _unit_of_inertia(part, radius, size))
 

@@ -243,6 +243,16 @@ def test_meshes_of_one_body_have_a_share_each(tmp_path: Path) -> None:
     assert np.allclose(np.linalg.norm(corners[triangles[:, 0]] - middles[of_ball], axis=1), 1, atol=0.03)
 
 
+def test_what_was_drawn_before_too_much_was_read_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trimesh.creation.icosphere(4).export(tmp_path / "ball.stl")
+    monkeypatch.setattr(meshes, "READ_MAX", 50_000)
+    visuals = [Visual(body=f"b{k}", file=str(tmp_path / "ball.stl")) for k in range(12)]
+    found = body_meshes(visuals)
+    assert len(found.bodies) == 9
+    assert len(found.left_out) == 1
+    assert "ball.stl and what follows" in found.left_out[0]
+
+
 @given(st.lists(st.integers(1, 10**6), min_size=1, max_size=30), st.integers(100, 10**5))
 def test_small_bodies_leave_their_triangles_to_large_ones(counts: list[int], most: int) -> None:
     """No more than may be all together, as many as may be, and no body cut below one that is kept whole."""

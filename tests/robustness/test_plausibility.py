@@ -20,7 +20,7 @@ from flexopt import FlexoptError, ImplausibleMachine, InputError, ModelError, ma
 from flexopt.cli.commands import cli
 from flexopt.model import AnyMachine
 from tests.model.robots.files import URDF, URDF_MACHINE, changed_text, read
-from tests.oracles.spatial import in_space, matrix_of, six
+from tests.oracles.spatial import grounded, in_space, matrix_of, six
 
 SHIPPED = ["excavator", "boom-stick-bucket", "slewing-excavator", "truck-crane", "mobile-manipulator"]
 DEGREES = 180 / math.pi
@@ -658,3 +658,22 @@ def test_placeholders_for_masses_and_inertias_are_told() -> None:
         body["parent"] = legs["bodies"][-4]["name"]
     for data in (modules, in_space(modules), pair, weighed, legs):
         assert not [each for each in told(data) if "placeholder" in each]
+
+
+def test_a_wrist_of_no_size_is_not_judged_by_it() -> None:
+    """Its axes meet, its centre lies where they do: nothing tells how large it is."""
+    data = grounded(3, 0, coupled=False)
+    round_ball = [1e-3, 1e-3, 1e-3, 0.0, 0.0, 0.0]
+    joint = {"name": "w1", "kind": "hinge", "axis": [1.0, 0.0, 0.0]}
+    wrist = {"name": "wrist", "parent": "arm2", "joint": joint, "position": [1.0, 0.0, 0.0], "mass": 1.0}
+    hand = {"name": "hand", "parent": "wrist", "joint": joint | {"name": "w2", "axis": [0.0, 1.0, 0.0]}}
+    hand |= {"position": [0.0, 0.0, 0.0], "mass": 1.0, "com": [0.1, 0.0, 0.0], "inertia": round_ball}
+    data["bodies"] += [wrist | {"com": [0.0, 0.0, 0.0], "inertia": round_ball}, hand]
+    data["end_point"] = {"body": "hand", "position": [0.3, 0.0, 0.0], "rows": ["x", "y", "z"]}
+    assert not [line for line in told(data) if "wrist" in line]
+    wrist["com"] = [0.002, 0.0, 0.0]
+    data["bodies"][-2] = wrist | {"inertia": round_ball}
+    assert not [line for line in told(data) if "wrist" in line]
+    # In kg cm² it is.
+    data["bodies"][-2] = wrist | {"inertia": [1e4 * x for x in round_ball]}
+    assert [line for line in told(data) if "wrist" in line and "times the size" in line]

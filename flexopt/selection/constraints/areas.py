@@ -1,7 +1,7 @@
 """Where the machine may stand: inside one of several areas (`region`), outside each of others (`keep_out`).
 
 All that it stands on, its `support` as the placement moves and turns it, or its anchor point alone (`holds`). An area
-is a polygon on the ground; of a planar machine, whose ground is a line, an interval of x. Rows are signed distances,
+is a polygon on the ground; of a planar machine, whose ground is a line, an interval of x. People see signed distances,
 exact for one area; for the union of several the largest of theirs, whose sign and zeros are right.
 
 A footprint F is convex. It lies in an area where its corners do and, where the area is not convex, F is clear of what
@@ -37,10 +37,9 @@ from flexopt.selection.constraints.polygon_distance import (
 # A constraint as people see it, and as rows for a solver.
 Seen = tuple[ca.SX, list[ca.SX]]
 INSIDE = "distance inside region"
-# Rows of the best of several areas: more are no more than a placement's three coordinates can be held by, and one that
-# ties.
-OF_SEVERAL = 4
-# Up to which share of what they are computed from distances are the same, of another edge or corner.
+# Rows of what has many parts, the least of all: a placement's three coordinates are held by three, and one may tie.
+FEW = 4
+# Up to which share of the coordinates they are computed from distances are the same, of another edge or corner.
 SAME = 1e-12
 
 
@@ -118,7 +117,7 @@ def _gaps(scene: Scene, c: ca.SX) -> list[ca.SX]:
     gap = _gap(corners, from_anchor, own, c)
     off_piece = [[-offset for offset in left_of_edges(corner, c)] for corner in corners]
     off_own = [[-offset for offset in left_of_edges(corner, own)] for corner in from_anchor]
-    first, last, facing = gap, gap, ca.SX(0)
+    first, last, facing, far = gap, gap, ca.SX(0), 1 + ca.norm_1(scene.anchor)
     n, m = len(corners), len(there)
     for j in range(m):
         edge = c[j * NUMBERS : (j + 1) * NUMBERS]
@@ -130,7 +129,7 @@ def _gaps(scene: Scene, c: ca.SX) -> list[ca.SX]:
             low = ca.if_else(along[k] > 0, off_piece[k][j], off_own[j][i])
             high = ca.if_else(along[i] < edge[4], off_piece[i][j], off_own[(j + 1) % m][i])
             meet = ca.logic_and(ca.fmax(along[k], 0) < ca.fmin(along[i], edge[4]), against > facing)
-            size = 1 + ca.fabs(low) + ca.fabs(high)
+            size = far + ca.fabs(low) + ca.fabs(high)
             meet = ca.logic_and(meet, ca.fabs(ca.fmin(low, high) - gap) <= SAME * size)
             first, last = ca.if_else(meet, low, first), ca.if_else(meet, high, last)
             facing = ca.if_else(meet, against, facing)
@@ -177,12 +176,12 @@ def _region_groups(plant: Plant, constraints: Constraints) -> list[Group]:
         parts = [(area, hull(area), *pockets(area)) for area in polygons]
         areas, shape = [list(map(polygon_constants, each)) for each in parts], "footprint" if whole else "point"
     lacks = len(areas[0]) - 2
-    labels = {"interval": [INSIDE], "point": [INSIDE] * (2 + lacks)}.get(shape)
+    labels = {"interval": [INSIDE], "point": [INSIDE] * (min(FEW, 1 + lacks) + 2 if lacks else 2)}.get(shape)
     if labels is None:
         corners = [f"{INSIDE} of corner ({x:g}, {y:g})" for x, y in plant.machine.support_points]
-        labels = [corner for corner in corners for _ in range(2)] + [INSIDE] * (2 * lacks)
+        labels = [corner for corner in corners for _ in range(2)] + [INSIDE] * min(FEW, 2 * lacks)
     if len(areas) > 1:
-        labels = [INSIDE] * (1 if shape == "interval" else OF_SEVERAL)
+        labels = [INSIDE] * (1 if shape == "interval" else FEW)
     sizes = tuple(tuple(len(part) for part in area) for area in areas)
     numbers = tuple(number for area in areas for part in area for number in part)
     return [Group("region", (shape, sizes), numbers, tuple(ConstraintRow(x, "m", 0.0, math.inf) for x in labels))]
@@ -197,7 +196,8 @@ def _inside(scene: Scene, kind: str, parts: list[ca.SX]) -> list[Seen]:
     points = scene.footprint if kind == "footprint" else [scene.anchor]
     seen: list[Seen] = [(polygon_distance(x, outline), _least(left_of_edges(x, around), 2)) for x in points]
     if kind == "point":
-        return [(seen[0][0], [*seen[0][1], *(-polygon_distance(scene.anchor, lack) for lack in lacks)])]
+        inside, edges = seen[0]
+        return [(inside, [*edges, *(_off_all(scene.anchor, inside, lacks) if lacks else [])])]
     if lacks:
         seen.append(_off(scene, lacks))
     return seen
@@ -206,7 +206,16 @@ def _inside(scene: Scene, kind: str, parts: list[ca.SX]) -> list[Seen]:
 def _off(scene: Scene, pieces: list[ca.SX]) -> Seen:
     """The footprint off all of these convex pieces."""
     apart = ca.mmin(ca.vertcat(*(_distance(scene, piece) for piece in pieces)))
-    return apart, [row for piece in pieces for row in _gaps(scene, piece)]
+    return apart, _few([row for piece in pieces for row in _gaps(scene, piece)])
+
+
+def _off_all(point: ca.SX, allowed: ca.SX, pieces: list[ca.SX]) -> list[ca.SX]:
+    """A point's rows off convex pieces, and its signed distance from all of them: between two it is off each."""
+    return _few([allowed, *(-polygon_distance(point, piece) for piece in pieces)])
+
+
+def _few(rows: list[ca.SX]) -> list[ca.SX]:
+    return _least(rows, min(FEW, len(rows)))
 
 
 def _in_region(scene: Scene, shape: Any, c: ca.SX) -> list[Seen]:
@@ -216,7 +225,7 @@ def _in_region(scene: Scene, shape: Any, c: ca.SX) -> list[Seen]:
     if len(areas) == 1:
         return areas[0]
     deepest = ca.mmax(ca.vertcat(*(ca.mmin(ca.vertcat(*(value for value, _ in area))) for area in areas)))
-    count = 1 if kind == "interval" else OF_SEVERAL
+    count = 1 if kind == "interval" else FEW
     best, *others = (_least([row for _, rows in area for row in rows], count) for area in areas)
     for other in others:
         better = other[0] > best[0]
@@ -232,11 +241,13 @@ def _keep_out_groups(plant: Plant, constraints: Constraints) -> list[Group]:
             shape, parts, count = "interval", [interval], 1
         else:
             pieces = convex_pieces(cast(Corners, area))
-            shape, count = ("footprint", 2 * len(pieces)) if whole else ("point", len(pieces))
+            shape = "footprint" if whole else "point"
+            # Of a point off one piece alone its distance is one row.
+            count = 2 * len(pieces) if whole else 1 + len(pieces) * (len(pieces) > 1)
             parts = [polygon_constants(part) for part in (*([] if whole else [cast(Corners, area)]), *pieces)]
         row = ConstraintRow(f"distance from keep_out[{index}]", "m", 0.0, math.inf)
         numbers = tuple(number for part in parts for number in part)
-        groups.append(Group("keep_out", (shape, tuple(map(len, parts))), numbers, (row,) * count))
+        groups.append(Group("keep_out", (shape, tuple(map(len, parts))), numbers, (row,) * min(FEW, count)))
     return groups
 
 
@@ -248,7 +259,8 @@ def _kept_out(scene: Scene, shape: Any, c: ca.SX) -> list[Seen]:
     if kind == "footprint":
         return [_off(scene, _pieces(c, sizes))]
     outline, *pieces = _pieces(c, sizes)
-    return [(-polygon_distance(scene.anchor, outline), [-polygon_distance(scene.anchor, piece) for piece in pieces])]
+    outside = -polygon_distance(scene.anchor, outline)
+    return [(outside, _off_all(scene.anchor, outside, pieces) if len(pieces) > 1 else [outside])]
 
 
 def _kind(

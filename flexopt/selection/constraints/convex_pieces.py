@@ -7,14 +7,18 @@ one by one (Meisters, Polygons have ears, 1975) and put together again where the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from flexopt.model.polygons import Corner, Corners, turn
 
+# Decimals hardly ever lie on a line in binary: a corner in the middle of an edge that is as straight as this is none.
+STRAIGHT = 1e-12
+
 
 def convex_pieces(corners: Sequence[Corner]) -> list[Corners]:
     """Convex polygons that meet in edges at most and make up the polygon."""
-    ring, pieces = _without_straight(corners), list[Corners]()
+    ring, pieces = _without_straight(corners, STRAIGHT), list[Corners]()
     while len(ring) > 3:
         k = next(k for k in range(len(ring)) if _is_ear(ring, k))
         _add(pieces, (ring[k - 1], ring[k], ring[(k + 1) % len(ring)]))
@@ -25,7 +29,7 @@ def convex_pieces(corners: Sequence[Corner]) -> list[Corners]:
 
 def pockets(corners: Sequence[Corner]) -> list[Corners]:
     """What the polygon lacks of its convex hull, as convex polygons; none where it is convex."""
-    ring = _without_straight(corners)
+    ring = _without_straight(corners, STRAIGHT)
     on_hull = _on_hull(ring)
     found: list[Corners] = []
     for a, b in zip(on_hull, [*on_hull[1:], on_hull[0] + len(ring)], strict=True):
@@ -36,14 +40,23 @@ def pockets(corners: Sequence[Corner]) -> list[Corners]:
 
 def hull(corners: Sequence[Corner]) -> Corners:
     """The polygon's convex hull."""
-    ring = _without_straight(corners)
+    ring = _without_straight(corners, STRAIGHT)
     return tuple(ring[k % len(ring)] for k in _on_hull(ring))
 
 
-def _without_straight(corners: Sequence[Corner]) -> list[Corner]:
-    """The same polygon without corners in the middle of straight edges."""
-    n = len(corners)
-    return [corners[k] for k in range(n) if turn(corners[k - 1], corners[k], corners[(k + 1) % n]) != 0]
+def _without_straight(corners: Sequence[Corner], share: float = 0.0) -> list[Corner]:
+    """The same polygon without corners in the middle of edges that are straight, to a share of their lengths."""
+    n, kept = len(corners), list[Corner]()
+    for k, at in enumerate(corners):
+        before, after = kept[-1] if kept else corners[k - 1], corners[(k + 1) % n]
+        if turn(before, at, after) != 0 and not _is_straight(before, at, after, share):
+            kept.append(at)
+    return kept if len(kept) > 2 or not share else list(corners)
+
+
+def _is_straight(a: Corner, b: Corner, c: Corner, share: float) -> bool:
+    cross = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
+    return abs(cross) < share * math.dist(a, b) * math.dist(b, c)
 
 
 def _is_ear(ring: list[Corner], k: int) -> bool:
