@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
@@ -377,3 +378,32 @@ def test_every_hill_of_curves_in_space_is_started_from_first() -> None:
     assert len(many.candidates) == 11
     values = [candidate.objective for candidate in many.candidates]
     assert [candidate.objective for candidate in few.candidates] == pytest.approx(values[:8], rel=1e-6)
+
+
+@pytest.mark.long
+def test_a_place_flush_with_an_area_is_an_optimum() -> None:
+    """One that is allowed by Shapely's word and good by `evaluate`'s, where the outriggers lie along an area's edge."""
+    region = [
+        [6.354, 1.6835],
+        [2.3788, 4.2261],
+        [-1.4237, 5.5243],
+        [-3.2498, 5.2054],
+        [-5.5708, -0.2947],
+        [1.5688, -4.9056],
+    ]
+    area = [[3.1517, 4.0362], [0.0216, 4.9366], [0.2758, 4.4153], [1.4957, 0.6736]]
+    crane, target = flexopt.load("truck-crane"), [1.503877, 2.962513, -1.177455]
+    base, posture = [0.39609, -0.964563, -0.272861], [1.568712, 0.639387, -1.83455, 3.2]
+    known = flexopt.evaluate(crane, posture, base=base)
+    assert np.allclose(known.end_point, target, atol=1e-4)
+    c, s = np.cos(base[2]), np.sin(base[2])
+    corners = np.array(crane.support_points) @ np.array([[c, s], [-s, c]]) + base[:2]
+    footprint = shapely.Polygon(corners)
+    assert shapely.Polygon(region).buffer(1e-4).contains(footprint)
+    assert footprint.buffer(-1e-4).disjoint(shapely.Polygon(area))
+    ranges = {"x": [-4, 4], "y": [-4, 4], "yaw": [-1.5, 1.5]}
+    constraints = {"region": [region], "keep_out": [area], "holds": "footprint"}
+    options = {"objective": "V", "weights": [1.0] * 6, "base_range": ranges, "starts": 8}
+    found = flexopt.select(crane, target, constraints=constraints, **options)
+    assert found.best.objective >= float(known.w.sum()) * 1.001
+    assert "distance from keep_out[0]" in found.best.active
