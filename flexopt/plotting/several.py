@@ -109,9 +109,12 @@ def plot_plan(sheet: Sheet, plan: BasePlan) -> None:
     panels[0].axhline(0.0, color=colors().muted, linewidth=0.8, zorder=0)
     # What it is between the targets is not known from these; where both are the same, both are seen.
     legend = panels[0].get_legend()
-    for lines in (panels[0].get_lines()[: len(moving)], [] if legend is None else legend.get_lines()):
-        for line, size in zip(lines, (8, 5), strict=False):
-            line.set(marker="o", linestyle="none", markersize=size, clip_on=False)
+    for drawn in (panels[0].get_lines()[: len(moving)], [] if legend is None else legend.get_lines()):
+        for curve, size in zip(drawn, (8, 5), strict=False):
+            curve.set_marker("o")
+            curve.set_linestyle("none")
+            curve.set_markersize(size)
+            curve.set_clip_on(False)
     for panel, unit in zip(panels[1:], units, strict=True):
         rows_of = [k for k, other in enumerate(e.base_units) if other == unit]
         lines: tuple[Line, ...] = tuple((mathtext(e.base_coordinates[k]), plan.time, plan.base[:, k]) for k in rows_of)
