@@ -84,6 +84,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "verdict": verdict,
         "head": _head(verdict),
         "reason": sentence(verdict.reason),
+        "drawbacks": sentence(verdict.drawbacks),
         "measure": sentence(verdict.measure),
         "stand": _stand(verdict),
         "numbers": _numbers(verdict),

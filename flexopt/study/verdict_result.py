@@ -22,7 +22,7 @@ from flexopt.robustness.evaluation import in_words
 from flexopt.selection.problem import broken, elsewhere, reached
 from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
-from flexopt.study.decision import RULE, Word, gains_in_words, spoken
+from flexopt.study.decision import FASTER, RULE, Word, gains_in_words, spoken
 from flexopt.study.place_loops import Chosen, found_in, problems_of
 from flexopt.study.places import FIRST, MOVE, STAY, TOLD, allowed, told
 
@@ -106,6 +106,8 @@ class Verdict(Pictured, Result):
     Attributes:
         word: `"move"`, `"stay"`, `"change gains"` or `"cannot tell"`;  sentence: it, with where to and why.
         place: which place it speaks of;  reason: why.
+        drawbacks: what is worse by a tenth or more where it sends the machine than where it stands, in the worst case,
+            a sentence: the word goes by the decay; empty where nothing is.
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
         gains: those to change to.
         rule: by which the word was found.
@@ -138,14 +140,36 @@ class Verdict(Pictured, Result):
     provenance: Document = field(repr=False)
 
     DOCUMENT = """
-    word sentence place reason measure gains rule targets[m] present_end_point[m] present_off[m] places settings
-    uncertainty=_uncertainty members judged proven provenance
+    word sentence place reason drawbacks measure gains rule targets[m] present_end_point[m] present_off[m] places
+    settings uncertainty=_uncertainty members judged proven provenance
     """
 
     @property
     def rule(self) -> str:
         """See the class."""
         return RULE
+
+    @property
+    def drawbacks(self) -> str:
+        """See the class."""
+        stay, there = self._stay, next((place for place in self.places if place.name == self.place), None)
+        if self.word != "move" or stay is None or there is None:
+            return ""
+        compared = (
+            ("settles in {}", "settling", "greatest", 1.0, "s"),
+            (f"moves the base by {{}} in a move of {MOVE:g} m", "swing", "greatest", 1e3, f"m{there.swing_unit}"),
+            ("bears Kp up to {}", "allowed_gain", "least", 1.0, self.settings.gain_units[0]),
+            ("bears {} more of dead time", "delay_margin", "least", 1e3, "ms"),
+        )
+        found = list[str]()
+        for words, measure, worst, factor, unit in compared:
+            value, before = (getattr(getattr(place, measure), worst) for place in (there, stay))
+            sense = 1.0 if worst == "greatest" else -1.0
+            if sense * value > sense * before + FASTER * abs(before):
+                found.append(words.format(f"{factor * value:.4g} instead of {factor * before:.4g} {unit}"))
+            elif measure == "settling" and math.isnan(value) and not math.isnan(before):
+                found.append(f"does not settle in a minute instead of in {before:.4g} s")
+        return f"in the worst case it {', '.join(found)} there" if found else ""
 
     @property
     def problems(self) -> tuple[SelectionProblem, ...]:
@@ -378,7 +402,7 @@ class Verdict(Pictured, Result):
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
         lines += [f"  {self.drifts}"] * bool(self.drifts)
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
-        return "\n".join([*lines, *([self.measure] if self.measure else [])])
+        return "\n".join([*lines, *filter(None, (self.drawbacks, self.measure))])
 
 
 def _interval(each: Uncertainty, machine: AnyMachine) -> str:

@@ -360,3 +360,36 @@ def test_the_worst_of_margins_is_met_at_whatever_corner_it_is() -> None:
     assert best.allowed_gain.least <= (1 + 1e-9) * min(each.allowed_gain for each in outcomes)
     assert best.delay_margin.least <= (1 + 1e-9) * min(each.delay_margin for each in outcomes)
     assert best.swing.greatest >= (1 - 1e-9) * 0.1 * max(each.swing for each in outcomes)
+
+
+def test_what_is_worse_where_it_moves_is_told() -> None:
+    """The word goes by the decay; what else is worse stands beside it, on the page and in the document, too."""
+    found = judged("article", loop=ARTICLE, members=2, runs=0)
+    assert found.word == "move"
+    assert found.drawbacks == ""
+    k = next(k for k, place in enumerate(found.places) if place.name == found.place)
+    band = found.places[0].decay
+    stay = replace(
+        found.places[0], settling=replace(band, greatest=10.0), swing=replace(band, greatest=1e-3),
+        allowed_gain=replace(band, least=2e4), delay_margin=replace(band, least=0.02),
+    )  # fmt: skip
+
+    def told_of(**worst: float) -> str:
+        ends = {"settling": "greatest", "swing": "greatest", "allowed_gain": "least", "delay_margin": "least"}
+        there = {name: replace(getattr(stay, name), **{end: worst.get(name, getattr(getattr(stay, name), end))})
+                 for name, end in ends.items()}  # fmt: skip
+        places = [stay, *found.places[1:]]
+        places[k] = replace(found.places[k], **there)
+        return replace(found, places=tuple(places)).drawbacks
+
+    assert told_of() == ""
+    assert told_of(settling=10.9, swing=1.09e-3, allowed_gain=1.81e4, delay_margin=0.0181) == ""
+    assert told_of(settling=5.0, swing=5e-4, allowed_gain=math.inf, delay_margin=math.inf) == ""
+    assert told_of(settling=20.0) == "in the worst case it settles in 20 instead of 10 s there"
+    assert told_of(settling=math.nan) == "in the worst case it does not settle in a minute instead of in 10 s there"
+    assert told_of(swing=2e-3, delay_margin=0.01) == (
+        "in the worst case it moves the base by 2 instead of 1 mrad in a move of 0.1 m, "
+        "bears 10 instead of 20 ms more of dead time there"
+    )
+    assert told_of(allowed_gain=1e4) == "in the worst case it bears Kp up to 1e+04 instead of 2e+04 N m there"
+    assert "drawbacks" in found.to_dict()
