@@ -221,7 +221,6 @@ TABLE: dict[str, Check] = {
     "start": of_machine(lambda a, machine, field, value: a.base(machine, value, field)),
     "target": of_machine(lambda a, machine, field, value: a.point(value, field, machine)),
     "control": lambda a, _, value: a.control(value),
-    "gravity": flag,
     "damped": flag,
     "baked": flag,
     "overwrite": flag,

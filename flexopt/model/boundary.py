@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from flexopt.errors import ImplausibleMachine, InputError, ModelError, raise_if_any
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.boundary import TABLE, Check, by, of_machine, words
+from flexopt.foundation.boundary import TABLE, Check, by, flag, of_machine, words
 from flexopt.foundation.coordinates import check_base_range
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import entries, several
@@ -30,7 +30,7 @@ from flexopt.model.choices import (
 from flexopt.model.file_model import read_table, validated
 from flexopt.model.loop import DEFAULT_LOOP, Loop, loop_faults
 from flexopt.model.machine import AnyMachine
-from flexopt.model.plausibility import distant_ranges
+from flexopt.model.plausibility import distant_ranges, warn_weightless
 from flexopt.model.uncertainty import Uncertainty, kind_of, uncertainty_faults
 
 
@@ -97,6 +97,13 @@ def _loop(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> 
     return arguments.collect(field, read)
 
 
+def _gravity(arguments: Arguments, field: str, value: Any) -> Any:
+    wanted = flag(arguments, field, value)
+    if isinstance(arguments.of, AnyMachine):
+        warn_weightless(arguments.of, asked=wanted is True)
+    return wanted
+
+
 def _ranges(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> Any:
     """A table from names to (lower, upper), or a list of `Uncertainty`s or of their tables."""
     given: Any = arguments.checked(field, value, lambda v: v, [])
@@ -124,6 +131,7 @@ def _uncertain(given: Any) -> Uncertainty:
 TABLE.update(
     {
         "machine": _machine,
+        "gravity": _gravity,
         "loop": of_machine(_loop),
         "ranges": of_machine(_ranges),
         "elbow": words(*ELBOWS),

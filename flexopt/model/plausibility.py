@@ -10,8 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
+from flexopt.errors import ImplausibleMachine
 from flexopt.foundation.results import Result
+from flexopt.foundation.warned import warn_user
 from flexopt.model.body_numbers import BodyNumbers, body_numbers
 from flexopt.model.machine import AnyMachine
 from flexopt.model.planar import Machine
@@ -101,6 +104,19 @@ def distant_ranges(machine: AnyMachine, known: Sequence[Uncertainty]) -> Iterato
             meant = f"probably in per cent: [{low / 100:g}, {high / 100:g}]"
         what = f"the file's own number, {own:.4g}{unit}" if each.value is not None else "1, the file's own number"
         yield ImplausibleNumber(f"range of {each.name}", f"{ends}{unit}", f"lies far from {what}", meant)
+
+
+def warn_weightless(machine: AnyMachine, *, asked: bool) -> None:
+    """Tell that gravity, where it is asked for, changes nothing: robot files for kinematics often have it at zero."""
+    if asked and machine.gravity == 0:
+        _tell_weightless(machine)
+
+
+@lru_cache
+def _tell_weightless(machine: AnyMachine) -> None:
+    """Once for each machine: one call of the user's is made of many, in several threads."""
+    sentence = "the file has gravity = 0 m/s², so that measures and motions under gravity are those without"
+    warn_user(f"machine {machine.name!r}: {sentence}", ImplausibleMachine)
 
 
 def _lying(machine: Machine) -> Iterator[ImplausibleNumber]:

@@ -26,6 +26,7 @@ from flexopt.loop.robust import robust_law
 from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
 from flexopt.model import AnyMachine
 from flexopt.model.file_model import read_table, validated
+from flexopt.model.plausibility import warn_weightless
 from flexopt.model.simulation import Path, SimulationKeywords, SimulationOptions, dead_time, placement_of
 from flexopt.model.simulation_faults import simulation_faults
 from flexopt.plant import Plant, build_plant, inverse_kinematics
@@ -195,6 +196,7 @@ def build_scenario(
         InputError: the springs do not hold the machine; the step is too long for an explicit method.
         NoSolutionFound: the static deflection did not converge.
     """
+    warn_weightless(machine, asked=options.gravity)
     design = _design(machine, *design_configuration(machine, options), options.gravity, options.control)
     options = with_servo_gain(machine, options, design.posture)
     period = 1 / options.rate

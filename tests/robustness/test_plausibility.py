@@ -677,3 +677,18 @@ def test_a_wrist_of_no_size_is_not_judged_by_it() -> None:
     # In kg cm² it is.
     data["bodies"][-2] = wrist | {"inertia": [1e4 * x for x in round_ball]}
     assert [line for line in told(data) if "wrist" in line and "times the size" in line]
+
+
+@pytest.mark.parametrize("call", ["evaluate", "simulate", "select"])
+def test_gravity_that_the_file_has_at_zero_is_told_once(call: str) -> None:
+    """Robot files for kinematics often have it so; all numbers would be those without it, unsaid."""
+    options: Data = {"evaluate": {}, "simulate": {"duration": 0.1}, "select": {"starts": 1}}[call]
+    where = [3.0, 1.0] if call == "select" else [0.5, 1.0]
+    for gravity, count in ((0.0, 1), (9.81, 0)):
+        data = shipped("excavator") | {"name": f"weightless for {call}", "gravity": gravity}
+        machine = flexopt.machine_from_dict(data)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            getattr(flexopt, call)(machine, where, gravity=True, **options)
+            getattr(flexopt, call)(machine, where, **options)
+        assert sum("gravity = 0 m/s²" in str(each.message) for each in caught) == count
