@@ -36,7 +36,7 @@ from flexopt.export.kernels import Real
 from flexopt.export.optimiser import FIRST_FAILURE, STARTS, STATUSES
 from flexopt.export.sources import Library
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import Target
+from flexopt.export.verify.checks import VerifyTarget
 from flexopt.export.verify.optimiser import PART, Solved, default_calls, host_runner, solve
 from flexopt.export.verify.target import board_runner
 from flexopt.foundation.arrays import Vector
@@ -144,7 +144,7 @@ def built(machine: AnyMachine, control: Control, real: Real) -> Library:
     )  # fmt: skip
 
 
-def run(library: Library, pairs: list[Pair], *, own_starts: bool, target: Target, times: int = 1) -> Solved:
+def run(library: Library, pairs: list[Pair], *, own_starts: bool, target: VerifyTarget, times: int = 1) -> Solved:
     """Compile for "host" or "cortex-m7" and solve every pair there, with `times` the default budget."""
     part = library.standalone[PART]
     calls = default_calls(part, len(pairs))
@@ -215,7 +215,7 @@ def compare(
     machine: AnyMachine,
     controls: Sequence[Control],
     runs: Sequence[tuple[Real, bool]],
-    places: Sequence[Target],
+    places: Sequence[VerifyTarget],
     count: int,
     times: int = 1,
 ) -> None:
@@ -268,9 +268,12 @@ def compare_others(count: int) -> None:
     print(table(f"The same on the host for other machines, inverse control, given and own starts, {count} each", rows))
 
 
-def places_of(target: str) -> list[Target]:
+def places_of(target: str) -> list[VerifyTarget]:
     """Where to run; of both, those that there are tools for."""
-    tools: dict[Target, tuple[str, ...]] = {"host": ("gcc",), "cortex-m7": ("arm-none-eabi-gcc", "qemu-system-arm")}
+    tools: dict[VerifyTarget, tuple[str, ...]] = {
+        "host": ("gcc",),
+        "cortex-m7": ("arm-none-eabi-gcc", "qemu-system-arm"),
+    }
     asked = [place for place in tools if target in (place, "both")]
     absent = {place: missing_tools(tools[place]) for place in asked}
     for place, names in absent.items():

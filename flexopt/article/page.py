@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.study.gains import BorderRow
-from flexopt.study.page import Table, pictures, write_files
+from flexopt.study.page import PageTable, pictures, write_files
 
 if TYPE_CHECKING:
     from flexopt.article.reproduction import Reproduction
@@ -70,7 +70,7 @@ def _servo_gain(result: Reproduction) -> str:
     )
 
 
-def _table2(result: Reproduction) -> Table:
+def _table2(result: Reproduction) -> PageTable:
     rows = list[tuple[str, ...]]()
     for row in result.table.rows:
         name = f"{row.posture}: {row.reading}"
@@ -85,7 +85,7 @@ def _table2(result: Reproduction) -> Table:
     return header, rows
 
 
-def _frequencies(result: Reproduction) -> Table:
+def _frequencies(result: Reproduction) -> PageTable:
     f = result.frequencies
     rows: list[tuple[str, ...]] = [("printed", *(f"{v:.4f}" for v in f.printed))]
     for name, values in f.means.items():
@@ -93,7 +93,7 @@ def _frequencies(result: Reproduction) -> Table:
     return ("mean, Hz", *(OfNumbers(f"mode {i + 1}") for i in range(len(f.printed)))), rows
 
 
-def _loops(result: Reproduction) -> Table:
+def _loops(result: Reproduction) -> PageTable:
     """Poles and runs of every posture with both pairs of gains."""
     rows: list[tuple[str, ...]] = []
     for row in result.loops.rows:
@@ -112,7 +112,7 @@ def _loops(result: Reproduction) -> Table:
     return header, rows
 
 
-def _borders(result: Reproduction) -> Table:
+def _borders(result: Reproduction) -> PageTable:
     """Stable Kp, a row for each posture and what is held, a column for each integrator."""
     g = result.gains
     methods = list(dict.fromkeys(row.integrator for row in g.borders))
@@ -129,7 +129,7 @@ def _border(row: BorderRow) -> str:
     return row.text + beyond
 
 
-def _gaps(result: Reproduction) -> Table:
+def _gaps(result: Reproduction) -> PageTable:
     g = result.gaps
     rows: list[tuple[str, ...]] = []
     for k, name in enumerate(g.names):

@@ -16,14 +16,15 @@ from matplotlib.figure import Figure
 
 from flexopt.article.curves import Curve
 from flexopt.article.gaps import GapSweep
+from flexopt.foundation.arrays import Array
 from flexopt.foundation.palette import colors
-from flexopt.plotting.fields import LOWEST_SHOWN, Values, draw_arms, draw_field, draw_regions, label_plane
+from flexopt.plotting.fields import LOWEST_SHOWN, draw_arms, draw_field, draw_regions, label_plane
 from flexopt.plotting.sheet import sized
 from flexopt.plotting.units import labelled
 from flexopt.plotting.workspace import dataset_plane
 from flexopt.robustness.residues import residue_unit, written_unit
 
-Arms = Mapping[str, Values]
+Arms = Mapping[str, Array]
 # What an upright name may take up, of the width of a curve.
 NAMED = 0.1
 
@@ -108,7 +109,7 @@ def plot_figure8(transpose: Curve, inverse: Curve, marks: Mapping[str, float]) -
     return figure
 
 
-def _along(axes: Axes, curve: Curve, values: Values, color: str, label: str, style: str) -> None:
+def _along(axes: Axes, curve: Curve, values: Array, color: str, label: str, style: str) -> None:
     """A curve, broken where the arm does not reach; its axis leaves out the lowest few points."""
     steps = np.diff(curve.x)
     broken = np.insert(values.astype(float), np.flatnonzero(steps > 2 * np.median(steps)) + 1, np.nan)
@@ -123,7 +124,7 @@ def _along(axes: Axes, curve: Curve, values: Values, color: str, label: str, sty
 def plot_gaps(sweep: GapSweep) -> Figure:
     """ν-gap between rigid and full plant, and ε_max, as the damping grows; robust postures and others."""
     figure = Figure(figsize=(12.0, 4.6), layout="constrained")
-    panels: Sequence[tuple[str, Values]] = (("ν-gap to the rigid plant", sweep.nu_gap),
+    panels: Sequence[tuple[str, Array]] = (("ν-gap to the rigid plant", sweep.nu_gap),
                                            ("$\\epsilon_{max}$", sweep.epsilon_max))  # fmt: skip
     for k, (label, values) in enumerate(panels):
         axes = figure.add_subplot(1, 2, k + 1)
@@ -143,5 +144,5 @@ def plot_gaps(sweep: GapSweep) -> Figure:
     return figure
 
 
-def _array(dataset: Any, name: str) -> Values:
+def _array(dataset: Any, name: str) -> Array:
     return np.asarray(dataset[name].values, dtype=float)

@@ -16,7 +16,7 @@ from flexopt.model.choices import ASSUMPTIONS, ELBOWS, EVERYTHING, NOTHING, OUTC
 from flexopt.model.files import shipped_names
 
 Complete = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
-Words = Callable[[click.Context], Iterable[str]]
+WordsOf = Callable[[click.Context], Iterable[str]]
 
 SHELLS = ("bash", "zsh", "fish")
 LITERAL = re.compile(r"[a-z0-9][a-z0-9._-]*|V")
@@ -29,7 +29,7 @@ def _items(words: Iterable[str], incomplete: str) -> list[CompletionItem]:
     return [CompletionItem(f"{before}{comma}{word}") for word in words if word.startswith(last)]
 
 
-def _of(words: Words, *, files: bool = False) -> Complete:
+def _of(words: WordsOf, *, files: bool = False) -> Complete:
     def complete(ctx: click.Context, _: click.Parameter, incomplete: str) -> list[CompletionItem]:
         found = _items(words(ctx), incomplete)
         return found if found or not files else [CompletionItem(incomplete, type="file")]
@@ -82,7 +82,7 @@ def _ranges(ctx: click.Context) -> list[str]:
     return [f"{word}=" for word in ("stiffness", "damping", "dead_time", *_parameters(ctx))]
 
 
-def _shipped(*kinds: Any) -> Words:
+def _shipped(*kinds: Any) -> WordsOf:
     return lambda _: sorted({name for kind in kinds for name in shipped_names(kind)})
 
 

@@ -16,10 +16,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flexopt.compiled.interpreted import Array, Interpreted
+from flexopt.compiled.interpreted import Interpreted
 from flexopt.compiled.lanes import kernel_source
 from flexopt.compiled.libraries import begin, load
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arrays import Array
 
 # A multiple of every processor's number of lanes, so that threads never share a group of points.
 _GROUP = 64

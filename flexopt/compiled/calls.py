@@ -11,7 +11,8 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
-from flexopt.compiled.interpreted import Array, succeeds
+from flexopt.compiled.interpreted import succeeds
+from flexopt.foundation.arrays import Array
 
 
 class ArrayCall:

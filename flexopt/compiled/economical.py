@@ -16,9 +16,9 @@ import casadi as ca
 from flexopt.compiled.batched import PURPOSE, Batch, begin_batch
 from flexopt.compiled.compilers import find_compiler
 from flexopt.compiled.cost import compilation_seconds, evaluation_seconds
-from flexopt.compiled.interpreted import Array
 from flexopt.compiled.libraries import is_kept
 from flexopt.compiled.threaded import Interpreter
+from flexopt.foundation.arrays import Array
 
 # Work of this share of a compilation's cost starts the compiler in the background; it is used from the whole cost on.
 _AHEAD = 0.5

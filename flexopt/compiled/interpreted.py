@@ -10,13 +10,12 @@ from collections.abc import Callable, Sequence
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+
+from flexopt.foundation.arrays import Array
 
 _CHUNKS = (256, 16, 1)
 # Seconds that a call of many steps may take: Ctrl-C is seen between two calls.
 CALL = 0.5
-
-Array = NDArray[np.float64]
 
 
 class Interpreted:

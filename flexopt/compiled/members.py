@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from flexopt.compiled.interpreted import Array
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arrays import Array
 
 _KEEP = ("records", "monitors")
 # Quantities that go into each Function, and that come out.

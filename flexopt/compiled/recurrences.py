@@ -20,10 +20,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flexopt.compiled.cost import compilation_seconds, evaluation_seconds
-from flexopt.compiled.interpreted import Accumulated, Array
+from flexopt.compiled.interpreted import Accumulated
 from flexopt.compiled.lanes import brief_level, level, recurrence_source
 from flexopt.compiled.libraries import is_kept, load
 from flexopt.compiled.members import checked_arguments, checked_functions, densified
+from flexopt.foundation.arrays import Array
 
 # A multiple of every processor's number of lanes, so that threads never share a group of members.
 _GROUP = 8

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from flexopt.compiled.instructions import Instructions
 
-Array = NDArray[Any]
+FloatArray = NDArray[Any]
 DEGREE = 6
 # Doubles with a longer fraction, where there are any; what some compilers make of two doubles is not rounded this way.
 PRECISE: Any = np.longdouble if np.finfo(np.longdouble).nmant in (63, 112) else np.float64
@@ -46,8 +46,8 @@ class TaylorModel:
         r: (N,) or (1,), infinite where nothing is known.
     """
 
-    c: Array
-    r: Array
+    c: FloatArray
+    r: FloatArray
 
     @staticmethod
     def constant(value: float) -> TaylorModel:
@@ -55,14 +55,14 @@ class TaylorModel:
         return TaylorModel(np.array([[value]]), np.zeros(1))
 
     @staticmethod
-    def of_cells(low: Array, high: Array) -> TaylorModel:
+    def of_cells(low: FloatArray, high: FloatArray) -> TaylorModel:
         """The variable itself in the cells [low, high], (N,) each."""
         middle = (low + high) / 2
         radius = np.maximum(high - middle, middle - low) * _SAFE
         return TaylorModel(np.array([middle, radius]), np.full(radius.shape, _LEAST))
 
     @staticmethod
-    def between(low: Array, high: Array) -> TaylorModel:
+    def between(low: FloatArray, high: FloatArray) -> TaylorModel:
         """What is known to lie in [low, high], (N,) each, and nothing more."""
         middle = np.where(np.isfinite(low) & np.isfinite(high), (low + high) / 2, 0.0)
         radius = np.maximum(high - middle, middle - low)
@@ -73,17 +73,17 @@ class TaylorModel:
         return TaylorModel(self.c.astype(kind), self.r)
 
     @cached_property
-    def size(self) -> Array:
+    def size(self) -> FloatArray:
         """Σ_k |c_k|, rounded up."""
         return np.abs(self.c).sum(axis=0) * _SAFE
 
     @property
-    def largest(self) -> Array:
+    def largest(self) -> FloatArray:
         """A bound on |f|."""
         return (self.size + self.r) * _SAFE
 
     @property
-    def bounds(self) -> tuple[Array, Array]:
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Bounds on f from below and above: those of the parabola, widened by all else."""
         c0, c1, c2 = (self.c[k] if k < len(self.c) else np.zeros_like(self.c[0]) for k in range(3))
         rest = np.abs(self.c[3:]).sum(axis=0) + self.r + 8 * _unit(self.c) * self.size + _LEAST
@@ -140,7 +140,7 @@ class TaylorModel:
                 r = r + np.abs(a.c[i]) * tails[DEGREE + 1 - i]
         return TaylorModel(c, _known(r * _SAFE + _LEAST))
 
-    def scaled(self, factor: Array | float, roundoffs: float = 0.0) -> TaylorModel:
+    def scaled(self, factor: FloatArray | float, roundoffs: float = 0.0) -> TaylorModel:
         """The product with numbers (N,) that are known to so many of their own unit roundoffs."""
         c, numbers = self.c * factor, np.asarray(factor)
         return _rounded(c, np.abs(numbers) * self.r, 1.0 + roundoffs * (_unit(numbers) / _unit(c)))
@@ -193,7 +193,7 @@ class TaylorModel:
         )
         return both[0].clipped(1.0), both[1].clipped(1.0)
 
-    def widened(self, by: Array | float) -> TaylorModel:
+    def widened(self, by: FloatArray | float) -> TaylorModel:
         """The same with more left over."""
         return TaylorModel(self.c, _known((self.r + by) * _SAFE))
 
@@ -203,7 +203,7 @@ class TaylorModel:
         return TaylorModel(np.where(worse, 0.0, self.c), np.where(worse, bound, self.r))
 
 
-def _known(r: Array) -> Array:
+def _known(r: FloatArray) -> FloatArray:
     """Infinite where r is no number."""
     return np.where(np.isnan(r), np.inf, r)
 
@@ -213,7 +213,7 @@ def _unit(c: Any) -> float:
     return 2.0 ** -(np.finfo(c.dtype).nmant + 1)
 
 
-def _rounded(c: Array, r: Array, roundoffs: float) -> TaylorModel:
+def _rounded(c: FloatArray, r: FloatArray, roundoffs: float) -> TaylorModel:
     """Coefficients each of which is wrong by so many roundings."""
     size = np.abs(c).sum(axis=0)
     return TaylorModel(c, _known((r + (roundoffs + 1e-9) * _unit(c) * size) * _SAFE + _LEAST))
@@ -236,10 +236,10 @@ def angle(y: TaylorModel, x: TaylorModel) -> TaylorModel:
     return turned + start
 
 
-def chosen(low: Array, high: Array, first: TaylorModel, second: TaylorModel) -> TaylorModel:
+def chosen(low: FloatArray, high: FloatArray, first: TaylorModel, second: TaylorModel) -> TaylorModel:
     """The first where a number in [low, high] is positive, the second where it is negative; what holds both else."""
     length, count = max(len(first.c), len(second.c)), max(first.c.shape[1], second.c.shape[1], low.size)
-    found: list[tuple[Array, Array]] = []
+    found: list[tuple[FloatArray, FloatArray]] = []
     for model in (first, second):
         c = np.zeros((length, count), dtype=model.c.dtype)
         c[: len(model.c)] = model.c
@@ -292,9 +292,9 @@ def _arccosine(a: TaylorModel) -> TaylorModel:
     return angle((_ONE - a * a).sqrt(), a)
 
 
-Operation = Callable[[TaylorModel, TaylorModel], TaylorModel]
+TaylorOperation = Callable[[TaylorModel, TaylorModel], TaylorModel]
 # For each operation its value from both operands (a single one is given twice).
-OPERATIONS: dict[int, Operation] = {
+OPERATIONS: dict[int, TaylorOperation] = {
     ca.OP_ASSIGN: lambda a, _: a,
     ca.OP_ADD: lambda a, b: a + b,
     ca.OP_SUB: lambda a, b: a - b,

@@ -11,7 +11,8 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from flexopt.compiled.interpreted import Array, Interpreted
+from flexopt.compiled.interpreted import Interpreted
+from flexopt.foundation.arrays import Array
 
 # As many points as a call of the virtual machine takes at once keep a thread busy for longer than it takes to start.
 POINTS_EACH = 16

@@ -14,7 +14,7 @@ import numpy as np
 from flexopt.coprime.enclosure import factor
 from flexopt.coprime.feedback import ncf_margin
 from flexopt.coprime.guard import guarded
-from flexopt.coprime.margin import Pair, solve_pairs
+from flexopt.coprime.margin import RiccatiPair, solve_pairs
 from flexopt.coprime.scaling import scale_for_riccati
 from flexopt.coprime.symbols import rotation, to_continuous, to_discrete, turn_controller, turn_plant
 from flexopt.coprime.system import PLANT, Matrix, StateSpace, SystemLike, from_arguments
@@ -133,7 +133,7 @@ def _continuous(plant: StateSpace, equal: float) -> StateSpace:
     return StateSpace(Ak * scaled.rate, Bk * root, -Ck * root, -Dk, 0.0)  # − : the source has positive feedback
 
 
-def _balanced(s: StateSpace, pair: Pair) -> tuple[StateSpace, Matrix]:
+def _balanced(s: StateSpace, pair: RiccatiPair) -> tuple[StateSpace, Matrix]:
     """The plant in coordinates where X = Z = diag(ν), ν descending, without the states of negligible ν (q,)."""
     Rx, Rz = factor(pair.X), factor(pair.Z).T
     left, values, right = np.linalg.svd(Rx @ Rz)

@@ -113,7 +113,7 @@ def with_bound(value: float, bound: float, digits_max: int = 10) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class RiccatiPair:
     """Both Riccati solutions of a scaled plant by one route; `largest` is λmax(XZ), within `bound` of the exact one."""
 
     X: Matrix
@@ -210,16 +210,16 @@ def robust_margin(
     )
 
 
-def solve_pairs(scaled: Scaled, call: str) -> list[Pair]:
+def solve_pairs(scaled: Scaled, call: str) -> list[RiccatiPair]:
     """The pair whose ε_max is told, with its bound, and then what doubling and Schur vectors found otherwise."""
     s = scaled.system
     if s.n_states == 0:
         empty = np.zeros((0, 0))
-        return [Pair(empty, empty, 0.0, 0.0, 0.0, 0, method, 0.0) for method in ("doubling", "schur")]
+        return [RiccatiPair(empty, empty, 0.0, 0.0, 0.0, 0, method, 0.0) for method in ("doubling", "schur")]
     found = escaping_modes(scaled)
     raise_escapes(call, scaled, [e for e in found if e.certain])
     F, G, H = riccati_matrices(s)
-    pairs: list[Pair] = []
+    pairs: list[RiccatiPair] = []
     doubled = riccati.doubling(F, G, H, discrete=s.discrete)
     if doubled is not None:
         pairs += _accept(F, G, H, doubled[0], doubled[1], s, doubled[2], "doubling")
@@ -232,7 +232,7 @@ def solve_pairs(scaled: Scaled, call: str) -> list[Pair]:
         return _told(scaled, pairs, call, found)
 
 
-def _told(scaled: Scaled, pairs: list[Pair], call: str, doubtful: list[Escape]) -> list[Pair]:
+def _told(scaled: Scaled, pairs: list[RiccatiPair], call: str, doubtful: list[Escape]) -> list[RiccatiPair]:
     """The pairs, before them one whose bound is good enough."""
     equation = Equation.of(scaled.system)
     bounded = [_measured(equation, pair) for pair in pairs]
@@ -262,7 +262,7 @@ def _told(scaled: Scaled, pairs: list[Pair], call: str, doubtful: list[Escape]) 
     return bounded
 
 
-def _measured(equation: Equation, pair: Pair) -> Pair:
+def _measured(equation: Equation, pair: RiccatiPair) -> RiccatiPair:
     """The pair with the bound that its residuals, computed in decimals, prove; infinite where they prove none."""
     try:
         bound = measured(equation, pair.X, pair.Z).eigenvalue_bound()
@@ -273,16 +273,16 @@ def _measured(equation: Equation, pair: Pair) -> Pair:
     return replace(pair, bound=bound + 8 * n * EPS * size)
 
 
-def of_exact(pair: ExactPair, top: TopPairs) -> Pair:
+def of_exact(pair: ExactPair, top: TopPairs) -> RiccatiPair:
     """A pair in decimals as doubles, with its bound."""
     X, Z, largest = rounded(pair.x.X), rounded(pair.z.X), float(top.values[0])
     bound = pair.eigenvalue_bound() + top.residual
-    return Pair(X, Z, pair.x.relative_residual, pair.z.relative_residual, largest, 0, "extended", bound)
+    return RiccatiPair(X, Z, pair.x.relative_residual, pair.z.relative_residual, largest, 0, "extended", bound)
 
 
 def _accept(
     F: Matrix, G: Matrix, H: Matrix, X: Matrix, Z: Matrix, s: StateSpace, iterations: int, method: str
-) -> list[Pair]:
+) -> list[RiccatiPair]:
     """The pair after Newton steps, in a list; an empty list where it is not stabilizing."""
     try:
         x, rx = riccati.refine(F, G, H, X, discrete=s.discrete)
@@ -298,4 +298,4 @@ def _accept(
         largest = float(np.linalg.norm(factor(x) @ factor(z).T, 2)) ** 2
     except np.linalg.LinAlgError:
         return []
-    return [Pair(x, z, rx, rz, largest, iterations, method)] if math.isfinite(largest) else []
+    return [RiccatiPair(x, z, rx, rz, largest, iterations, method)] if math.isfinite(largest) else []

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexopt.coprime.margin import Pair, solve_pairs
+from flexopt.coprime.margin import RiccatiPair, solve_pairs
 from flexopt.coprime.scaling import Scaled
 from flexopt.coprime.system import Matrix, StateSpace
 
@@ -43,7 +43,7 @@ def graph_symbols(scaled: Scaled, call: str) -> Symbols:
     return Symbols(right, left, pair.epsilon)
 
 
-def right_symbol(s: StateSpace, pair: Pair) -> StateSpace:
+def right_symbol(s: StateSpace, pair: RiccatiPair) -> StateSpace:
     """[N; M] = (A + BF, B S^(−1/2), [C + DF; F], [D; I] S^(−1/2)), F = −S⁻¹(DᵀC + BᵀX[A]), S = I + DᵀD [+ BᵀXB]."""
     A, B, C, D = s.A, s.B, s.C, s.D
     S = np.eye(D.shape[1]) + D.T @ D + (B.T @ pair.X @ B if s.discrete else 0.0)
@@ -52,7 +52,7 @@ def right_symbol(s: StateSpace, pair: Pair) -> StateSpace:
     return StateSpace(A + B @ F, B @ root, np.vstack([C + D @ F, F]), np.vstack([D, np.eye(D.shape[1])]) @ root, s.dt)
 
 
-def left_symbol(s: StateSpace, pair: Pair) -> StateSpace:
+def left_symbol(s: StateSpace, pair: RiccatiPair) -> StateSpace:
     """[M̃, −Ñ] = (A + LC, [L, −(B + LD)], R^(−1/2)C, R^(−1/2)[I, −D]), L = −(BDᵀ + [A]ZCᵀ)R⁻¹, R = I + DDᵀ [+ CZCᵀ]."""
     A, B, C, D = s.A, s.B, s.C, s.D
     R = np.eye(D.shape[0]) + D @ D.T + (C @ pair.Z @ C.T if s.discrete else 0.0)

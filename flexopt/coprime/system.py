@@ -18,7 +18,7 @@ from flexopt.coprime.guard import INSIDE
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import ComplexLike, MatrixLike
-from flexopt.foundation.boundary import Check, anything, array_of, public
+from flexopt.foundation.boundary import ArgumentCheck, anything, array_of, public
 from flexopt.foundation.plain import plain, shown
 from flexopt.foundation.quantities import Quantity
 from flexopt.foundation.results import Result
@@ -222,8 +222,8 @@ def _system(arguments: Arguments, field: str, value: Any) -> StateSpace | None:
 
 
 # The arguments of a call that takes one plant, which `from_arguments` reads together, and of one that takes two.
-PLANT: dict[str, Check] = dict.fromkeys(("A", "B", "C", "D", "dt"), anything)
-PAIR: dict[str, Check] = {"P1": _system, "P2": _system}
+PLANT: dict[str, ArgumentCheck] = dict.fromkeys(("A", "B", "C", "D", "dt"), anything)
+PAIR: dict[str, ArgumentCheck] = {"P1": _system, "P2": _system}
 
 
 def system_pair(

@@ -38,7 +38,7 @@ _READING: Mapping[str, Mapping[str, Any]] = {".obj": {"skip_materials": True}}
 
 Faces = NDArray[np.int64]
 # Corners (n, 3), m, and numbers of those of each triangle (k, 3).
-Part = tuple[Vector, Faces]
+MeshPart = tuple[Vector, Faces]
 
 
 class _Unreadable(Exception):
@@ -111,7 +111,7 @@ def body_meshes(visuals: Iterable[Visual], most: int = TRIANGLES) -> Meshes:
     except ImportError:
         files = {visual.file for visual in visuals if visual.shape == "mesh"}
         return Meshes(left_out=(f"{_meshes(len(files))}: {NEEDED}",) if files else (), note=WITHOUT)
-    known: dict[tuple[str, str], Part | str] = {}
+    known: dict[tuple[str, str], MeshPart | str] = {}
     placed: list[tuple[Visual, tuple[str, str]]] = []
     counts: list[int] = []
     beyond: list[str] = []
@@ -133,7 +133,7 @@ def body_meshes(visuals: Iterable[Visual], most: int = TRIANGLES) -> Meshes:
                 counts.pop()
                 break
             placed.append((visual, key))
-    allowed, parts, seen = _allowed(counts, most), dict[str | None, list[Part]](), set[tuple[str, str]]()
+    allowed, parts, seen = _allowed(counts, most), dict[str | None, list[MeshPart]](), set[tuple[str, str]]()
     for visual, key in placed:
         found = known[key]
         if key not in seen and not isinstance(found, str) and len(found[1]) > allowed:
@@ -204,14 +204,14 @@ def _first_line(error: Exception) -> str:
     return text.splitlines()[0][:120]
 
 
-def _joined(body: str | None, parts: Sequence[Part]) -> BodyMesh:
+def _joined(body: str | None, parts: Sequence[MeshPart]) -> BodyMesh:
     starts = np.cumsum([0, *(len(corners) for corners, _ in parts)])
     corners = np.concatenate([corners for corners, _ in parts])
     triangles = [start + triangles for start, (_, triangles) in zip(starts, parts, strict=False)]
     return BodyMesh(body, corners, np.concatenate(triangles))
 
 
-def _simplified(mesh: Part, wanted: int) -> Part:
+def _simplified(mesh: MeshPart, wanted: int) -> MeshPart:
     """With so many triangles."""
     try:
         simplify: Any = import_module("fast_simplification").simplify

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from flexopt.export.context import Context
 from flexopt.export.control import damps_self_motion, task_space_torque
-from flexopt.export.operations import Array, Operation
+from flexopt.export.operations import Operation
+from flexopt.foundation.arrays import Array
 from flexopt.loop.feedback import self_motion_damping
 from flexopt.loop.machine_step import machine_step
 from flexopt.loop.outcome import LoopPoint
@@ -40,7 +41,7 @@ ROOM = 1e-2
 
 
 @dataclass(frozen=True)
-class Gains:
+class InverseGains:
     """Of the Jacobian inverse law, as the operation `torque_inverse` takes them.
 
     Attributes:
@@ -70,7 +71,7 @@ class Start:
 
     posture: Array
     rest: Array
-    gains: Gains
+    gains: InverseGains
     substeps: int
     distance: float
     settled: float
@@ -88,7 +89,7 @@ class Hold:
     """
 
     posture: Array
-    gains: Gains
+    gains: InverseGains
     decays: bool
 
 
@@ -110,7 +111,7 @@ def steady_hold(at: Context) -> Hold:
     return first
 
 
-def _decays(at: Context, posture: Array, gains: Gains) -> bool:
+def _decays(at: Context, posture: Array, gains: InverseGains) -> bool:
     """Whether the loop about rest does at both rates, the end-point's measurement one sample old."""
     plant, damped = at.plant, gains.nullspace_damping > 0
     motions = small_motions(at.machine, "inverse", damped=damped)
@@ -139,7 +140,7 @@ def _promising(at: Context) -> Iterator[tuple[Array, Array, Array, Array]]:
         yield posture, rest.full().ravel(), mass, jv
 
 
-def _gains(at: Context, bandwidth: float, mass: Array, jv: Array, *, of_machine: bool = True) -> Gains:
+def _gains(at: Context, bandwidth: float, mass: Array, jv: Array, *, of_machine: bool = True) -> InverseGains:
     """Gains that give joints of the machine's mean inertia a corner of `bandwidth`, rad/s, critically damped.
 
     Args:
@@ -155,7 +156,7 @@ def _gains(at: Context, bandwidth: float, mass: Array, jv: Array, *, of_machine:
         moved = of_joints if of_machine else inertia * np.eye(plant.n_actuated)
         damping = self_motion_damping(jv, moved, 2 * bandwidth)
     values = (inertia * bandwidth**2, 2 * inertia * bandwidth, damping, inertia)
-    return Gains(*(float(f"{value:.4g}") for value in values))
+    return InverseGains(*(float(f"{value:.4g}") for value in values))
 
 
 def settling_start(at: Context, operations: Mapping[str, Operation]) -> Start | None:

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import ExportError
+from flexopt.foundation.arrays import Array
 
-Array = NDArray[np.float64]
-Status = Literal["SINGULAR_POSTURE", "NOT_ACCURATE"]
+OperationStatus = Literal["SINGULAR_POSTURE", "NOT_ACCURATE"]
 # Largest error of an output by rounding, as a share of its scale.
 TOLERANCES = {"double": 1e-12, "float": 1e-4}
 # A sample is drawn again where a guard refuses it; so often at most.
@@ -135,7 +135,7 @@ class Guard:
 
     name: str
     text: str
-    status: Status
+    status: OperationStatus
     minimum: float | None = None
     maximum: float | None = None
 

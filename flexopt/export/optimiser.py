@@ -21,10 +21,10 @@ from flexopt.errors import Fault
 from flexopt.export.context import Context, build_context
 from flexopt.export.kernels import Kernel, Real, kernel_text
 from flexopt.export.naming import CWriter, constants
-from flexopt.export.operations import Array
 from flexopt.export.optimiser_kernels import OptimiserKernels, build_optimiser_kernels
 from flexopt.export.parameters import parameter_range
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.arrays import Array
 from flexopt.foundation.boundary import anything, by, public, words
 from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import COORDINATE_MAX, whole_number

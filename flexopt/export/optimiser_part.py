@@ -18,8 +18,8 @@ from flexopt.errors import ExportError, FlexoptError, FlexoptWarning
 from flexopt.export.context import Context, unit_list
 from flexopt.export.kernels import Real
 from flexopt.export.naming import CWriter
-from flexopt.export.operations import Array
 from flexopt.export.optimiser import BUDGET_MAX, STARTS, OptimiserSources, build_optimiser
+from flexopt.foundation.arrays import Array
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import package_version
 from flexopt.foundation.quantities import COORDINATE_MAX

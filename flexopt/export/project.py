@@ -14,8 +14,9 @@ import numpy as np
 from flexopt.export.closing import AGE_MAX, DURATION_S, RATE_HZ, settling_start, steady_hold
 from flexopt.export.context import SINGLE_MARGIN_DEG
 from flexopt.export.control import torque_unit
-from flexopt.export.operations import ACCEPTANCE_COUNT, TOLERANCES, Array, Field, Operation, Samples
+from flexopt.export.operations import ACCEPTANCE_COUNT, TOLERANCES, Field, Operation, Samples
 from flexopt.export.sources import WITH_OUTPUT, Library
+from flexopt.foundation.arrays import Array
 
 VECTOR_COUNT = 12
 VECTOR_SEED = 1

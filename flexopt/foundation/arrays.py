@@ -11,6 +11,12 @@ from numpy.typing import NDArray
 # Of any shape.
 Array = NDArray[np.float64]
 Vector = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+# Lower and upper end.
+Interval = tuple[float, float]
+# As files give them.
+Numbers = tuple[float, ...]
 
 # What signatures of public calls say, a name for each kind; the reference has a page of them. Values are checked and
 # made plain at the boundary (`boundary.py`), so that bodies hold what these are cast to.

@@ -29,7 +29,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 C = TypeVar("C", bound=type[Any])
 # Takes the collector of the call's faults, the argument's name and its value; gives the checked value.
-Check = Callable[[Arguments, str, Any], Any]
+ArgumentCheck = Callable[[Arguments, str, Any], Any]
 # Sees the checked values of a call, None in place of the faulty ones; notes what does not go together.
 Together = Callable[[Arguments, Mapping[str, Any]], None]
 
@@ -40,32 +40,32 @@ TEXT_MAX = 5000
 PICTURES = (".png", ".svg", ".pdf")
 
 
-def by(check: Callable[[Any], Any]) -> Check:
+def by(check: Callable[[Any], Any]) -> ArgumentCheck:
     """A function that returns the value or raises `ValueError` with the sentence."""
     return lambda arguments, field, value: arguments.checked(field, value, check, None)
 
 
-def number(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> Check:
+def number(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> ArgumentCheck:
     """A number in a range."""
     return by(Quantity(unit, above=above, low=low, high=high))
 
 
-def whole(low: int, high: int) -> Check:
+def whole(low: int, high: int) -> ArgumentCheck:
     """A whole number in a range."""
     return by(whole_number(low, high))
 
 
-def numbers(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> Check:
+def numbers(unit: str, *, above: float | None = None, low: float | None = None, high: float) -> ArgumentCheck:
     """One number or several in a range."""
     return by(numbers_in(Quantity(unit, above=above, low=low, high=high)))
 
 
-def words(*valid: Any) -> Check:
+def words(*valid: Any) -> ArgumentCheck:
     """One of a few words."""
     return lambda arguments, field, value: arguments.choice(field, value, valid)
 
 
-def instance(kinds: type | tuple[type, ...], sentence: str) -> Check:
+def instance(kinds: type | tuple[type, ...], sentence: str) -> ArgumentCheck:
     """An object of a class; `sentence` says of which and where one comes from."""
 
     def check(arguments: Arguments, field: str, value: Any) -> Any:
@@ -102,7 +102,7 @@ def callback(arguments: Arguments, field: str, value: Any) -> Any:
     return value
 
 
-def of_machine(check: Callable[[Arguments, Any, str, Any], Any]) -> Check:
+def of_machine(check: Callable[[Arguments, Any, str, Any], Any]) -> ArgumentCheck:
     """A check that asks the machine of the call; where there is no usable one, its fault is enough."""
 
     def asked(arguments: Arguments, field: str, value: Any) -> Any:
@@ -111,7 +111,7 @@ def of_machine(check: Callable[[Arguments, Any, str, Any], Any]) -> Check:
     return asked
 
 
-def array_of(*shapes: tuple[int | str, ...], unit: str = "", kinds: str = "iuf", finite: bool = True) -> Check:
+def array_of(*shapes: tuple[int | str, ...], unit: str = "", kinds: str = "iuf", finite: bool = True) -> ArgumentCheck:
     """Numbers in one of some shapes; a word in a shape is one of `Arguments.sizes`, or stands for any length."""
 
     def check(sizes: Mapping[str, int], value: Any) -> NDArray[Any]:
@@ -175,7 +175,7 @@ def check_text(value: Any) -> str:
     return value
 
 
-def path(*suffixes: str, parent: bool = False, limited: bool = True) -> Check:
+def path(*suffixes: str, parent: bool = False, limited: bool = True) -> ArgumentCheck:
     """The name of a file or folder, text or `os.PathLike`.
 
     Args:
@@ -214,7 +214,7 @@ def path(*suffixes: str, parent: bool = False, limited: bool = True) -> Check:
 flag = words(False, True)
 
 # Rooms that know more names add them (`model/boundary.py`: machines and problems).
-TABLE: dict[str, Check] = {
+TABLE: dict[str, ArgumentCheck] = {
     "data": anything,  # `faults.read_table` and `faults.validated` name every fault by its key
     "posture": of_machine(lambda a, machine, field, value: a.posture(machine, value, field)),
     "base": of_machine(lambda a, machine, field, value: a.base(machine, value, field)),
@@ -265,7 +265,7 @@ class Keywords(NamedTuple):
         return signature.replace(parameters=[*others[:first], *each, *others[first:]])
 
     @property
-    def checks(self) -> dict[str, Check]:
+    def checks(self) -> dict[str, ArgumentCheck]:
         """Checks of single arguments, in place of the table's."""
         return dict.fromkeys(("options", *(self.kind.model_fields if self.together else ())), anything)
 
@@ -299,10 +299,10 @@ def public(
     machine: Callable[[Any], Coordinates] | None = None,
     sizes: Callable[[Any], Mapping[str, int]] | None = None,
     error: type[InputError] = InputError,
-    checks: Mapping[str, Check] | None = None,
+    checks: Mapping[str, ArgumentCheck] | None = None,
     keywords: Keywords | None = None,
     turn: bool = True,
-    **own: Check,
+    **own: ArgumentCheck,
 ) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """A function whose arguments are checked before it runs.
 
@@ -365,7 +365,7 @@ def public(
     return decorate
 
 
-def public_class(**own: Check) -> Callable[[C], C]:
+def public_class(**own: ArgumentCheck) -> Callable[[C], C]:
     """A class that users make objects of, its constructor behind the boundary."""
 
     def decorate(made: C) -> C:

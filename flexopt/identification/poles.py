@@ -14,8 +14,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.foundation.arrays import Array, Vector
-from flexopt.identification.swing import Complex, eigen
+from flexopt.foundation.arrays import Array, ComplexArray, Vector
+from flexopt.identification.swing import eigen
 
 # Windows and rows of the matrix that is decomposed, at most.
 WINDOWS, ROWS = 700, 600
@@ -34,8 +34,8 @@ class Poles:
             it grows.
     """
 
-    values: Complex
-    shapes: Complex
+    values: ComplexArray
+    shapes: ComplexArray
     strength: Vector
     evidence: float
 
@@ -77,13 +77,13 @@ def _unbroken(there: NDArray[np.bool_], length: int) -> NDArray[np.bool_]:
     return total[length:] - total[:-length] == length
 
 
-def _weighed(scaled: Array, scale: Vector, step: float, roots: Complex, most: int) -> Poles:
+def _weighed(scaled: Array, scale: Vector, step: float, roots: ComplexArray, most: int) -> Poles:
     """Amplitudes by least squares, and the strongest of the poles."""
     t: Vector = step * np.arange(float(len(scaled)))
-    waves: Complex = np.exp(np.minimum(np.outer(t, roots.real), 50.0) + 1j * np.outer(t, roots.imag))
+    waves: ComplexArray = np.exp(np.minimum(np.outer(t, roots.real), 50.0) + 1j * np.outer(t, roots.imag))
     basis: Array = np.column_stack([waves.real, -waves.imag, np.ones(t.size)])
     k = roots.size
-    shapes: Complex = np.zeros((scaled.shape[1], k), complex)
+    shapes: ComplexArray = np.zeros((scaled.shape[1], k), complex)
     power = np.zeros(k)
     for j, column in enumerate(scaled.T):
         there = np.isfinite(column)
@@ -91,16 +91,16 @@ def _weighed(scaled: Array, scale: Vector, step: float, roots: Complex, most: in
         shapes[j] = weights[:k] + 1j * weights[k : 2 * k]
         power += np.mean((waves * shapes[j]).real ** 2, axis=0)
     order = np.argsort(-power, kind="stable")[:most]
-    amplitudes: Complex = scale[:, None].astype(complex) * shapes[:, order]
+    amplitudes: ComplexArray = scale[:, None].astype(complex) * shapes[:, order]
     evidence = math.copysign(_decay(scaled, t, roots[order]), -roots[order[0]].real)
     return Poles(roots[order], amplitudes, np.sqrt(power[order]), evidence)
 
 
-def _decay(scaled: Array, t: Vector, roots: Complex) -> float:
+def _decay(scaled: Array, t: Vector, roots: ComplexArray) -> float:
     """What the columns lose in likelihood, as twice its logarithm, where the first pole is held at the axis."""
 
-    def left(poles: Complex) -> Vector:
-        waves: Complex = np.exp(np.outer(t, poles.real) + 1j * np.outer(t, poles.imag))
+    def left(poles: ComplexArray) -> Vector:
+        waves: ComplexArray = np.exp(np.outer(t, poles.real) + 1j * np.outer(t, poles.imag))
         basis: Array = np.column_stack([waves.real, -waves.imag, np.ones(t.size)])
         squares = list[float]()
         for column in scaled.T:

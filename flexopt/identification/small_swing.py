@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import NoSolutionFound
-from flexopt.foundation.arrays import Array, Vector
+from flexopt.foundation.arrays import Array, ComplexArray, Vector
 from flexopt.identification.log import MeasuredLog
 from flexopt.identification.measured import MISTAKEN
 from flexopt.identification.poles import Poles
-from flexopt.identification.swing import Complex, HeldSwing, eigen
+from flexopt.identification.swing import HeldSwing, eigen
 from flexopt.plant.reach import outer_reach
 
 # Nothing known beyond the file: its numbers are right within a factor of e³, in standard deviations.
@@ -129,20 +129,20 @@ class SmallSwing:
         return found.x, float(2 * found.cost / size)
 
 
-def small_modes(swing: HeldSwing, theta: Vector) -> tuple[Complex, Complex]:
+def small_modes(swing: HeldSwing, theta: Vector) -> tuple[ComplexArray, ComplexArray]:
     """Eigenvalues (m,) with positive imaginary part, 1/s, slowest first, and what the columns see of each (c, m)."""
     roots, v, _ = swing.modes(theta)
     return roots, swing.linear(theta)[1] @ v
 
 
-def _alike(a: Complex, b: Complex) -> Array:
+def _alike(a: ComplexArray, b: ComplexArray) -> Array:
     """Modal assurance of shapes (c, k) and (c, l), columns scaled: (k, l) in 0 … 1."""
     inner = np.abs(a.conj().T @ b) ** 2
     return inner / np.maximum(np.outer((np.abs(a) ** 2).sum(0), (np.abs(b) ** 2).sum(0)), 1e-300)
 
 
 def of_roots(
-    swing: HeldSwing, residuals: Callable[[Complex, Vector], Vector]
+    swing: HeldSwing, residuals: Callable[[ComplexArray, Vector], Vector]
 ) -> tuple[Callable[[Vector], Vector], Callable[[Vector], Array]]:
     """Residuals of the eigenvalues with θ and of θ, as functions of θ: their value, and their slopes by differences.
 
@@ -176,7 +176,9 @@ def matched(swing: HeldSwing, poles: Poles, scale: Vector, theta: Vector) -> Vec
         cost = weight[:, None] * (3.0 * apart + 1.0 - _alike(poles.shapes / scale[:, None], shapes / scale[:, None]))
         data, model = linear_sum_assignment(cost)
 
-        def residuals(modes: Complex, at: Vector, data: NDArray[Any] = data, model: NDArray[Any] = model) -> Vector:
+        def residuals(
+            modes: ComplexArray, at: Vector, data: NDArray[Any] = data, model: NDArray[Any] = model
+        ) -> Vector:
             if modes.size <= model.max():
                 return np.full(2 * data.size + at.size, 10.0)
             wanted, now = poles.values[data], modes[model]
@@ -280,10 +282,10 @@ def same_poles(swing: HeldSwing, theta: Vector, springs: Sequence[int]) -> list[
         start = theta.copy()
         start[seen] += rng.normal(0.0, APART, len(seen))
 
-        def residuals(roots: Complex, at: Vector, start: Vector = start) -> Vector:
+        def residuals(roots: ComplexArray, at: Vector, start: Vector = start) -> Vector:
             if roots.size != wanted.size:
                 return np.full(2 * wanted.size + at.size, 10.0)
-            apart: Complex = np.log(roots / wanted)
+            apart: ComplexArray = np.log(roots / wanted)
             return np.concatenate([apart.real, apart.imag, 1e-4 * (at - start)])
 
         value, slopes = of_roots(swing, residuals)

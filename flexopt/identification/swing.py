@@ -15,17 +15,15 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from flexopt.algebra import solve_spd
 from flexopt.errors import NoSolutionFound
-from flexopt.foundation.arrays import Array, Vector
+from flexopt.foundation.arrays import Array, ComplexArray, Vector
 from flexopt.identification.measured import Channel, imu_body
 from flexopt.loop.tableaus import dormand_prince
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 
-Complex = NDArray[np.complex128]
 # Largest ω h of a step: the method's phase error over a step is then below 1e-9 of a turn.
 PHASE = 0.8
 # Steps of one call, and of a whole log at most.
@@ -34,9 +32,9 @@ CHUNK, STEPS_MAX = 128, 400_000
 GROWN = 50.0
 
 
-def oscillations(roots: Complex, time: Vector) -> Complex:
+def oscillations(roots: ComplexArray, time: Vector) -> ComplexArray:
     """e^{λ_k (t − t_0)} (N, k), at the times of a log."""
-    exponents: Complex = np.outer(time - time[0], roots)
+    exponents: ComplexArray = np.outer(time - time[0], roots)
     return np.exp(np.minimum(exponents.real, GROWN) + 1j * exponents.imag)
 
 
@@ -223,11 +221,11 @@ class HeldSwing:
         a = np.block([[np.zeros((m, m)), np.eye(m)], [self._at_rest.call([state, theta])[0].full()]])
         return a, self.outputs.call([state, theta])[1].full()[:, : 2 * m], state
 
-    def roots(self, theta: Vector) -> Complex:
+    def roots(self, theta: Vector) -> ComplexArray:
         """The eigenvalues alone that `modes` gives; none where the springs do not hold the machine."""
         return self.roots_of(theta[None])[0]
 
-    def roots_of(self, thetas: Array) -> list[Complex]:
+    def roots_of(self, thetas: Array) -> list[ComplexArray]:
         """The `roots` of each θ (N, n_θ), in one call."""
         m, count, rests = self.m, len(thetas), self._rests(thetas)
         slopes = self._at_rest.call([rests.T, thetas.T])[0].full().reshape(m, count, 2 * m)
@@ -235,11 +233,11 @@ class HeldSwing:
         matrices[:, :m, m:], matrices[:, m:] = np.eye(m), slopes.transpose(1, 0, 2)
         held, found = np.all(np.isfinite(matrices), axis=(1, 2)), [np.zeros(0, dtype=complex)] * count
         for k, values in zip(np.flatnonzero(held).tolist(), np.linalg.eigvals(matrices[held]), strict=True):
-            turning: Complex = values[values.imag > 0].astype(complex)
+            turning: ComplexArray = values[values.imag > 0].astype(complex)
             found[k] = turning[np.argsort(np.abs(turning), kind="stable")]
         return found
 
-    def modes(self, theta: Vector) -> tuple[Complex, Complex, Complex]:
+    def modes(self, theta: Vector) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Oscillations about rest, slowest first: eigenvalues (k,), imaginary parts positive, vectors (2m, k), (k, 2m).
 
         The last are the rows of the inverse of all eigenvectors, which tell how much of each a state holds.
@@ -250,7 +248,7 @@ class HeldSwing:
         chosen = chosen[np.argsort(np.abs(roots[chosen]), kind="stable")]
         return roots[chosen], v[:, chosen], left[chosen]
 
-    def excited(self, theta: Vector, start: Vector) -> tuple[Complex, Complex]:
+    def excited(self, theta: Vector, start: Vector) -> tuple[ComplexArray, ComplexArray]:
         """The oscillations that a first state holds: λ (k,) and shapes S (2m, k), x − rest = Σ 2 Re(S_k e^{λ_k t})."""
         roots, v, left = self.modes(theta)
         return roots, v * (left @ (start - self.rest(theta)))
@@ -317,7 +315,7 @@ class HeldSwing:
         return y.full().T, found
 
 
-def eigen(a: Array) -> tuple[Complex, Complex]:
+def eigen(a: Array) -> tuple[ComplexArray, ComplexArray]:
     """Eigenvalues and eigenvectors, complex even where all are real."""
     values, vectors = np.linalg.eig(a.astype(complex))
     return values, vectors

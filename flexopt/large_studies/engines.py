@@ -21,8 +21,8 @@ from flexopt.errors import Fault, FlexoptError, InputError
 from flexopt.foundation.processes import in_parallel
 from flexopt.large_studies.chunk import Finished
 
-Task = Callable[[str, str, int], Finished]
-Seen = Callable[[Finished], None]
+ChunkTask = Callable[[str, str, int], Finished]
+OnFinished = Callable[[Finished], None]
 # Tasks that an engine has at a time, for each that works: one to work on, the others on their way; so for processes.
 AHEAD, TOGETHER = 4, 2
 # How often an engine is asked whether it is still there, and how long it may be without workers, s.
@@ -37,7 +37,7 @@ class EngineLost(FlexoptError):
 class Engine(Protocol):
     """Works off numbers of chunks."""
 
-    def __call__(self, task: Task, path: str, digest: str, numbers: Sequence[int], seen: Seen) -> None:
+    def __call__(self, task: ChunkTask, path: str, digest: str, numbers: Sequence[int], seen: OnFinished) -> None:
         """Call `seen` for each of the numbers."""
         ...
 
@@ -47,7 +47,7 @@ class Processes(NamedTuple):
 
     workers: int
 
-    def __call__(self, task: Task, path: str, digest: str, numbers: Sequence[int], seen: Seen) -> None:
+    def __call__(self, task: ChunkTask, path: str, digest: str, numbers: Sequence[int], seen: OnFinished) -> None:
         """As `Engine`."""
 
         def lost(k: int, sentence: str) -> Finished:
@@ -58,7 +58,7 @@ class Processes(NamedTuple):
         in_parallel(each, len(numbers), self.workers, lost=lost, seen=seen, ahead=TOGETHER)
 
 
-def _numbered(task: Task, path: str, digest: str, numbers: Sequence[int], k: int) -> Finished:
+def _numbered(task: ChunkTask, path: str, digest: str, numbers: Sequence[int], k: int) -> Finished:
     return task(path, digest, numbers[k])
 
 
@@ -73,7 +73,7 @@ class Elsewhere(NamedTuple):
     executor: Executor
     slots: Callable[[], int]
 
-    def __call__(self, task: Task, path: str, digest: str, numbers: Sequence[int], seen: Seen) -> None:
+    def __call__(self, task: ChunkTask, path: str, digest: str, numbers: Sequence[int], seen: OnFinished) -> None:
         """As `Engine`."""
         left, pending = iter(numbers), dict[Future[Finished], int]()
         try:
@@ -92,7 +92,7 @@ class Elsewhere(NamedTuple):
                 future.cancel()
 
     def _fill(
-        self, task: Task, path: str, digest: str, left: Iterator[int], pending: dict[Future[Finished], int]
+        self, task: ChunkTask, path: str, digest: str, left: Iterator[int], pending: dict[Future[Finished], int]
     ) -> None:
         """Hand out as many tasks as are to be on their way."""
         room = AHEAD * self.slots() - len(pending)

@@ -34,10 +34,10 @@ from flexopt.robustness.residues import residue_unit
 BLOCK = 2**14
 QUICK = frozenset({"w", "w_posture"})
 Arrays = dict[str, NDArray[Any]]
-Status = NDArray[np.int8]
+StatusCodes = NDArray[np.int8]
 
 
-class Numbers:
+class PointNumbers:
     """What a point's configuration and parameters are, from what varies.
 
     Attributes:
@@ -90,7 +90,7 @@ class ManyMeasures:
     """Measures of a chunk's postures."""
 
     def __init__(self, study: Study, axes: tuple[StudyAxis, ...]) -> None:
-        self.study, self.numbers = study, Numbers(study, axes)
+        self.study, self.numbers = study, PointNumbers(study, axes)
         self.machine, self.control = self.numbers.machine, self.numbers.control
         self.measures = build_measures(self.machine, self.control, study.gravity)
         self.quick = QUICK.issuperset(study.kept)
@@ -117,14 +117,14 @@ class ManyMeasures:
         }
         return found | {"status": (("point",), (count,), "i1")}
 
-    def __call__(self, columns: Vector) -> tuple[Arrays, Status, list[str]]:
+    def __call__(self, columns: Vector) -> tuple[Arrays, StatusCodes, list[str]]:
         """Arrays (…, N), status (N,), and no reasons: the status says all."""
         found = {name: np.empty(shape, kind) for name, (_, shape, kind) in self.variables(columns.shape[1]).items()}
         status = found.pop("status")
         self.fill(columns, found, status)
         return found, status, []
 
-    def fill(self, columns: Vector, arrays: Mapping[str, NDArray[Any]], status: Status) -> None:
+    def fill(self, columns: Vector, arrays: Mapping[str, NDArray[Any]], status: StatusCodes) -> None:
         """The same into arrays that are there, of any byte order."""
         for start in range(0, columns.shape[1], BLOCK):
             here = slice(start, min(start + BLOCK, columns.shape[1]))
@@ -132,7 +132,7 @@ class ManyMeasures:
             for name in self.shapes:
                 arrays[name][..., here] = values[name]
 
-    def _block(self, at: Mapping[str, Vector]) -> tuple[Mapping[str, Vector | None], Status]:
+    def _block(self, at: Mapping[str, Vector]) -> tuple[Mapping[str, Vector | None], StatusCodes]:
         postures, bases, p = at["posture"], at["base"], at["parameters"]
         gradient = "w_posture" in self.study.kept
         quick = w_at(self.measures, bases, postures, p, gradient=gradient)
@@ -166,7 +166,7 @@ class ManyOutcomes:
     """What the real loop does in a chunk's postures."""
 
     def __init__(self, study: Study, axes: tuple[StudyAxis, ...]) -> None:
-        self.study, self.axes, self.numbers = study, axes, Numbers(study, axes)
+        self.study, self.axes, self.numbers = study, axes, PointNumbers(study, axes)
         self.machine = self.numbers.machine
         loop = loop_of_varied(study.loop, self.machine, [axis.kind for axis in axes])
         control = study.control or loop.control or "inverse"
@@ -206,7 +206,7 @@ class ManyOutcomes:
         known = {"decay": "1/s", "frequency_hz": "Hz", "delay_margin": "s", "settling": "s"}
         return {name: known.get(name, "1") for name in self.study.kept}
 
-    def __call__(self, columns: Vector) -> tuple[Arrays, Status, list[str]]:
+    def __call__(self, columns: Vector) -> tuple[Arrays, StatusCodes, list[str]]:
         """Arrays (N,), status (N,) and, where points are computed one by one, reasons."""
         at, count = self.numbers.at(columns), columns.shape[1]
         bases = np.broadcast_to(at["base"].reshape(len(at["base"]), -1), (len(at["base"]), count))

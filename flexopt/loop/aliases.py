@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import ComplexArray, Vector
 from flexopt.loop.bernstein import chebyshev, lebesgue, to_chebyshev
-from flexopt.loop.members import Complex, Machines
+from flexopt.loop.members import Machines
 from flexopt.loop.tangent import exponential
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class Aliases:
 
     of: Characteristic
 
-    def both(self, s: Complex, thetas: Vector) -> tuple[Complex, Complex]:
+    def both(self, s: ComplexArray, thetas: Vector) -> tuple[ComplexArray, ComplexArray]:
         """Two (N, len(s), 2r, r) of which 𝓔 z^l of members (N, k) is the difference.
 
         P and all its aliases, from one sample's matrices exactly, and h P.
@@ -181,11 +181,11 @@ class Aliases:
     # The table.
 
     @cached_property
-    def table(self) -> Complex:
+    def table(self) -> ComplexArray:
         """Chebyshev coefficients (TABLE, …, 2r, r) of 𝓔 z^l over ω / (π/T) in [−1, 1], at the nodes of `smooth` θ."""
         return self._tabled(self.of.grid(self.of.smooth))[0]
 
-    def _tabled(self, thetas: Vector) -> tuple[Complex, Vector]:
+    def _tabled(self, thetas: Vector) -> tuple[ComplexArray, Vector]:
         """The table of members (…, k), and its rounding (2r, 1)."""
         of, nodes, flat = (
             self.of,
@@ -201,11 +201,11 @@ class Aliases:
         return found.reshape(TABLE, *thetas.shape[:-1], *found.shape[2:]).astype(np.complex128), lost
 
     @property
-    def _flat(self) -> Complex:
+    def _flat(self) -> ComplexArray:
         """The table with one axis of all nodes."""
         return self.table.reshape(TABLE, -1, *self.table.shape[-2:])
 
-    def at(self, omega: Vector) -> Complex:
+    def at(self, omega: Vector) -> ComplexArray:
         """𝓔 (len(omega), nodes of smooth θ, 2r, r)."""
         of = self.of
         z = np.exp((1j * omega - of.decay) * of.period) ** -of.whole
@@ -233,9 +233,9 @@ class Aliases:
     # How far members are from the table.
 
     @cached_property
-    def _differences(self) -> Complex:
+    def _differences(self) -> ComplexArray:
         """Of the tables of all corners in θ that are not smooth from that, (2^…, TABLE, nodes, 2r, r)."""
-        of, found = self.of, list[Complex]()
+        of, found = self.of, list[ComplexArray]()
         own = [i for i in range(len(of.low)) if i not in of.smooth and of.low[i] < of.high[i]]
         for corner in product(*((of.low[i], of.high[i]) for i in own)):
             thetas = of.grid(of.smooth)
@@ -294,7 +294,7 @@ def _over(flows: Vector, drives: Vector, spans: Vector) -> tuple[Vector, Vector]
     return exponential(flows * spans[:, None, None], drives * spans[:, None, None], 1.0)
 
 
-def hold(s: Complex, period: float, late: float | Vector) -> Complex:
+def hold(s: ComplexArray, period: float, late: float | Vector) -> ComplexArray:
     """(1 − e^{−sT}) / (sT) · e^{−sδ}."""
-    found: Complex = -np.expm1(-s * period) / (s * period) * np.exp(-s * late)
+    found: ComplexArray = -np.expm1(-s * period) / (s * period) * np.exp(-s * late)
     return found

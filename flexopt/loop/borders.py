@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.foundation.arrays import Interval
 from flexopt.foundation.roots import root
 
 # Relative width to which a narrow interval between two gains is looked for, and exponents to which a border is found.
 NARROW, BORDER = 1e-3, 1e-10
-
-Interval = tuple[float, float]
 
 
 def stable_intervals(

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import ComplexArray, Vector
 from flexopt.loop.aliases import hold
 from flexopt.loop.bernstein import lebesgue, nodes_of, splitting, to_bernstein
 from flexopt.loop.characteristic import Characteristic
 from flexopt.loop.characteristic_bounds import TINY, remainders
-from flexopt.loop.members import Complex, Machines, Ports
+from flexopt.loop.members import Machines, Ports
 
 # Degree in ω.
 DEGREE = 8
@@ -49,7 +49,7 @@ class Cells:
 
     low: Vector
     high: Vector
-    points: Complex
+    points: ComplexArray
     error: Vector
 
     def chosen(self, which: Any) -> Cells:
@@ -74,7 +74,7 @@ class Cells:
         low, high = both([each.low for each in every]), both([each.high for each in every])
         return Cells(low, high, both([each.points for each in every]), both([each.error for each in every]))
 
-    def _ends(self, but: int | None = None) -> Complex:
+    def _ends(self, but: int | None = None) -> ComplexArray:
         """Control points that are values: at the ends of ω and of every θ, of one at all nodes."""
         ends = [slice(None, None, max(n - 1, 1)) for n in self.points.shape[1:]]
         if but is not None:
@@ -83,7 +83,7 @@ class Cells:
 
     def open_halves(self, splits: Mapping[int, float]) -> dict[int, int]:
         """By θ_axis: split there, in how many cells of both parts of the box values at the ends leave zero open."""
-        parts = list[Complex]()
+        parts = list[ComplexArray]()
         for axis, at in splits.items():
             lines, degree = self._ends(axis), self.points.shape[2 + axis] - 1
             middle = np.moveaxis(lines, 2 + axis, -1) @ splitting(degree, at)[0][-1]
@@ -110,7 +110,7 @@ class Cells:
         return found
 
 
-def _parted(points: Complex, error: Vector) -> NDArray[np.bool_]:
+def _parted(points: ComplexArray, error: Vector) -> NDArray[np.bool_]:
     """Whether some line through zero has all points (K, …) on one side, their error (K,) away at least."""
     # Of most cells the line across the mean is one.
     ahead, mean = _ahead(points, points.sum(axis=1))
@@ -123,13 +123,13 @@ def _parted(points: Complex, error: Vector) -> NDArray[np.bool_]:
     return found
 
 
-def _ahead(points: Complex, direction: Complex) -> tuple[Vector, Complex]:
+def _ahead(points: ComplexArray, direction: ComplexArray) -> tuple[Vector, ComplexArray]:
     """How far points (K, …) are in a direction (K,), and that with the length of one."""
     direction = direction / np.maximum(np.abs(direction), TINY)
     return points.real * direction.real[:, None] + points.imag * direction.imag[:, None], direction
 
 
-def _between(points: Complex, mean: Complex, error: Vector) -> tuple[Complex, NDArray[np.bool_]]:
+def _between(points: ComplexArray, mean: ComplexArray, error: Vector) -> tuple[ComplexArray, NDArray[np.bool_]]:
     """The direction (K,) halfway between the outermost of discs about points (K, …), and whether it can part them."""
     turned = points * mean.conj()[:, None]
     angle = np.arctan2(turned.imag, turned.real)
@@ -176,7 +176,7 @@ def _cells_of(of: Characteristic, low: Vector, high: Vector) -> tuple[Cells, Vec
     return Cells(low, high, points, total), cut
 
 
-def _values(of: Characteristic, omega: Vector, error: Vector, faint: Vector) -> tuple[Complex, Vector, Vector]:
+def _values(of: Characteristic, omega: Vector, error: Vector, faint: Vector) -> tuple[ComplexArray, Vector, Vector]:
     """Q (K, DEGREE + 1, nodes in each θ …), and the most that two errors move it there to the first order, (K,) each.
 
     These are an error (K, 2r, r) of the aliases, and rounding: a determinant by elimination is that of a matrix whose
@@ -189,7 +189,7 @@ def _values(of: Characteristic, omega: Vector, error: Vector, faint: Vector) -> 
     thetas = grid.reshape(-1, len(of.dead_times), len(of.low))
     aliases = of.aliases.at(omega.ravel())
     weights = np.repeat(error.transpose(0, 2, 1), omega.shape[1], axis=0)
-    found, pencils, sizes = list[Complex](), list[Complex](), list[Vector]()
+    found, pencils, sizes = list[ComplexArray](), list[ComplexArray](), list[Vector]()
     for members, ports in of.seen(thetas):
         each = [members.mass, members.damping, members.stiffness]
         machines = Machines(*(x[:1] for x in each)) if all(np.all(x == x[:1]) for x in each) else members
@@ -218,7 +218,7 @@ def _values(of: Characteristic, omega: Vector, error: Vector, faint: Vector) -> 
     return np.moveaxis(both, range(2, both.ndim), [2 + i for i in (*own, *smooth)]), sensitivity, rounding
 
 
-def _sizes(machines: Machines, pencil: Complex, s: Complex) -> Vector:
+def _sizes(machines: Machines, pencil: ComplexArray, s: ComplexArray) -> Vector:
     """Of columns (…, n): the largest entry, or what it is made of where near resonance that is more."""
     found = np.abs(pencil).max(axis=-2)
     at, n = np.abs(s).reshape(-1, *(1,) * (machines.mass.ndim - 1)), machines.mass.shape[-1]
@@ -227,7 +227,7 @@ def _sizes(machines: Machines, pencil: Complex, s: Complex) -> Vector:
     return found
 
 
-def _lost(pencil: Complex, sizes: Vector) -> Vector:
+def _lost(pencil: ComplexArray, sizes: Vector) -> Vector:
     """A bound on Σ_ij sizes_j |cofactor_ij| (…,): a cofactor is at most the product of the other columns' lengths."""
     squares: Vector = pencil.real**2 + pencil.imag**2
     rows: Vector = np.sqrt(squares.sum(axis=-1).reshape(-1, squares.shape[-1]).max(axis=0))
@@ -244,7 +244,9 @@ def _entrance(of: Characteristic) -> Vector:
     return np.vstack([np.zeros((n, law.force.shape[1] - k)), -law.force[:, k:], -law.law[:, k:]])
 
 
-def _pencil(of: Characteristic, machines: Machines, ports: Ports, s: Complex, aliases: Complex) -> Complex:
+def _pencil(
+    of: Characteristic, machines: Machines, ports: Ports, s: ComplexArray, aliases: ComplexArray
+) -> ComplexArray:
     """The matrix (len(s), members, dead times, …) of `characteristic`."""
     n, law, (servo, into) = machines.mass.shape[-1], of.law, of.servo
     (_, (torque, force), (_, size)), k = of.places(n), len(law.law)
@@ -270,7 +272,7 @@ def _pencil(of: Characteristic, machines: Machines, ports: Ports, s: Complex, al
     return found
 
 
-def _along(points: Complex, matrix: Vector, axis: int) -> Complex:
+def _along(points: ComplexArray, matrix: Vector, axis: int) -> ComplexArray:
     """A matrix applied to one axis."""
     shape = points.shape
     rows = points.reshape(math.prod(shape[:axis]), shape[axis], math.prod(shape[axis + 1 :]))

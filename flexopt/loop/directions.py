@@ -13,7 +13,7 @@ from typing import Protocol
 
 import casadi as ca
 
-from flexopt.plant.motion import Directions, Pair
+from flexopt.plant.motion import CosSin, Directions
 
 # What Taylor's polynomials leave out at these limits is below a fifth of the last place of 1.
 TURN_LIMIT, TURN_TERMS = 0.03, (3, 4)  # rad; cosine to the 6th, sine to the 7th power
@@ -130,7 +130,7 @@ def _turned(pairs: Directions, by: Directions) -> Directions:
     return [(c * cosine - s * sine, s * cosine + c * sine) for (c, s), (cosine, sine) in zip(pairs, by, strict=True)]
 
 
-def _small(angle: ca.SX, terms: tuple[int, int]) -> Pair:
+def _small(angle: ca.SX, terms: tuple[int, int]) -> CosSin:
     """Cosine and sine by Taylor's polynomials: so many even powers beyond 1, and so many odd ones."""
     square, (even, odd) = angle * angle, terms
     cosine = _series([(-1.0) ** k / math.factorial(2 * k) for k in range(even + 1)], square)

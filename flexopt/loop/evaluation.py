@@ -25,7 +25,7 @@ from flexopt.robustness import Evaluation, build_measures, evaluate
 from flexopt.robustness.evaluation import evaluate_checked, without_rounding
 
 # Derivatives by measure, then by what: "base", "posture", "parameters", gains, dead time and drives.
-Slopes = Mapping[str, Mapping[str, Vector]]
+SlopesOfMeasures = Mapping[str, Mapping[str, Vector]]
 SCALARS = tuple(MEASURES)
 
 
@@ -98,7 +98,7 @@ class Outcome(Result):
     settling: float
     swing: float
     swing_unit: str
-    gradient: Slopes
+    gradient: SlopesOfMeasures
 
     DOCUMENT = """
     settings allowance allowance_isotropic lag[rad] lag_reserve[rad] first_order_decay[1/s] w_lagged frequencies_hz[Hz]

@@ -15,8 +15,9 @@ import casadi as ca
 import numpy as np
 
 from flexopt.algebra.dense import solve_spd
+from flexopt.foundation.arrays import Array
 from flexopt.loop.directions import Computed, Heading, TurningFrame
-from flexopt.loop.tableaus import Table, Tableau
+from flexopt.loop.tableaus import Tableau
 from flexopt.plant.motion import Directions
 
 
@@ -111,7 +112,7 @@ def explicit_step(
     return after, frame.turned(h * change.u[k:])
 
 
-def _combined(rates: Sequence[State], factors: Table) -> State | None:
+def _combined(rates: Sequence[State], factors: Array) -> State | None:
     """Σ factor · rate, or None where every factor is zero."""
     used = [(float(factor), rate) for factor, rate in zip(factors, rates, strict=True) if factor]
     if not used:
@@ -156,7 +157,7 @@ class StrongDampers:
     def __init__(self, tableau: Tableau, h: ca.SX) -> None:
         values, vectors = np.linalg.eig(tableau.a)
         self._h, self._values = h, [value for value in values if value.imag >= 0]
-        columns: list[Table] = []
+        columns: list[Array] = []
         for value, vector in zip(values, vectors.T, strict=True):
             if value.imag >= 0:
                 columns += [vector.real, vector.imag] if value.imag else [vector.real]

@@ -23,7 +23,7 @@ from flexopt.robustness.modal import ModalGraphs
 
 BY = (*INPUTS, "dead_time")
 # Real and imaginary part.
-Pair = tuple[ca.SX, ca.SX]
+RealImaginary = tuple[ca.SX, ca.SX]
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class LaggedModes:
             angle, size = angle + ca.atan2(imaginary, real), size * (1 - kept) / ca.sqrt(real**2 + imaginary**2)
         return angle, size
 
-    def _servo(self, w: ca.SX) -> Pair:
+    def _servo(self, w: ca.SX) -> RealImaginary:
         """1 / (1 + jω/ω_s) of each joint, (n,)."""
         n = self.motions.plant.n_actuated
         if not self.motions.lagging:
@@ -151,13 +151,13 @@ def lagged_modes(motions: SmallMotions) -> LaggedModes:
     return LaggedModes(motions)
 
 
-def _times(x: Pair, y: ca.SX) -> Pair:
+def _times(x: RealImaginary, y: ca.SX) -> RealImaginary:
     return x[0] * y, x[1] * y
 
 
-def _product(x: Pair, y: Pair) -> Pair:
+def _product(x: RealImaginary, y: RealImaginary) -> RealImaginary:
     return x[0] * y[0] - x[1] * y[1], x[0] * y[1] + x[1] * y[0]
 
 
-def _dot(x: Any, y: Pair) -> Pair:
+def _dot(x: Any, y: RealImaginary) -> RealImaginary:
     return ca.dot(x[0], y[0]) - ca.dot(x[1], y[1]), ca.dot(x[0], y[1]) + ca.dot(x[1], y[0])

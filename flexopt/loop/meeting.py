@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import ComplexArray, Vector
 from flexopt.loop.outcome import SLOWEST_MOTIONS, LoopPoint, Measured
-from flexopt.loop.spectrum import Complex, balance
+from flexopt.loop.spectrum import balance
 
 # How many times as far away as from each other two eigenvalues that meet must be from every other.
 ALONE = 2.0
@@ -31,7 +31,7 @@ class Meeting(NamedTuple):
     mean: float
     squared: complex
     by_mean: Vector
-    by_squared: Complex
+    by_squared: ComplexArray
 
 
 def meeting(balanced_by: tuple[Vector, Vector], one: complex, other: complex) -> Meeting | None:
@@ -51,7 +51,7 @@ def meeting(balanced_by: tuple[Vector, Vector], one: complex, other: complex) ->
     if not (beyond > ALONE * within and middle):
         return None
     radius = math.sqrt(max(within, np.finfo(float).eps) * min(beyond, abs(middle)))
-    bases = list[Complex]()
+    bases = list[ComplexArray]()
     for matrix in (balanced, balanced.T):
 
         def chosen(value: complex, centre: complex = middle if matrix is balanced else middle.conjugate()) -> bool:
@@ -68,8 +68,8 @@ def meeting(balanced_by: tuple[Vector, Vector], one: complex, other: complex) ->
     y = y @ np.linalg.inv(x.conj().T @ y)
     small = y.conj().T @ balanced @ x
     half = complex(np.trace(small)) / 2
-    off: Complex = np.asarray(small - half * np.eye(2), dtype=np.complex128)
-    inverse: Complex = np.asarray(np.linalg.inv(small), dtype=np.complex128)
+    off: ComplexArray = np.asarray(small - half * np.eye(2), dtype=np.complex128)
+    inverse: ComplexArray = np.asarray(np.linalg.inv(small), dtype=np.complex128)
     # (M − c)² = −det(M − c), by Cayley and Hamilton.
     ratio = -complex(np.linalg.det(off)) / half**2
     root = cmath.sqrt(ratio)
@@ -77,7 +77,7 @@ def meeting(balanced_by: tuple[Vector, Vector], one: complex, other: complex) ->
     mean = math.log(abs(half)) + cmath.log(1 - ratio).real / 2
 
     outward, inward = y.conj() / scale[:, None], (scale[:, None] * x).T
-    by_squared: Complex = np.asarray(outward @ (by_root / half * off @ inverse).T @ inward, dtype=np.complex128)
+    by_squared: ComplexArray = np.asarray(outward @ (by_root / half * off @ inverse).T @ inward, dtype=np.complex128)
     return Meeting(mean, by_root**2 * ratio, (outward @ inverse.T @ inward).real / 2, by_squared)
 
 

@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flexopt.foundation.arrays import Vector
-
-Complex = NDArray[np.complex128]
+from flexopt.foundation.arrays import ComplexArray, Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,10 +17,10 @@ class Machines:
     damping: Vector
     stiffness: Vector
 
-    def pencil(self, s: Complex) -> Complex:
+    def pencil(self, s: ComplexArray) -> ComplexArray:
         """Z (len(s), …, n, n)."""
         at = s.reshape(-1, *(1,) * self.mass.ndim)
-        found: Complex = at * at * self.mass + at * self.damping + self.stiffness
+        found: ComplexArray = at * at * self.mass + at * self.damping + self.stiffness
         return found
 
     @property

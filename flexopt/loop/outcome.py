@@ -18,14 +18,13 @@ import numpy as np
 
 from flexopt.coprime import StateSpace
 from flexopt.coprime.norms import hinf_peak
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import ComplexArray, Vector
 from flexopt.foundation.roots import root
 from flexopt.loop.assembly import OneSample, Slopes
 from flexopt.loop.borders import stable_intervals
 from flexopt.loop.disturbance import Disturbed
 from flexopt.loop.small_motions import CONFIGURATION, INPUTS, Parts, SmallMotions
 from flexopt.loop.spectrum import (
-    Complex,
     OwnMotion,
     SampledLoop,
     balance,
@@ -177,7 +176,7 @@ class LoopPoint:
         """How fast the loop's slowest motion decays, 1/s; negative where it grows."""
         return self.rate()
 
-    def poles(self, modes: Vector, mass: Vector) -> Complex:
+    def poles(self, modes: Vector, mass: Vector) -> ComplexArray:
         """Ln μ / T, rad/s, of the oscillation that each mode φ_i (n_q, m) has become; NaN where there is none.
 
         Oscillations are given to modes so that the shares |φ_iᵀ M q|² / qᴴ M q of their shapes sum up to the most.
@@ -362,7 +361,7 @@ class LoopPoint:
 
         def slope(at: float) -> float:
             z = np.exp(1j * at)
-            pencil: Complex = z * np.eye(len(system.A)) - system.A
+            pencil: ComplexArray = z * np.eye(len(system.A)) - system.A
             moved = np.linalg.solve(pencil, system.B.astype(complex))
             u, _, vh = np.linalg.svd(feeding + sign * system.C @ moved)
             turned = -1j * z * sign * system.C @ np.linalg.solve(pencil, moved)
@@ -383,11 +382,11 @@ class LoopPoint:
             return UNDEFINED
         z, smooth, identity = np.exp(1j * angle), self.smooth, np.eye(len(self.parts.force))
         try:
-            pencil: Complex = z * np.eye(len(smooth.matrix)) - smooth.matrix
+            pencil: ComplexArray = z * np.eye(len(smooth.matrix)) - smooth.matrix
             inverse = np.linalg.solve(pencil, np.eye(len(pencil)))
         except np.linalg.LinAlgError:
             return Measured(value)
-        resolvent: Complex = np.asarray(inverse, dtype=np.complex128)
+        resolvent: ComplexArray = np.asarray(inverse, dtype=np.complex128)
         u, sizes, vh = np.linalg.svd(feed * identity + sign * smooth.force @ resolvent @ smooth.into)
         left, right = sign * u[:, 0].conj(), vh[0].conj()
         row, column = left @ smooth.force @ resolvent, resolvent @ smooth.into @ right
@@ -497,7 +496,7 @@ class _Response:
         self.open = sample.open / scale[:, None] * scale
         self.into, self.force = sample.into / scale[:, None], sample.force * scale
 
-    def eigenvalues(self, angles: Vector) -> Complex:
+    def eigenvalues(self, angles: Vector) -> ComplexArray:
         """At angles θ (k,), (k, r)."""
         z = np.exp(1j * angles)[:, None, None]
         right = np.broadcast_to(self.into, (len(z), *self.into.shape))

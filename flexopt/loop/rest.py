@@ -15,7 +15,7 @@ from flexopt.loop.closed import ClosedLoop
 from flexopt.plant import Plant
 from flexopt.plant.motion import Motion
 
-Entry = TypeVar("Entry")
+T = TypeVar("T")
 
 
 def design_constants(motion: Motion, passive: ca.SX, base: ca.SX) -> dict[str, ca.SX]:
@@ -48,7 +48,7 @@ def state_at_rest(loop: ClosedLoop, plant: Plant, motion: Motion, q: ca.SX, base
     return ca.vertcat(*parts.values())
 
 
-def in_base_axes(away: Mapping[str, Entry], cosine: Entry, sine: Entry, nothing: Entry) -> dict[str, Entry]:
+def in_base_axes(away: Mapping[str, T], cosine: T, sine: T, nothing: T) -> dict[str, T]:
     """A change of placement by names, x and y in the axes in which a base of that yaw stands."""
     x, y = away.get("x", nothing), away.get("y", nothing)
     return dict(away) | {"x": x * cosine + y * sine, "y": y * cosine - x * sine}  # type: ignore[operator]

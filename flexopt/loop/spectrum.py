@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import InputError
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import ComplexArray, Vector
 from flexopt.loop.structure import LoopStructure
 from flexopt.plant import Plant
 
@@ -28,8 +28,6 @@ MEETING = 1e-7
 ALTERNATES = 0.499
 # Steps of inverse iteration: next to an eigenvalue one or two do.
 ITERATIONS = 3
-
-Complex = NDArray[np.complex128]
 
 
 def from_sample_to_sample(growth_rate: float, rounding: float, frequency_hz: float, rate: float, damper: float) -> str:
@@ -58,7 +56,7 @@ class SampledLoop:
         rounding: of a growth rate, 1/s: what is nearer to zero is neither growth nor decay.
     """
 
-    multipliers: Complex
+    multipliers: ComplexArray
     period: float
     neutral: int = 0
     drift: tuple[float, ...] = ()
@@ -71,9 +69,9 @@ class SampledLoop:
         return float(np.log(np.abs(self.multipliers[0])) / self.period)
 
     @property
-    def poles(self) -> Complex:
+    def poles(self) -> ComplexArray:
         """Ln μ / T, rad/s, imaginary parts up to the Nyquist frequency."""
-        return cast(Complex, np.log(self.multipliers) / self.period)
+        return cast(ComplexArray, np.log(self.multipliers) / self.period)
 
     @property
     def frequency_hz(self) -> float:
@@ -123,14 +121,14 @@ class OwnMotion:
         own = np.vstack([np.zeros((m, joints.shape[1])), joints])
         return cls(own, plant.mass.call([q, base, p])[0].full(), to_q)
 
-    def drifting(self, values: Complex, vectors: Complex, most: int) -> NDArray[np.bool_]:
+    def drifting(self, values: ComplexArray, vectors: ComplexArray, most: int) -> NDArray[np.bool_]:
         """Which eigenvalues belong to an arm that drifts along it: real, and its the kinetic energy.
 
         Weight makes the self-motion of an arm on a base that gives no longer neutral, nor does damping of it.
         """
         n, own = len(self.to_q), self.directions
         rates = np.asarray(self.to_q @ vectors[n : 2 * n], dtype=np.complex128)
-        along: Complex = own.T @ self.mass @ rates
+        along: ComplexArray = own.T @ self.mass @ rates
         part = np.einsum("ik,ik->k", along.conj(), np.linalg.solve(own.T @ self.mass @ own, along)).real
         whole = np.einsum("ik,ij,jk->k", rates.conj(), self.mass, rates).real
         share = np.where((values.imag == 0) & (values.real > 0), part / np.maximum(whole, np.finfo(float).tiny), 0.0)
@@ -230,7 +228,7 @@ def all_without_neutral(matrices: Vector, most: int) -> tuple[Vector, Vector, ND
 
 def eigenvectors(
     matrix: Vector, value: complex, balanced_by: tuple[Vector, Vector] | None = None
-) -> tuple[complex, Complex, Complex]:
+) -> tuple[complex, ComplexArray, ComplexArray]:
     """The eigenvalue of Φ next to `value`, refined, and vectors y, x with yᴴ Φ = μ yᴴ, Φ x = μ x, yᴴ x = 1.
 
     dμ = yᴴ dΦ x. Where two eigenvalues meet there is no derivative, and y is NaN. `balanced_by`: as of `balance`, where
@@ -245,7 +243,7 @@ def eigenvectors(
     return refined, y / np.conj(product) / scale, scale * x
 
 
-def _unit_vectors(matrix: Vector, value: complex) -> tuple[Complex, Complex]:
+def _unit_vectors(matrix: Vector, value: complex) -> tuple[ComplexArray, ComplexArray]:
     """Left and right unit eigenvectors: by inverse iteration, and where that leaves more than rounding, by an SVD."""
     from scipy.linalg.lapack import zgetrf, zgetrs  # noqa: PLC0415  (loads slowly)
 
@@ -256,7 +254,7 @@ def _unit_vectors(matrix: Vector, value: complex) -> tuple[Complex, Complex]:
     corner = np.diag_indices(n)
     pivot = factors[corner]
     factors[corner] = np.where(np.abs(pivot) > np.finfo(float).eps * rounding, pivot, rounding)
-    found = list[Complex]()
+    found = list[ComplexArray]()
     for transposed, of in ((2, shifted.conj().T), (0, shifted)):
         vector = np.exp(1j * np.arange(n) ** 2)
         for _ in range(ITERATIONS):

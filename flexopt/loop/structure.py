@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from flexopt.foundation.control import DAMPED, Control
 from flexopt.loop.feedback import FeedbackLaw, Law
 from flexopt.model import AnyMachine
-from flexopt.model.simulation import Method
+from flexopt.model.simulation import IntegrationMethod
 from flexopt.plant.machine_motion import motion_of
 from flexopt.plant.tree_structure import Skeleton
 
@@ -53,7 +53,7 @@ class LoopStructure:
     law: Law = "pd"
     order: int = 0
     sampled: bool = True
-    method: Method = "rk4"
+    method: IntegrationMethod = "rk4"
     substeps: int = 1
     iterations: int = 0
     damped: bool = False

@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Table = NDArray[np.float64]
+from flexopt.foundation.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -20,13 +19,13 @@ class Tableau:
         order: of convergence.
     """
 
-    a: Table
-    b: Table
-    c: Table
+    a: Array
+    b: Array
+    c: Array
     order: int
 
 
-def stability_polynomial(tableau: Tableau) -> Table:
+def stability_polynomial(tableau: Tableau) -> Array:
     """R of an explicit method, x after a step of ẋ = λ x as R(h λ) times x, its highest power first."""
     coefficients, stage = [1.0], np.ones(len(tableau.b))
     for _ in tableau.b:
@@ -55,7 +54,7 @@ def radau() -> Tableau:
     return Tableau(a, a[-1], a.sum(axis=1), 5)
 
 
-def _collocation(c: Table) -> Table:
+def _collocation(c: Array) -> Array:
     """A of the method whose polynomial satisfies the equation at the nodes c."""
     powers = np.vander(c, len(c), increasing=True)
     integrals = np.stack([c ** (k + 1) / (k + 1) for k in range(len(c))], axis=1)

@@ -10,14 +10,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from flexopt.foundation.arrays import Array
 from flexopt.model.kinematic_tree import TreeBody
 from flexopt.model.machine import AnyMachine
 from flexopt.model.planar import Machine
 from flexopt.model.tree import Tree
-
-Array = NDArray[np.float64]
 
 
 @dataclass

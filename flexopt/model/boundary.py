@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from flexopt.errors import ImplausibleMachine, InputError, ModelError, raise_if_any
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.boundary import TABLE, Check, by, flag, of_machine, words
+from flexopt.foundation.boundary import TABLE, ArgumentCheck, by, flag, of_machine, words
 from flexopt.foundation.coordinates import check_base_range
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import entries, several
@@ -34,7 +34,7 @@ from flexopt.model.plausibility import distant_ranges, warn_weightless
 from flexopt.model.uncertainty import Uncertainty, kind_of, uncertainty_faults
 
 
-def targets(least: int) -> Check:
+def targets(least: int) -> ArgumentCheck:
     """Several targets of the machine's task, (K, n_task), m."""
 
     def check(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> NDArray[np.float64] | None:
@@ -57,7 +57,7 @@ def _machine(arguments: Arguments, field: str, value: Any) -> Any:
     return value
 
 
-def holding_machine(kind: type, sentence: str) -> Check:
+def holding_machine(kind: type, sentence: str) -> ArgumentCheck:
     """A problem or an experiment, which must hold its machine."""
 
     def check(arguments: Arguments, field: str, value: Any) -> Any:

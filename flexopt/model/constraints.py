@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, field_serializer
 from pydantic_core import PydanticCustomError
 
 from flexopt.errors import Fault, ModelError, raise_if_any
+from flexopt.foundation.arrays import Interval
 from flexopt.foundation.nearest import hint
 from flexopt.foundation.plain import Unreadable, plain_table
 from flexopt.foundation.quantities import (
@@ -38,7 +39,6 @@ from flexopt.model.own import Constraint, check_own_constraints, is_function
 from flexopt.model.polygons import POLYGON, Corners, check_simple_polygon
 from flexopt.model.targets import SOME_COORDINATES
 
-Interval = tuple[float, float]
 Area = Interval | Corners
 NORMAL_MIN = 1e-9
 UNIT = 1e-14
@@ -109,7 +109,7 @@ def _check_bodies(value: Any) -> tuple[str, ...]:
     return tuple(names)
 
 
-Place = Annotated[tuple[float, ...], _PLACE]
+Position = Annotated[tuple[float, ...], _PLACE]
 
 
 class Sphere(FileModel):
@@ -124,7 +124,7 @@ class Sphere(FileModel):
 
     kind: Literal["sphere"] = "sphere"
     name: str = ""
-    center: Place
+    center: Position
     radius: Annotated[float, LENGTH]
 
 
@@ -143,7 +143,7 @@ class Box(FileModel):
 
     kind: Literal["box"] = "box"
     name: str = ""
-    center: Place
+    center: Position
     size: Annotated[tuple[float, ...], _check_size]
     yaw: Annotated[float, ANGLE] = 0.0
 
@@ -160,7 +160,7 @@ class HalfPlane(FileModel):
 
     kind: Literal["half_plane"] = "half_plane"
     name: str = ""
-    point: Place
+    point: Position
     normal: Annotated[tuple[float, ...], _check_normal]
 
 

@@ -21,7 +21,7 @@ BODIES_MAX = 250
 # Keys of a table that a message names.
 KEYS_TOLD = 8
 
-Table = Mapping[str, Any]
+FileTable = Mapping[str, Any]
 PYDANTIC = frozenset(name for name in dir(BaseModel) if not name.startswith("_"))
 
 
@@ -103,7 +103,7 @@ def read_table(data: Any, origin: str, layout: str, kind: type[InputError] = Mod
     if not isinstance(table, dict):
         what = f"which {table.sentence}" if isinstance(table, Unreadable) else f"not {type(data).__name__}"
         raise kind(f"{origin}: must be a dictionary in the layout of {layout}, {what}")
-    check_extent(cast(Table, table), origin, kind)
+    check_extent(cast(FileTable, table), origin, kind)
     return cast(dict[str, Any], table)
 
 
@@ -184,7 +184,7 @@ def _renamed(data: Any, location: Sequence[str | int], key: str) -> Any:
     return {word: part for word, part in table.items() if word != here} | {key: value}
 
 
-def check_extent(data: Table, origin: str, kind: type[InputError] = ModelError) -> None:
+def check_extent(data: FileTable, origin: str, kind: type[InputError] = ModelError) -> None:
     """Refuse tables that are nested too deep or have too many keys, and lists of too many tables."""
     faults: list[Fault] = []
     seen: dict[int, int] = {}
@@ -199,7 +199,7 @@ def check_extent(data: Table, origin: str, kind: type[InputError] = ModelError) 
             faults.append(Fault(path.split(".")[0], f"tables or lists are nested more than {DEPTH_MAX} deep"))
             break
         if isinstance(value, Mapping):
-            table = cast(Table, value)
+            table = cast(FileTable, value)
             if len(table) > ENTRIES_MAX:
                 faults.append(Fault(path or "file", f"has {len(table)} keys; at most {ENTRIES_MAX} are read"))
                 continue
@@ -215,7 +215,7 @@ def check_extent(data: Table, origin: str, kind: type[InputError] = ModelError) 
     raise_if_any(kind, origin, faults)
 
 
-def model_faults(model: type[FileModel], data: Table, error: ValidationError) -> list[Fault]:
+def model_faults(model: type[FileModel], data: FileTable, error: ValidationError) -> list[Fault]:
     """What pydantic found wrong, as sentences; faults of parts that were built by a call of their own keep theirs."""
     faults: list[Fault] = []
     for entry in error.errors():
@@ -228,7 +228,7 @@ def model_faults(model: type[FileModel], data: Table, error: ValidationError) ->
     return faults
 
 
-def _fault(model: type[FileModel], data: Table, entry: dict[str, Any]) -> Fault:
+def _fault(model: type[FileModel], data: FileTable, entry: dict[str, Any]) -> Fault:
     location: tuple[str | int, ...] = entry["loc"]
     field = _field_path(data, location)
     kind, value = str(entry["type"]), entry["input"]
@@ -262,7 +262,7 @@ def _fault(model: type[FileModel], data: Table, entry: dict[str, Any]) -> Fault:
     return Fault(field, wanted.get(kind, str(entry["msg"])) + told, shown)
 
 
-def _field_path(data: Table, location: tuple[str | int, ...]) -> str:
+def _field_path(data: FileTable, location: tuple[str | int, ...]) -> str:
     """`links[1].mass` with the link's name beside it, for a path of keys and indices."""
     path, here = "", cast(Any, data)
     for part in location:
@@ -300,7 +300,7 @@ def _lists(value: Any) -> Any:
     return [_lists(part) for part in entries(value)] if isinstance(value, tuple) else value
 
 
-def named(key: str, index: int, entry: Table) -> str:
+def named(key: str, index: int, entry: FileTable) -> str:
     """An entry of a list of tables as messages call it: `links[1] (stick)`."""
     name = entry.get("name")
     return f"{key}[{index}]" + (f" ({name})" if isinstance(name, str) and name else "")

@@ -22,9 +22,9 @@ NAME_MAX = 200
 # Robot files: a machine file names them.
 ROBOT_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
 
-Kind = Literal["models", "problems"]
-WORDS: dict[Kind, str] = {"models": "machine", "problems": "problem"}
-KINDS: tuple[Kind, Kind] = ("models", "problems")
+ShippedKind = Literal["models", "problems"]
+WORDS: dict[ShippedKind, str] = {"models": "machine", "problems": "problem"}
+KINDS: tuple[ShippedKind, ShippedKind] = ("models", "problems")
 # A file with any of these keys is meant as a problem.
 PROBLEM_KEYS = frozenset({"machine", "target", "selection", "simulation", "nullspace", "compute"})
 
@@ -41,23 +41,23 @@ class Source:
     """
 
     data: dict[str, Any]
-    kind: Kind
+    kind: ShippedKind
     folder: Path
     name: str
 
 
-def shipped_folder(kind: Kind) -> Path:
+def shipped_folder(kind: ShippedKind) -> Path:
     """The folder `models` or `problems`: inside an installed package, else beside it in a source tree."""
     inside = PACKAGE / kind
     return inside if inside.is_dir() else PACKAGE.parent / kind
 
 
-def shipped_names(kind: Kind) -> list[str]:
+def shipped_names(kind: ShippedKind) -> list[str]:
     """Names that `load` or `load_problem` finds without a path."""
     return sorted(path.stem for path in shipped_folder(kind).glob("*.toml"))
 
 
-def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[Kind, ...]) -> Source:
+def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[ShippedKind, ...]) -> Source:
     """The file behind a shipped name or a path, of one of the `kinds`.
 
     Raises:
@@ -75,7 +75,7 @@ def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[Kind, ...]) -
             if path.suffix.lower() in ROBOT_SUFFIXES:
                 raise _robot_file(path)
         else:
-            found: list[Kind] = [kind for kind in kinds if text in shipped_names(kind)]
+            found: list[ShippedKind] = [kind for kind in kinds if text in shipped_names(kind)]
             named_kind = found[0] if found else None
             if named_kind is None:
                 raise _unknown_name(text, kinds)
@@ -83,7 +83,7 @@ def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[Kind, ...]) -
         data = read_toml(path)
     except OSError as error:
         raise ModelError(f"{_cut(text)}: cannot be read ({error.strerror})") from None
-    told: Kind = "problems" if PROBLEM_KEYS & data.keys() else "models"
+    told: ShippedKind = "problems" if PROBLEM_KEYS & data.keys() else "models"
     told = named_kind or told
     if told not in kinds and data:
         raise _wrong_kind(text, told)
@@ -101,8 +101,8 @@ def _robot_file(path: Path) -> ModelError:
     )
 
 
-def _unknown_name(text: str, kinds: tuple[Kind, ...]) -> ModelError:
-    others: list[Kind] = [kind for kind in KINDS if kind not in kinds and text in shipped_names(kind)]
+def _unknown_name(text: str, kinds: tuple[ShippedKind, ...]) -> ModelError:
+    others: list[ShippedKind] = [kind for kind in KINDS if kind not in kinds and text in shipped_names(kind)]
     if others:
         return _wrong_kind(text, others[0])
     shipped = "; ".join(f"{kind}: {', '.join(shipped_names(kind))}" for kind in kinds)
@@ -112,7 +112,7 @@ def _unknown_name(text: str, kinds: tuple[Kind, ...]) -> ModelError:
     return ModelError(f"no {wanted} is called {_cut(text)!r}{meant} give a path, or one of the shipped {shipped}")
 
 
-def _wrong_kind(text: str, told: Kind) -> ModelError:
+def _wrong_kind(text: str, told: ShippedKind) -> ModelError:
     if told == "problems":
         return ModelError(f"{text!r} is a problem, not a machine; `flexopt select` and load_problem take problems")
     return ModelError(f"{text!r} is a machine, not a problem")

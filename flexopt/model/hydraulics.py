@@ -43,7 +43,7 @@ from flexopt.foundation.quantities import (
     vector,
 )
 from flexopt.model.file_model import FileModel
-from flexopt.model.tables import Place
+from flexopt.model.tables import BodyPoint
 
 AXES = "xyz"
 FORCE_MAX = 1e12
@@ -95,10 +95,10 @@ class Rocker(FileModel):
         rod_offset: [along, left], from the rocker's end to the rod's pin, in the rocker's axes.
     """
 
-    pivot: Place
+    pivot: BodyPoint
     length: Length
     coupler: Length
-    coupler_point: Place
+    coupler_point: BodyPoint
     branch: Literal[-1, 1]
     rod_offset: Annotated[tuple[float, float], vector("a pair [along, left] in m", OFFSET, ("along", "left"))] = (
         0.0,
@@ -127,8 +127,8 @@ class Cylinder(FileModel):
 
     name: str = Field(min_length=1)
     joint: str = Field(min_length=1)
-    base_point: Place | None = None
-    rod_point: Place | None = None
+    base_point: BodyPoint | None = None
+    rod_point: BodyPoint | None = None
     rocker: Rocker | None = None
     offset: Offset = 0.0
     length: Annotated[tuple[float, float], check_stroke]

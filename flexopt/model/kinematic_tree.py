@@ -26,17 +26,17 @@ from flexopt.foundation.quantities import (
 from flexopt.model.file_model import FileModel
 from flexopt.model.tree_quantities import (
     UNTURNED,
-    Axis,
     InertiaSix,
-    Pair,
-    Point,
+    JointAxis,
+    JointInterval,
+    Point3,
     Rotation,
     Square,
 )
 
-Row = Literal["x", "y", "z", "roll", "pitch", "yaw"]
+TaskRow = Literal["x", "y", "z", "roll", "pitch", "yaw"]
 Placement = Literal["x", "y", "yaw"]
-ORIENTATION_ROWS: tuple[Row, ...] = ("roll", "pitch", "yaw")
+ORIENTATION_ROWS: tuple[TaskRow, ...] = ("roll", "pitch", "yaw")
 INERTIA_ENTRIES = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 
@@ -52,12 +52,12 @@ class TreeJoint(FileModel):
 
     name: str = Field(min_length=1)
     kind: Literal["hinge", "slide"]
-    axis: Axis
+    axis: JointAxis
     passive: bool = False
     stiffness: Annotated[float, JOINT_STIFFNESS] | None = None
     damping: Annotated[float, JOINT_DAMPING] = 0.0
     rest: Annotated[float, JOINT_VALUE] = 0.0
-    limits: Pair | None = None
+    limits: JointInterval | None = None
     effort: Annotated[float, EFFORT] | None = None
     speed: Annotated[float, SPEED] | None = None
     armature: Annotated[float, ARMATURE] = 0.0
@@ -75,10 +75,10 @@ class TreeBody(FileModel):
     name: str = Field(min_length=1)
     parent: str | None = None
     joint: TreeJoint
-    position: Point = (0.0, 0.0, 0.0)
+    position: Point3 = (0.0, 0.0, 0.0)
     rotation: Rotation = UNTURNED
     mass: MassOrZero = 0.0
-    com: Point = (0.0, 0.0, 0.0)
+    com: Point3 = (0.0, 0.0, 0.0)
     inertia: InertiaSix = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     @property
@@ -96,9 +96,9 @@ class EndPoint(FileModel):
     """
 
     body: str = Field(min_length=1)
-    position: Point = (0.0, 0.0, 0.0)
+    position: Point3 = (0.0, 0.0, 0.0)
     rotation: Rotation = UNTURNED
-    rows: tuple[Row, ...] = Field(default=("x", "y", "z"))
+    rows: tuple[TaskRow, ...] = Field(default=("x", "y", "z"))
     reference: Rotation = UNTURNED
     length: Length = 1.0
 

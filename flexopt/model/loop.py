@@ -10,12 +10,11 @@ from collections.abc import Collection
 from typing import Annotated, Any, Literal
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.foundation.arrays import TableLike
+from flexopt.foundation.arrays import Numbers, TableLike
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.quantities import JOINT_DAMPING, Quantity, milliseconds_hint, numbers_in, pair
 from flexopt.model.file_model import BuiltByCall
 
-Numbers = tuple[float, ...]
 Drive = Literal["torque", "velocity"]
 DELAY_MAX = 100  # samples
 DECADES = 6.0  # of a range of gains from 0
@@ -30,7 +29,7 @@ BANDWIDTH = Quantity("Hz", low=1e-3, high=1e6)
 SERVO_GAIN = Quantity(JOINT_DAMPING.unit, above=0.0, high=1e12)
 RATE = Quantity("Hz", above=0.0, high=1e6)
 DEAD_TIME = Quantity("s", low=0.0, high=10.0)
-Gains = Annotated[Numbers, numbers_in(LOOP_GAIN)]
+GainValues = Annotated[Numbers, numbers_in(LOOP_GAIN)]
 GainRange = Annotated[tuple[float, float], pair(LOOP_GAIN, allow_equal=True)]
 Torques = Annotated[Numbers, numbers_in(TORQUE)]
 Bandwidths = Annotated[Numbers, numbers_in(BANDWIDTH)]
@@ -70,9 +69,9 @@ class Loop(BuiltByCall):
 
     control: Annotated[Control, check_control] | None = None
     feedback: Literal["pd", "pid"] = "pd"
-    kp: Gains | None = None
-    kv: Gains | None = None
-    ki: Gains = (0.0,)
+    kp: GainValues | None = None
+    kv: GainValues | None = None
+    ki: GainValues = (0.0,)
     kp_range: GainRange | None = None
     kv_range: GainRange | None = None
     rate: Annotated[float, RATE] | None = None

@@ -35,7 +35,7 @@ class Parameter(NamedTuple):
     unit: str
 
 
-Entry = tuple[str, Parameter]
+NamedParameter = tuple[str, Parameter]
 
 
 class AnyMachine(BuiltByCall, Described):
@@ -218,7 +218,7 @@ class AnyMachine(BuiltByCall, Described):
         return self.kinematic_tree.end_point.rows
 
     @abstractmethod
-    def parameter_entries(self) -> list[Entry]:
+    def parameter_entries(self) -> list[NamedParameter]:
         """The parameters but those of cylinders, in order, and which of `KinematicTree.entries` each is."""
 
     def list_parameters(self) -> list[Parameter]:

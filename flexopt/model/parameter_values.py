@@ -14,7 +14,7 @@ from flexopt.model.kinematic_tree import INERTIA_ENTRIES
 from flexopt.model.machine import AnyMachine
 
 # Keys and indices from a description's top to a number.
-Place = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 
 
 def with_parameters(machine: AnyMachine, values: Mapping[str, float]) -> AnyMachine:
@@ -46,7 +46,7 @@ def with_parameters(machine: AnyMachine, values: Mapping[str, float]) -> AnyMach
     return found
 
 
-def _places(told: dict[str, Any], name: str) -> Iterator[Place]:
+def _places(told: dict[str, Any], name: str) -> Iterator[KeyPath]:
     """Where a description holds a parameter."""
     first, _, rest = name.partition(".")
     if rest.partition(".")[0] in ("mass",) and first == "payload":
@@ -59,7 +59,7 @@ def _places(told: dict[str, Any], name: str) -> Iterator[Place]:
         yield from _in_tree(told, name)
 
 
-def _in_chain(told: dict[str, Any], name: str) -> Iterator[Place]:
+def _in_chain(told: dict[str, Any], name: str) -> Iterator[KeyPath]:
     owner, _, key = name.partition(".")
     if owner == "base":
         table, _, direction = key.partition(".")
@@ -70,7 +70,7 @@ def _in_chain(told: dict[str, Any], name: str) -> Iterator[Place]:
             yield ("links", i, key)
 
 
-def _in_tree(told: dict[str, Any], name: str) -> Iterator[Place]:
+def _in_tree(told: dict[str, Any], name: str) -> Iterator[KeyPath]:
     for word in ("stiffness", "damping"):
         coupling = told.get(f"{word}_matrix") or {"joints": ()}
         for i, a in enumerate(coupling["joints"]):

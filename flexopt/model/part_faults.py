@@ -8,12 +8,12 @@ from typing import Any
 from flexopt.errors import Fault
 from flexopt.foundation.nearest import hint_or_list
 from flexopt.foundation.quantities import entries
-from flexopt.model.file_model import Table, named, quoted, table_of, tables_of
+from flexopt.model.file_model import FileTable, named, quoted, table_of, tables_of
 
 HINGE_KEYS = ("base_point", "rod_point", "rocker")
 
 
-def cylinder_faults(data: Table, joints: Table, passive: Sequence[Any], dimension: int) -> list[Fault]:
+def cylinder_faults(data: FileTable, joints: FileTable, passive: Sequence[Any], dimension: int) -> list[Fault]:
     """Faults of `[[cylinders]]` as they were written.
 
     Args:
@@ -47,7 +47,7 @@ def cylinder_faults(data: Table, joints: Table, passive: Sequence[Any], dimensio
     return faults
 
 
-def _geometry_faults(where: str, table: Table, kind: Any) -> list[Fault]:
+def _geometry_faults(where: str, table: FileTable, kind: Any) -> list[Fault]:
     if kind == "slide":
         sentence = "belongs to the cylinder of a hinge; that of a slide is as long as `offset` + q"
         return [Fault(f"{where}.{key}", sentence) for key in HINGE_KEYS if key in table]
@@ -59,7 +59,7 @@ def _geometry_faults(where: str, table: Table, kind: Any) -> list[Fault]:
     return faults
 
 
-def _pin_faults(where: str, table: Table, dimension: int) -> list[Fault]:
+def _pin_faults(where: str, table: FileTable, dimension: int) -> list[Fault]:
     rocker = table_of(table.get("rocker"))
     pins = {key: table.get(key) for key in ("base_point", "rod_point")}
     return _size_faults(
@@ -67,7 +67,7 @@ def _pin_faults(where: str, table: Table, dimension: int) -> list[Fault]:
     )
 
 
-def _size_faults(where: str, places: Table, dimension: int) -> list[Fault]:
+def _size_faults(where: str, places: FileTable, dimension: int) -> list[Fault]:
     """Places in the plane that have three coordinates, or places in space that have two."""
     wanted = "two numbers [along, left]" if dimension == 2 else "three numbers [x, y, z]"
     return [
@@ -77,7 +77,7 @@ def _size_faults(where: str, places: Table, dimension: int) -> list[Fault]:
     ]
 
 
-def capsule_faults(data: Table, bodies: list[Any], dimension: int) -> list[Fault]:
+def capsule_faults(data: FileTable, bodies: list[Any], dimension: int) -> list[Fault]:
     """Capsules of bodies that are not there, and ends with too few or too many coordinates."""
     faults = _unknown_bodies(data, "capsules", bodies)
     for index, capsule in enumerate(tables_of(data.get("capsules"))):
@@ -85,12 +85,12 @@ def capsule_faults(data: Table, bodies: list[Any], dimension: int) -> list[Fault
     return faults
 
 
-def visual_faults(data: Table, bodies: list[Any]) -> list[Fault]:
+def visual_faults(data: FileTable, bodies: list[Any]) -> list[Fault]:
     """Visuals of bodies that are not there."""
     return _unknown_bodies(data, "visuals", bodies)
 
 
-def _unknown_bodies(data: Table, word: str, bodies: list[Any]) -> list[Fault]:
+def _unknown_bodies(data: FileTable, word: str, bodies: list[Any]) -> list[Fault]:
     faults: list[Fault] = []
     for index, table in enumerate(tables_of(data.get(word))):
         body = table.get("body")

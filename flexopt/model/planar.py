@@ -26,7 +26,7 @@ from flexopt.foundation.quantities import (
 )
 from flexopt.model.file_model import FileModel
 from flexopt.model.kinematic_tree import EndPoint, KinematicTree, TreeBody, TreeJoint
-from flexopt.model.machine import AnyMachine, Entry, Parameter
+from flexopt.model.machine import AnyMachine, NamedParameter, Parameter
 from flexopt.model.planar_faults import BASE_DIRECTIONS, machine_faults
 from flexopt.model.tables import Payload, Span
 
@@ -203,7 +203,7 @@ class Machine(AnyMachine):
         """The two ends (x,) of what the undercarriage stands on, m, rear first; empty where none is given."""
         return () if self.support is None else tuple((x,) for x in self.support.span)
 
-    def parameter_entries(self) -> list[Entry]:
+    def parameter_entries(self) -> list[NamedParameter]:
         """See `AnyMachine`. A body's length is where the next joint stands, the last one's where the end-point is."""
         base, free = self.base, self.free_base_directions
         first = sum(direction != "rotation" for direction in free)
@@ -262,7 +262,7 @@ def _body(name: str, of: Base | Link, joint: TreeJoint, parent: str | None, alon
     )
 
 
-def _of_body(name: str, of: Base | Link, i: int, end: str) -> list[Entry]:
+def _of_body(name: str, of: Base | Link, i: int, end: str) -> list[NamedParameter]:
     """Geometry and inertia of body i; `end` is the entry that its length is."""
     return [
         (end, Parameter(f"{name}.length", of.length, "m")),

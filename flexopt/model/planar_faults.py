@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from flexopt.errors import Fault
-from flexopt.model.file_model import Table, quoted, table_of, tables_of
+from flexopt.model.file_model import FileTable, quoted, table_of, tables_of
 from flexopt.model.part_faults import capsule_faults, cylinder_faults
 
 RESERVED_LINK_NAMES = ("base", "payload", "gravity")
 BASE_DIRECTIONS: tuple[Literal["x", "y", "rotation"], ...] = ("x", "y", "rotation")
 
 
-def machine_faults(data: Table) -> list[Fault]:
+def machine_faults(data: FileTable) -> list[Fault]:
     """Faults that concern several keys at once; looked for even where single keys are faulty."""
     base = table_of(data.get("base"))
     stiffness, damping = table_of(base.get("stiffness")), table_of(base.get("damping"))

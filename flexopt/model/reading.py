@@ -11,7 +11,7 @@ from flexopt.foundation.arrays import TableLike
 from flexopt.foundation.boundary import public
 from flexopt.foundation.coordinates import check_placement, check_task
 from flexopt.foundation.quantities import entries
-from flexopt.model.file_model import Table, check_extent, quoted, read_table, table_of, validated
+from flexopt.model.file_model import FileTable, check_extent, quoted, read_table, table_of, validated
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.loop import loop_faults
 from flexopt.model.planar import Machine
@@ -179,7 +179,7 @@ def _problem(source: Source) -> Problem:
         validated(Problem, table, source.name, problem_faults)
         raise error from None
 
-    def structural(table: Table) -> list[Fault]:
+    def structural(table: FileTable) -> list[Fault]:
         return problem_faults(table) + ([] if machine is None else _size_faults(table, machine))
 
     problem = validated(Problem, table, source.name, structural)
@@ -191,7 +191,7 @@ def _problem(source: Source) -> Problem:
     return problem.with_machine(machine)
 
 
-def _size_faults(data: Table, machine: Machine | Tree) -> list[Fault]:
+def _size_faults(data: FileTable, machine: Machine | Tree) -> list[Fault]:
     """Lists of numbers that are not as long as the machine's task, placement or arm."""
 
     def placed(value: Any) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault
-from flexopt.foundation.arrays import ArrayLike, BaseLike, GainLike, PostureLike, TableLike, TargetLike
+from flexopt.foundation.arrays import ArrayLike, BaseLike, GainLike, Numbers, PostureLike, TableLike, TargetLike
 from flexopt.foundation.boundary import array_of, public
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.quantities import (
@@ -33,22 +33,21 @@ from flexopt.model.loop import (
     RATE,
     SERVO_GAIN,
     Bandwidths,
-    Gains,
+    GainValues,
     Loop,
-    Numbers,
     Torques,
 )
 from flexopt.model.machine import AnyMachine, OnMachine
 from flexopt.model.targets import TIMES
 
 Feedback = Literal["pd", "pid", "robust", "none"]
-Method = Literal["rk4", "dop853", "gauss"]
+IntegrationMethod = Literal["rk4", "dop853", "gauss"]
 SAMPLES_MAX = 10_000_000
 PART_OF_SAMPLE = 1e-6  # below this share of a sample a dead time is a whole number of them
 NOISE, RATE_NOISE = (Quantity(unit, low=0.0, high=1e3) for unit in ("m", "m/s"))
 
 # Which of them are angles, and how many there must be, is the machine's to say.
-Coordinates = Annotated[Numbers, numbers_in(JOINT_VALUE)]
+JointValues = Annotated[Numbers, numbers_in(JOINT_VALUE)]
 _POINT = numbers_in(COORDINATE["m"])
 _POINTS = list_of("points, each a list of coordinates in m", _POINT, "point {}:", 1, math.inf)
 
@@ -200,22 +199,22 @@ class SimulationOptions(BuiltByCall):
         5.0
     """
 
-    posture: Coordinates | None = None
+    posture: JointValues | None = None
     end_point: Annotated[Numbers, _POINT] | None = None
     elbow: Elbow | None = None
-    base: Coordinates | None = None
+    base: JointValues | None = None
     control: Annotated[Control, check_control] = "inverse"
     feedback: Feedback = "pd"
-    kp: Gains = (1e5,)
-    kv: Gains = (2e3,)
-    ki: Gains = (0.0,)
+    kp: GainValues = (1e5,)
+    kv: GainValues = (2e3,)
+    ki: GainValues = (0.0,)
     integral_limit: Annotated[float, Quantity("N", above=0.0, high=LOOP_GAIN.high)] = LOOP_GAIN.high
     gain: Annotated[float, GAIN] = 5e5
-    offset: Coordinates | None = None
+    offset: JointValues | None = None
     duration: Annotated[float, DURATION] = 10.0
     rate: Annotated[float, RATE] = 200.0
     hold: bool = True
-    integrator: Method = "rk4"
+    integrator: IntegrationMethod = "rk4"
     substeps: Annotated[int, whole_number(1, 1000)] | None = None
     gravity: bool = False
     gravity_compensation: bool = True
@@ -260,13 +259,13 @@ class LoopKeywords(TypedDict, total=False):
 class SimulationKeywords(LoopKeywords, total=False):
     """Those of a run."""
 
-    integrator: Method | None
+    integrator: IntegrationMethod | None
 
 
 class LinearKeywords(LoopKeywords, total=False):
     """Those of the linear loop."""
 
-    integrator: Method | Literal["exact"] | None
+    integrator: IntegrationMethod | Literal["exact"] | None
 
 
 class OverrideKeywords(SimulationKeywords, total=False):

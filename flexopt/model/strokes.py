@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import Fault
+from flexopt.foundation.arrays import Interval, Vector
 from flexopt.model.hydraulics import Cylinder, CylinderLength, JointFrame, pin_to_pin
 
-Vector = NDArray[np.float64]
-Range = tuple[float, float]
 # Angles looked at, rad: between two of them a length has at most one extremum.
 STEP = math.radians(0.25)
 # A lever arm shorter than this, m, is none: the joint stands at a dead centre.
@@ -77,7 +76,7 @@ class CylinderTravel:
         return float(self.closures(np.array([q]))[0])
 
 
-def usable_range(travel: CylinderTravel, limits: Range, where: str) -> tuple[Range, list[Fault]]:
+def usable_range(travel: CylinderTravel, limits: Interval, where: str) -> tuple[Interval, list[Fault]]:
     """The range that limits and stroke leave to the joint, in rad or m; the limits themselves where there is a fault.
 
     A joint without limits turns, within the stroke, as far about q = 0 as the length changes one way.
@@ -137,10 +136,10 @@ def usable_range(travel: CylinderTravel, limits: Range, where: str) -> tuple[Ran
     return found[0], []
 
 
-def _closing(travel: CylinderTravel, grid: Vector) -> list[Range]:
+def _closing(travel: CylinderTravel, grid: Vector) -> list[Interval]:
     """Pieces of the grid's range on which the linkage closes."""
     closes = travel.closures(grid) >= 0
-    pieces: list[Range] = []
+    pieces: list[Interval] = []
     start = float(grid[0]) if closes[0] else math.nan
     for k in range(1, len(grid)):
         if closes[k] == closes[k - 1]:
@@ -154,7 +153,7 @@ def _closing(travel: CylinderTravel, grid: Vector) -> list[Range]:
     return [*pieces, (start, float(grid[-1]))] if closes[-1] else pieces
 
 
-def _closing_fault(closing: list[Range], limits: Range, limited: bool) -> str | None:
+def _closing_fault(closing: list[Interval], limits: Interval, limited: bool) -> str | None:
     listed = " and ".join(f"{_range(piece)} rad" for piece in closing)
     where = f"it closes from {listed}" if closing else "it closes nowhere: the two circles never meet"
     if limited and closing != [limits]:
@@ -164,7 +163,7 @@ def _closing_fault(closing: list[Range], limits: Range, limited: bool) -> str | 
     return None
 
 
-def _branches(travel: CylinderTravel, piece: Range) -> list[Range]:
+def _branches(travel: CylinderTravel, piece: Interval) -> list[Interval]:
     """Parts of a piece on which the length changes one way."""
     grid = np.linspace(*piece, max(3, math.ceil((piece[1] - piece[0]) / STEP)))
     ratios = travel.ratios(grid)
@@ -178,7 +177,7 @@ def _branches(travel: CylinderTravel, piece: Range) -> list[Range]:
     return list(pairwise([piece[0], *sorted(turns), piece[1]]))
 
 
-def _within(travel: CylinderTravel, branch: Range) -> Range | None:
+def _within(travel: CylinderTravel, branch: Interval) -> Interval | None:
     """The part of a branch on which the length is within the stroke."""
     low, high = travel.cylinder.length
     short, long = sorted(branch, key=travel.length)
@@ -206,9 +205,9 @@ def last_inside(holds: Callable[[float], bool], inside: float, outside: float) -
             outside = middle
 
 
-def _range(pair: Range) -> str:
+def _range(pair: Interval) -> str:
     return f"{pair[0]:.4g} to {pair[1]:.4g}"
 
 
-def _quoted(pair: Range) -> str:
+def _quoted(pair: Interval) -> str:
     return f"[{pair[0]:g}, {pair[1]:g}]"

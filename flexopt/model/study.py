@@ -12,20 +12,21 @@ from typing import Annotated, Any, Literal, Self, cast
 from pydantic import Field, PrivateAttr
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arrays import Numbers
 from flexopt.foundation.boundary import TABLE, instance
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import JOINT_VALUE, Quantity, list_of, numbers_in, pair, whole_number
 from flexopt.model.choices import GAIN, SEED
 from flexopt.model.file_model import BuiltByCall, Described
-from flexopt.model.loop import Loop, Numbers
+from flexopt.model.loop import Loop
 from flexopt.model.machine import AnyMachine
 from flexopt.model.problem import Problem
 from flexopt.model.reading import load, load_experiment, load_problem
 from flexopt.model.simulation import Experiment
 
 Compute = Literal["measures", "outcome", "selection", "simulation"]
-Method = Literal["grid", "random", "sobol"]
+SamplingMethod = Literal["grid", "random", "sobol"]
 Subject = AnyMachine | Problem | Experiment
 
 AXES_MAX, POINTS_MAX = 24, 10**12
@@ -142,7 +143,7 @@ class Study(BuiltByCall, Described):
     compute: Compute
     quantities: Annotated[tuple[str, ...], _QUANTITIES] | None = None
     vary: tuple[Vary, ...] = Field(min_length=1)
-    points: Method = "grid"
+    points: SamplingMethod = "grid"
     count: Annotated[int, whole_number(1, POINTS_MAX)] | None = None
     seed: Annotated[int, SEED] = 0
     chunk: Annotated[int, whole_number(1, CHUNK_MAX)] | None = None

@@ -9,10 +9,10 @@ from pydantic import Field
 from flexopt.foundation.quantities import OFFSET, Length, MassOrZero, pair, vector
 from flexopt.model.file_model import FileModel
 from flexopt.model.polygons import check_convex_polygon
-from flexopt.model.tree_quantities import UNTURNED, Matrix3, Point, check_matrix
+from flexopt.model.tree_quantities import UNTURNED, Matrix3, Point3, check_matrix
 
 # On a body, in its axes.
-Place = Annotated[
+BodyPoint = Annotated[
     tuple[float, ...],
     vector("numbers in m: [along, left] in the plane, [x, y, z] in space", OFFSET, ("along", "left"), "xyz"),
 ]
@@ -43,8 +43,8 @@ class Capsule(FileModel):
     """
 
     body: str = Field(min_length=1)
-    start: Place
-    end: Place
+    start: BodyPoint
+    end: BodyPoint
     radius: Length
     label: str = ""
 
@@ -72,7 +72,7 @@ class Visual(FileModel):
     shape: Literal["mesh", "box", "sphere", "cylinder"] = "mesh"
     file: str = ""
     matrix: Annotated[Matrix3, check_matrix] = UNTURNED
-    position: Point = (0.0, 0.0, 0.0)
+    position: Point3 = (0.0, 0.0, 0.0)
     why: str = ""
 
 

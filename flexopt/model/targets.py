@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, cast
 from pydantic import ConfigDict
 
 from flexopt.errors import Fault
+from flexopt.foundation.arrays import Numbers
 from flexopt.foundation.quantities import COORDINATE_MAX, DURATION, Quantity, list_of, numbers_in
 from flexopt.model.choices import TARGETS_MAX
 from flexopt.model.file_model import FileModel, table_of
@@ -23,7 +24,6 @@ KINDS: dict[TargetKind, tuple[str, ...]] = {
     "end_points": ("combine", "shares"),
     "path": (),
 }
-Numbers = tuple[float, ...]
 
 
 # The machine says how many, and which of them are angles; the targets how many shares.

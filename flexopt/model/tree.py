@@ -18,7 +18,7 @@ from flexopt.model.kinematic_tree import (
     TreeBody,
     TreeJoint,
 )
-from flexopt.model.machine import AnyMachine, Entry, Parameter
+from flexopt.model.machine import AnyMachine, NamedParameter, Parameter
 from flexopt.model.tables import Payload, Polygon, Visual
 from flexopt.model.tree_faults import tree_faults
 
@@ -85,13 +85,13 @@ class Tree(AnyMachine):
         """See `AnyMachine`."""
         return self.visuals
 
-    def parameter_entries(self) -> list[Entry]:
+    def parameter_entries(self) -> list[NamedParameter]:
         """See `AnyMachine`.
 
         Directions (axes, rotations) are no parameters, nor are mass and inertia of a body that has none and a zero
         armature.
         """
-        listed: list[Entry] = []
+        listed: list[NamedParameter] = []
         for i, body in enumerate(self.bodies):
             listed += _vector(f"offset{i}", f"{body.name}.position", body.position)
             if not body.massless:
@@ -108,7 +108,7 @@ class Tree(AnyMachine):
         listed.append(("payload", Parameter("payload.mass", self.payload.mass, "kg")))
         return [*listed, ("gravity", Parameter("gravity", self.gravity, "m/s²"))]
 
-    def _joint_entries(self, i: int, joint: TreeJoint) -> list[Entry]:
+    def _joint_entries(self, i: int, joint: TreeJoint) -> list[NamedParameter]:
         turn, name = joint.kind == "hinge", joint.name
         spring, damper, unit = ("N m/rad", "N m s/rad", "rad") if turn else ("N/m", "N s/m", "m")
         rotor = Parameter(f"{name}.armature", joint.armature, "kg m²" if turn else "kg")
@@ -121,7 +121,7 @@ class Tree(AnyMachine):
             listed.append((f"damping{i}.{i}", Parameter(f"{name}.damping", joint.damping, damper)))
         return [*listed, (f"rest{i}", Parameter(f"{name}.rest", joint.rest, unit))]
 
-    def _matrix_entries(self, word: str, coupling: JointMatrix | None) -> list[Entry]:
+    def _matrix_entries(self, word: str, coupling: JointMatrix | None) -> list[NamedParameter]:
         """The upper triangle, row by row."""
         if coupling is None:
             return []
@@ -129,7 +129,7 @@ class Tree(AnyMachine):
         turns = {body.joint.name for body in self.bodies if body.joint.kind == "hinge"}
         per = " s" if word == "damping" else ""
         units = (f"N{per}/m", f"N{per}", f"N m{per}/rad")
-        listed: list[Entry] = []
+        listed: list[NamedParameter] = []
         for i, a in enumerate(coupling.joints):
             for j, b in enumerate(coupling.joints[i:]):
                 inner, outer = sorted((at[a], at[b]))
@@ -142,7 +142,7 @@ class Tree(AnyMachine):
         return f"Tree({self.name!r}: passive joints: {passive}; actuated joints: {', '.join(self.joints)})"
 
 
-def _vector(entry: str, name: str, values: tuple[float, float, float]) -> list[Entry]:
+def _vector(entry: str, name: str, values: tuple[float, float, float]) -> list[NamedParameter]:
     return [
         (f"{entry}.{axis}", Parameter(f"{name}.{axis}", value, "m")) for axis, value in zip("xyz", values, strict=True)
     ]

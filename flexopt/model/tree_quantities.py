@@ -134,9 +134,9 @@ def check_square(value: Any) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(x) + 0.0 for x in row) for row in (matrix + matrix.T) / 2)
 
 
-Point = Annotated[Vector3, vector("three numbers [x, y, z] in m", OFFSET, "xyz")]
-Axis = Annotated[Vector3, check_axis]
+Point3 = Annotated[Vector3, vector("three numbers [x, y, z] in m", OFFSET, "xyz")]
+JointAxis = Annotated[Vector3, check_axis]
 Rotation = Annotated[Matrix3, check_rotation]
 InertiaSix = Annotated[tuple[float, float, float, float, float, float], check_inertia]
 Square = Annotated[tuple[tuple[float, ...], ...], check_square]
-Pair = Annotated[tuple[float, float], pair(JOINT_VALUE)]
+JointInterval = Annotated[tuple[float, float], pair(JOINT_VALUE)]

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 import casadi as ca
 
 from flexopt.plant.tree_algebra import AXES
-from flexopt.plant.tree_structure import Numbers, Skeleton
+from flexopt.plant.tree_structure import MatrixRows, Skeleton
 
 
 def chain_constants(structure: Skeleton, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
@@ -67,7 +67,7 @@ def translations_of(structure: Skeleton) -> list[tuple[str, float]]:
     return [("x", axis[0]) if axis[0] else ("y", axis[1]) for axis in axes]
 
 
-def _in_plane(axes: Numbers, value: Mapping[str, ca.SX], name: str) -> tuple[ca.SX, ca.SX]:
+def _in_plane(axes: MatrixRows, value: Mapping[str, ca.SX], name: str) -> tuple[ca.SX, ca.SX]:
     """A constant of a body along the task's rows where all joints are at zero; `axes` are the rows of its frame."""
     first, second = (
         sum_of(row[k] * value[f"{name}.{axis}"] for k, axis in enumerate(AXES) if row[k]) for row in axes[:2]

@@ -30,7 +30,7 @@ from functools import cached_property
 import casadi as ca
 
 from flexopt.plant.chain_constants import sum_of, translations_of
-from flexopt.plant.motion import Directions, Motion, Pair
+from flexopt.plant.motion import CosSin, Directions, Motion
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class ChainMotion(Motion):
         A body's direction is turned back by the deflections of all hinges before it, products of the pairs at hand.
         """
         result = Directions()
-        back: Pair | None = None
+        back: CosSin | None = None
         for k, pair in enumerate(along):
             if k in self.hinged:
                 own = _difference(pair, along[k - 1]) if k else pair
@@ -319,7 +319,7 @@ class ChainMotion(Motion):
     def _weight(self, k: int, along: Directions) -> ca.SX:
         return self.of("gravity") * self._column(k, along)[1]
 
-    def _coupling(self, k: int, m: int) -> Pair:
+    def _coupling(self, k: int, m: int) -> CosSin:
         """S_km and T_km, which changes sign with the order."""
         high, low = max(k, m), min(k, m)
         t = self.of(f"t{high}_{low}")
@@ -393,17 +393,17 @@ def _solve_symmetric(
     return {first: head, **solved}
 
 
-def _difference(a: Pair, b: Pair) -> Pair:
+def _difference(a: CosSin, b: CosSin) -> CosSin:
     """Cosine and sine of α − β."""
     return a[0] * b[0] + a[1] * b[1], a[1] * b[0] - a[0] * b[1]
 
 
-def _total(a: Pair, b: Pair) -> Pair:
+def _total(a: CosSin, b: CosSin) -> CosSin:
     """Cosine and sine of α + β."""
     return a[0] * b[0] - a[1] * b[1], a[1] * b[0] + a[0] * b[1]
 
 
-def _along(scale: Pair, vector: Pair) -> Pair:
+def _along(scale: CosSin, vector: CosSin) -> CosSin:
     """(a x − b y, a y + b x)."""
     (a, b), (x, y) = scale, vector
     return a * x - b * y, a * y + b * x

@@ -12,7 +12,7 @@ import casadi as ca
 
 from flexopt.model import AnyMachine
 from flexopt.plant.graph import MachineGraph
-from flexopt.plant.tree_algebra import ORIGIN, ZERO, Vector, turned_back
+from flexopt.plant.tree_algebra import ORIGIN, ZERO, Triple, turned_back
 from flexopt.plant.tree_structure import rounded, segments_and_frames
 from flexopt.plant.tree_task import in_inertial_axes, placed
 
@@ -63,7 +63,7 @@ def build_frames(machine: AnyMachine, graph: MachineGraph) -> Frames:
     )
 
 
-def _unit(k: int) -> Vector:
+def _unit(k: int) -> Triple:
     axis = [ZERO] * 3
     axis[k] = ca.SX(1)
     return axis[0], axis[1], axis[2]

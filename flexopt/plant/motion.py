@@ -18,9 +18,9 @@ import casadi as ca
 
 from flexopt.plant.tree_structure import Skeleton
 
-Pair = tuple[ca.SX, ca.SX]
-Directions = list[Pair]  # (cos, sin) of what turns, in the order of u
-Entry = TypeVar("Entry")
+CosSin = tuple[ca.SX, ca.SX]
+Directions = list[CosSin]  # (cos, sin) of what turns, in the order of u
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -242,7 +242,7 @@ class Motion(ABC):
         """Coordinates q (n_q,) where u is 0, the base standing at first at `base`."""
         return self.offset + self.drawn(base)
 
-    def on_rows(self, base: Sequence[Entry], nothing: Entry) -> list[Entry]:
+    def on_rows(self, base: Sequence[T], nothing: T) -> list[T]:
         """What a placement adds to each of the task rows; `nothing` where it adds nothing."""
         shifts = {name: base[k] for k, name in enumerate(self.placement) if name in ("x", "y")}
         return [shifts.get(row, nothing) for row in self.rows]

@@ -10,12 +10,10 @@ import casadi as ca
 import numpy as np
 
 from flexopt.errors import UnreachableTarget
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Interval, Vector
 from flexopt.model import AnyMachine
 from flexopt.plant.plant import Plant, build_plant
 from flexopt.plant.tree_task import points
-
-Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,16 @@ from functools import cached_property, reduce
 import casadi as ca
 
 from flexopt.model.kinematic_tree import INERTIA_ENTRIES
-from flexopt.plant.tree_structure import Numbers
+from flexopt.plant.tree_structure import MatrixRows
 
 Scalar = ca.SX
-Vector = tuple[Scalar, Scalar, Scalar]
+Triple = tuple[Scalar, Scalar, Scalar]
 Pair = tuple[Scalar, Scalar]
-Wrench = tuple[Vector, Vector]  # force, moment about the body's origin
+Wrench = tuple[Triple, Triple]  # force, moment about the body's origin
 AXES = "xyz"
 SECOND = INERTIA_ENTRIES
 ZERO = ca.SX(0)
-ORIGIN: Vector = (ZERO, ZERO, ZERO)
+ORIGIN: Triple = (ZERO, ZERO, ZERO)
 NOWHERE: dict[str, Scalar] = dict.fromkeys(SECOND, ZERO)
 
 
@@ -38,48 +38,48 @@ def _times(a: Scalar, b: Scalar) -> Scalar:
     return ca.SX.binary(ca.OP_MUL, a, b)
 
 
-def add(a: Vector, b: Vector) -> Vector:
+def add(a: Triple, b: Triple) -> Triple:
     """Sum of two vectors."""
     return _plus(a[0], b[0]), _plus(a[1], b[1]), _plus(a[2], b[2])
 
 
-def scaled(factor: Scalar, a: Vector) -> Vector:
+def scaled(factor: Scalar, a: Triple) -> Triple:
     """A vector times a number."""
     return _times(factor, a[0]), _times(factor, a[1]), _times(factor, a[2])
 
 
-def dot(a: Vector, b: Vector) -> Scalar:
+def dot(a: Triple, b: Triple) -> Scalar:
     """Scalar product."""
     return _plus(_plus(_times(a[0], b[0]), _times(a[1], b[1])), _times(a[2], b[2]))
 
 
-def cross(a: Vector, b: Vector) -> Vector:
+def cross(a: Triple, b: Triple) -> Triple:
     """Vector product."""
     x, y, z = (_minus(_times(a[i], b[j]), _times(a[j], b[i])) for i, j in ((1, 2), (2, 0), (0, 1)))
     return x, y, z
 
 
-def turned(matrix: Numbers, a: Vector) -> Vector:
+def turned(matrix: MatrixRows, a: Triple) -> Triple:
     """Constant matrix times vector."""
     x, y, z = (_combined(row, a) for row in matrix)
     return x, y, z
 
 
-def turned_back(matrix: Numbers, a: Vector) -> Vector:
+def turned_back(matrix: MatrixRows, a: Triple) -> Triple:
     """Transposed constant matrix times vector."""
     return turned((_column(matrix, 0), _column(matrix, 1), _column(matrix, 2)), a)
 
 
-def _column(matrix: Numbers, k: int) -> tuple[float, float, float]:
+def _column(matrix: MatrixRows, k: int) -> tuple[float, float, float]:
     return matrix[0][k], matrix[1][k], matrix[2][k]
 
 
-def _combined(row: Sequence[float], a: Vector) -> Scalar:
+def _combined(row: Sequence[float], a: Triple) -> Scalar:
     terms = [part if entry == 1 else _times(ca.SX(entry), part) for entry, part in zip(row, a, strict=True) if entry]
     return reduce(_plus, terms) if terms else ZERO
 
 
-def times(rows: tuple[Vector, Vector, Vector], a: Vector) -> Vector:
+def times(rows: tuple[Triple, Triple, Triple], a: Triple) -> Triple:
     """Rows times vector."""
     return dot(rows[0], a), dot(rows[1], a), dot(rows[2], a)
 
@@ -89,7 +89,7 @@ def reversed_turn(turn: Pair | None) -> Pair | None:
     return None if turn is None else (turn[0], -turn[1])
 
 
-def about_z(turn: Pair | None, a: Vector) -> Vector:
+def about_z(turn: Pair | None, a: Triple) -> Triple:
     """A vector turned about z by an angle given as (cos, sin)."""
     if turn is None:
         return a
@@ -112,7 +112,7 @@ def second_about_z(turn: Pair | None, second: Mapping[str, Scalar]) -> Mapping[s
             "xz": c * xz - s * yz, "yz": s * xz + c * yz}  # fmt: skip
 
 
-def second_turned(matrix: Numbers, second: Mapping[str, Scalar]) -> dict[str, Scalar]:
+def second_turned(matrix: MatrixRows, second: Mapping[str, Scalar]) -> dict[str, Scalar]:
     """A second moment S turned by a constant matrix, E S Eᵀ."""
     rows = [[second["".join(sorted(a + b))] for b in AXES] for a in AXES]
     half = [turned(matrix, (row[0], row[1], row[2])) for row in rows]  # S Eᵀ
@@ -125,14 +125,14 @@ class Moments:
     """Mass, first and second moment of what is rigid, about an origin, in some axes."""
 
     mass: Scalar
-    first: Vector
+    first: Triple
     second: Mapping[str, Scalar]
 
     def __add__(self, other: Moments) -> Moments:
         second = {name: _plus(self.second[name], other.second[name]) for name in SECOND}
         return Moments(_plus(self.mass, other.mass), add(self.first, other.first), second)
 
-    def moved(self, at: Vector) -> Moments:
+    def moved(self, at: Triple) -> Moments:
         """About the point from which the origin lies `at`."""
         second: dict[str, Scalar] = {}
         for name in SECOND:
@@ -147,18 +147,18 @@ class Moments:
 class Spin:
     """How a body's axes turn: rate ω, its square's and its derivative's part in U (rows), all in its axes."""
 
-    omega: Vector
-    alpha: Vector
+    omega: Triple
+    alpha: Triple
 
     @cached_property
-    def u(self) -> tuple[Vector, Vector, Vector]:
+    def u(self) -> tuple[Triple, Triple, Triple]:
         """[α]× + [ω]×², by rows."""
         (x, y, z), (ax, ay, az) = self.omega, self.alpha
         xy, xz, yz = x * y, x * z, y * z
         xx, yy, zz = x * x, y * y, z * z
         return (-yy - zz, xy - az, xz + ay), (xy + az, -xx - zz, yz - ax), (xz - ay, yz + ax, -xx - yy)
 
-    def moment(self, second: Mapping[str, Scalar]) -> Vector:
+    def moment(self, second: Mapping[str, Scalar]) -> Triple:
         """Σ r × U r dm."""
         (x, y, z), u = self.omega, self.u
         xx, yy, zz, xy, xz, yz = (second[name] for name in SECOND)

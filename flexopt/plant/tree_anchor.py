@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from flexopt.plant.tree_algebra import ZERO, Scalar, Vector, about_z, add, reversed_turn
+from flexopt.plant.tree_algebra import ZERO, Scalar, Triple, about_z, add, reversed_turn
 
-Entry = tuple[int, float]  # of u, and its sign
+SignedEntry = tuple[int, float]  # of u, and its sign
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class TurningAnchor:
         turn: ψ, rad.
     """
 
-    x: Entry
-    y: Entry
-    hinge: Entry
-    undisplaced: Vector
+    x: SignedEntry
+    y: SignedEntry
+    hinge: SignedEntry
+    undisplaced: Triple
     turn: Scalar
 
     def relative(self, moved: ca.SX) -> ca.SX:
@@ -47,6 +47,6 @@ class TurningAnchor:
         column[entry] -= sign * self.turn
         return column
 
-    def _level(self, column: ca.SX) -> Vector:
+    def _level(self, column: ca.SX) -> Triple:
         (x, along_x), (y, along_y) = self.x, self.y
         return along_x * column[x], along_y * column[y], ZERO

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from flexopt.model.kinematic_tree import KinematicTree
-from flexopt.plant.tree_algebra import AXES, NOWHERE, ORIGIN, SECOND, ZERO, Moments, Vector, second_turned, turned
+from flexopt.plant.tree_algebra import AXES, NOWHERE, ORIGIN, SECOND, ZERO, Moments, Triple, second_turned, turned
 from flexopt.plant.tree_structure import Segment, ground_frame, rounded, segments_and_frames
 
 
@@ -30,7 +30,7 @@ def constant_graphs(tree: KinematicTree, value: Mapping[str, ca.SX]) -> dict[str
     entry = {key: value[name] for key, name in tree.entries.items()}
     index = {body.name: i for i, body in enumerate(tree.bodies)}
     result: dict[str, ca.SX] = {}
-    offsets: list[Vector] = []
+    offsets: list[Triple] = []
     moments: list[Moments] = []
     for i, segment in enumerate(segments):
         of_parent = ground_frame(tree) if segment.parent < 0 else frames[segment.parent]
@@ -69,7 +69,7 @@ def _carried(segments: tuple[Segment, ...], masses: list[ca.SX]) -> list[ca.SX]:
     return carried
 
 
-def _move_inwards(segments: tuple[Segment, ...], offsets: list[Vector], moments: list[Moments]) -> None:
+def _move_inwards(segments: tuple[Segment, ...], offsets: list[Triple], moments: list[Moments]) -> None:
     for i, segment in reversed(list(enumerate(segments))):
         own = moments[i]
         if segment.slide:
@@ -86,7 +86,7 @@ def _move_inwards(segments: tuple[Segment, ...], offsets: list[Vector], moments:
         moments[i] = kept
 
 
-def _vector(entry: Mapping[str, ca.SX], name: str) -> Vector:
+def _vector(entry: Mapping[str, ca.SX], name: str) -> Triple:
     x, y, z = (entry.get(f"{name}.{axis}", ZERO) for axis in AXES)
     return x, y, z
 

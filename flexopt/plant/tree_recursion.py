@@ -23,7 +23,7 @@ from flexopt.plant.tree_algebra import (
     Pair,
     Scalar,
     Spin,
-    Vector,
+    Triple,
     Wrench,
     about_z,
     add,
@@ -67,7 +67,7 @@ class Recursion:
         """A constant, 0 where the structure says so."""
         return ZERO if name in self.skeleton.zeros or name not in self.value else self.value[name]
 
-    def vector(self, name: str) -> Vector:
+    def vector(self, name: str) -> Triple:
         """A constant with three components."""
         return self.of(f"{name}.x"), self.of(f"{name}.y"), self.of(f"{name}.z")
 
@@ -103,25 +103,25 @@ class Recursion:
     def _heading(self, i: int) -> Pair | None:
         return self.headings[i] if i >= 0 else None
 
-    def of_body(self, i: int, a: Vector) -> Vector:
+    def of_body(self, i: int, a: Triple) -> Triple:
         """From the body's own axes to those of its row; −1 is the ground."""
         return about_z(self._heading(i), a)
 
-    def direction(self, i: int) -> Vector:
+    def direction(self, i: int) -> Triple:
         """Of a joint's axis, in its body's own axes."""
         x, y, z = self.skeleton.segments[i].axis
         return ca.SX(x), ca.SX(y), ca.SX(z)
 
-    def axis(self, i: int) -> Vector:
+    def axis(self, i: int) -> Triple:
         """Of a slide."""
         return self.of_body(self.skeleton.segments[i].parent, self.direction(i))
 
-    def offset(self, i: int) -> Vector:
+    def offset(self, i: int) -> Triple:
         """Of the body's origin from its parent's, in the parent's row."""
         at = self.of_body(self.skeleton.segments[i].parent, self.vector(f"offset{i}"))
         return add(at, scaled(self.displacement[i], self.axis(i))) if self.skeleton.segments[i].slide else at
 
-    def first(self, i: int) -> Vector:
+    def first(self, i: int) -> Triple:
         """First moment of the body alone."""
         return self.of_body(i, self.vector(f"c{i}"))
 
@@ -130,14 +130,14 @@ class Recursion:
         own = {ab: self.of(f"s{i}.{ab}") for ab in SECOND}
         return own if self.skeleton.segments[i].parallel else second_about_z(self._heading(i), own)
 
-    def inwards(self, i: int, a: Vector) -> Vector:
+    def inwards(self, i: int, a: Triple) -> Triple:
         """From the axes of the body's row to those of its parent's."""
         segment = self.skeleton.segments[i]
         if segment.slide or segment.in_row:
             return a
         return self.of_body(segment.parent, turned(segment.turn, about_z(self.along[i], a)))
 
-    def outwards(self, i: int, a: Vector) -> Vector:
+    def outwards(self, i: int, a: Triple) -> Triple:
         """The reverse of `inwards`."""
         segment = self.skeleton.segments[i]
         if segment.slide or segment.in_row:
@@ -154,15 +154,15 @@ class Recursion:
         """What of a wrench acts along the joint's motion."""
         return dot(self.axis(i), wrench[0]) if self.skeleton.segments[i].slide else wrench[1][2]
 
-    def to_ground(self, i: int, a: Vector) -> Vector:
+    def to_ground(self, i: int, a: Triple) -> Triple:
         """From a body's own axes to the ground's."""
         return self.step(i, i, a)
 
-    def point(self, i: int, at: Vector) -> Vector:
+    def point(self, i: int, at: Triple) -> Triple:
         """Where a point of a body lies in the ground's frame."""
         return self.step(-1, i, at)
 
-    def step(self, start: int, i: int, at: Vector) -> Vector:
+    def step(self, start: int, i: int, at: Triple) -> Triple:
         """From the origin of a body to a point of one that it carries, in the ground's axes."""
         at = self.of_body(i, at)
         while i != start:
@@ -226,7 +226,7 @@ class Recursion:
         """What the joints must give so that none accelerates, h + g, by body."""
         spins, up = self.spins(rates), self.skeleton.up
         fall = (gravity if up == 0 else ZERO, gravity if up == 1 else ZERO, gravity if up == 2 else ZERO)
-        accelerations: list[Vector] = []
+        accelerations: list[Triple] = []
         wrenches: list[Wrench] = []
         for i, segment in enumerate(self.skeleton.segments):
             parent, spin = segment.parent, spins[i]

@@ -12,13 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from flexopt.foundation.arrays import Array
 from flexopt.model.kinematic_tree import UNTURNED, KinematicTree
 from flexopt.model.tree_quantities import axes_about
 
-Matrix = NDArray[np.float64]
-Numbers = tuple[tuple[float, float, float], ...]
+MatrixRows = tuple[tuple[float, float, float], ...]
 # Products of rotations this near to 0 or ±1 are meant to be it.
 SNAP = 1e-14
 PLANES = ("xy", "xz", "yz")
@@ -42,7 +41,7 @@ class Segment:
 
     parent: int
     slide: bool
-    turn: Numbers
+    turn: MatrixRows
     axis: tuple[float, float, float]
     passive: bool
     held: bool
@@ -72,13 +71,13 @@ class Skeleton:
 
     segments: tuple[Segment, ...]
     tip: int
-    tip_rotation: Numbers
+    tip_rotation: MatrixRows
     rows: tuple[str, ...]
-    reference: Numbers
+    reference: MatrixRows
     placement: tuple[str, ...]
     coupled_springs: tuple[tuple[int, int], ...]
     coupled_dampers: tuple[tuple[int, int], ...]
-    ground: Numbers = UNTURNED
+    ground: MatrixRows = UNTURNED
     up: int = 2
     constants: tuple[str, ...] = ()
     zeros: frozenset[str] = frozenset()
@@ -138,9 +137,9 @@ class Skeleton:
         return [i for i, segment in enumerate(self.segments) if not segment.slide]
 
     @property
-    def axes_of_chain(self) -> list[Numbers]:
+    def axes_of_chain(self) -> list[MatrixRows]:
         """Of each hinge of a chain, the axes of its body where all joints are at zero, as columns in the ground's."""
-        found: list[Numbers] = []
+        found: list[MatrixRows] = []
         for i in self.hinges:
             turn = np.array(self.segments[i].turn)
             found.append(rounded(np.array(found[-1]) @ turn if found else turn))
@@ -253,14 +252,14 @@ def _pairs(members: tuple[int, ...]) -> list[tuple[int, int]]:
     return [(min(a, b), max(a, b)) for i, a in enumerate(members) for b in members[i:]]
 
 
-def rounded(matrix: Matrix) -> Numbers:
+def rounded(matrix: Array) -> MatrixRows:
     """A (k, 3) matrix by rows, what is meant to be 0 or ±1 exactly that."""
     nearest = np.round(matrix)
     snapped = np.where(np.abs(matrix - nearest) < SNAP, nearest, matrix) + 0.0
     return tuple((float(a), float(b), float(c)) for a, b, c in snapped)
 
 
-def ground_frame(tree: KinematicTree) -> Matrix:
+def ground_frame(tree: KinematicTree) -> Array:
     """See `Skeleton.ground`."""
     rows = tree.end_point.rows
     if "".join(rows) not in PLANES or "yaw" in tree.placement:
@@ -269,11 +268,11 @@ def ground_frame(tree: KinematicTree) -> Matrix:
     return np.array([first, second, np.cross(first, second)]).T
 
 
-def segments_and_frames(tree: KinematicTree) -> tuple[tuple[Segment, ...], list[Matrix]]:
+def segments_and_frames(tree: KinematicTree) -> tuple[tuple[Segment, ...], list[Array]]:
     """The segments, and of each body the rotation from its new frame to the one that the tree gives it."""
     index = {body.name: i for i, body in enumerate(tree.bodies)}
     segments: list[Segment] = []
-    frames: list[Matrix] = []
+    frames: list[Array] = []
     after_hinge: list[bool] = []  # between the ground and the body, itself included, there is a hinge
     only_parallel: list[bool] = []  # … and all such hinges are parallel
     for number, body in enumerate(tree.bodies):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import casadi as ca
 
 from flexopt.plant.orientation import rotation_vector
-from flexopt.plant.tree_algebra import ORIGIN, ZERO, Vector, turned, turned_back
+from flexopt.plant.tree_algebra import ORIGIN, ZERO, Triple, turned, turned_back
 from flexopt.plant.tree_recursion import Recursion
 
 POSITION = ("x", "y", "z")
@@ -28,9 +28,9 @@ def task(at: Recursion, base: ca.SX) -> ca.SX:
     return ca.vertcat(*(rows[row] for row in wanted))
 
 
-def end_axes(at: Recursion, base: ca.SX) -> list[Vector]:
+def end_axes(at: Recursion, base: ca.SX) -> list[Triple]:
     """Axes x, y, z of the end-point's frame in inertial axes."""
-    axes: list[Vector] = []
+    axes: list[Triple] = []
     for k in range(3):
         axis = [ZERO] * 3
         axis[k] = ca.SX(1)
@@ -39,7 +39,7 @@ def end_axes(at: Recursion, base: ca.SX) -> list[Vector]:
     return axes
 
 
-def placed(at: Recursion, point: Vector, base: ca.SX) -> Vector:
+def placed(at: Recursion, point: Triple, base: ca.SX) -> Triple:
     """A point of the anchor frame in the inertial one."""
     x, y, z = in_inertial_axes(at, point, base)
     moved = {name: base[k] for k, name in enumerate(at.skeleton.placement) if name not in at.skeleton.absorbed}
@@ -52,7 +52,7 @@ def points(at: Recursion, base: ca.SX) -> ca.SX:
     return ca.horzcat(*(ca.vertcat(*placed(at, point, base)) for point in every))
 
 
-def in_inertial_axes(at: Recursion, a: Vector, base: ca.SX) -> Vector:
+def in_inertial_axes(at: Recursion, a: Triple, base: ca.SX) -> Triple:
     """A direction as the recursions see it in inertial axes."""
     a = turned(at.skeleton.ground, a)
     if "yaw" not in at.skeleton.placement:

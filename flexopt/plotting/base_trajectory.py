@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from flexopt.foundation.boundary import instance
 from flexopt.foundation.escapes import mathtext
 from flexopt.foundation.palette import colors
-from flexopt.plotting.panels import Line, Panel, draw_panel
+from flexopt.plotting.panels import NamedLine, Panel, draw_panel
 from flexopt.plotting.scene import Actor, draw_scene, legend_above, target_point
 from flexopt.plotting.shape import shape_of, views
 from flexopt.plotting.sheet import Sheet, picture
@@ -54,7 +54,7 @@ def plot_base_trajectory(sheet: Sheet, trajectory: BaseTrajectory) -> None:
     panels: list[Panel] = []
     for rows, per, steps in ((t.base.T, "", False), (t.base_rate.T, "/s", True)):
         for unit in units:
-            lines: tuple[Line, ...] = tuple(
+            lines: tuple[NamedLine, ...] = tuple(
                 (name, t.time, row) for (name, of), row in zip(coordinates, rows, strict=True) if of == unit
             )
             what = "base rate" if per else "base position"

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from flexopt.foundation.arrays import Array
 from flexopt.foundation.boundary import instance
 from flexopt.foundation.control import gain_units
 from flexopt.foundation.escapes import TITLE_MAX, mathtext
@@ -20,8 +20,6 @@ from flexopt.plotting.scene import legend_above
 from flexopt.plotting.sheet import Sheet, picture
 from flexopt.plotting.units import labelled
 from flexopt.simulation.ensemble import VERDICTS, Ensemble
-
-Values = NDArray[np.float64]
 
 # Quantiles of the bands, the outer one first, and how densely they are painted.
 BANDS = (((0.05, 0.95), 0.2), ((0.25, 0.75), 0.35))
@@ -92,7 +90,7 @@ def _draw_rates(axes: Axes, ensemble: Ensemble) -> None:
     legend_above(axes, "right", ncols=3)
 
 
-def _varied(ensemble: Ensemble) -> tuple[str, Values]:
+def _varied(ensemble: Ensemble) -> tuple[str, Array]:
     """What the members are drawn over: the one number in which they differ, or else their own number."""
     differ = {name: np.asarray(values, dtype=float) for name, values in ensemble.plan.varied.items()}
     if len(differ) == 1:
@@ -106,7 +104,7 @@ def _varied(ensemble: Ensemble) -> tuple[str, Values]:
     return BY_NUMBER, np.arange(1.0, ensemble.n_members + 1)
 
 
-def _draw_bands(axes: Axes, ensemble: Ensemble, values: Values) -> None:
+def _draw_bands(axes: Axes, ensemble: Ensemble, values: Array) -> None:
     """Quantiles over time of values (members, samples), each verdict by itself; what has diverged lies above all."""
     time, inks = np.asarray(ensemble.dataset["time"], dtype=float), colors()
     known = values[np.abs(values) < ABOVE]

@@ -16,11 +16,9 @@ from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize, TwoSlopeNorm, to_rgb
 from matplotlib.image import AxesImage
 from matplotlib.ticker import FuncFormatter, MaxNLocator
-from numpy.typing import NDArray
 
+from flexopt.foundation.arrays import Array
 from flexopt.foundation.palette import colors
-
-Values = NDArray[np.float64]
 
 # Near singular postures the measures fall without end: colours and axes start at this fraction of the points.
 LOWEST_SHOWN = 0.05
@@ -34,20 +32,20 @@ BESIDE = 0.08
 class FieldPlane:
     """The axes of a field: values (n_x,), (n_y,), and their labels."""
 
-    x: Values
-    y: Values
+    x: Array
+    y: Array
     x_label: str
     y_label: str
     logarithmic: tuple[bool, bool] = (False, False)
 
     @property
-    def scaled(self) -> tuple[Values, Values]:
+    def scaled(self) -> tuple[Array, Array]:
         """The axes evenly spaced: in the logarithm (of 10) where one is logarithmic."""
         x, y = (np.log10(v) if log else v for v, log in zip((self.x, self.y), self.logarithmic, strict=True))
         return x, y
 
     @property
-    def edges(self) -> tuple[Values, Values]:
+    def edges(self) -> tuple[Array, Array]:
         """Edges of the points' cells on the scaled axes, (n_x + 1,), (n_y + 1,)."""
         x, y = map(cell_edges, self.scaled)
         return x, y
@@ -66,7 +64,7 @@ class FieldPlane:
         return "equal" if 0.25 <= float(np.ptp(self.y) / np.ptp(self.x)) <= 4.0 else "auto"
 
 
-def cell_edges(values: Values) -> Values:
+def cell_edges(values: Array) -> Array:
     """Edges (n + 1,) of the cells of evenly spaced values (n,)."""
     half = float(values[-1] - values[0]) / (values.size - 1) / 2
     return np.linspace(float(values[0]) - half, float(values[-1]) + half, values.size + 1, dtype=np.float64)
@@ -86,7 +84,7 @@ def _mixed(color: str, other: str, share: float) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def draw_field(axes: Axes, plane: FieldPlane, values: Values, *, label: str, clipped: bool = False) -> None:
+def draw_field(axes: Axes, plane: FieldPlane, values: Array, *, label: str, clipped: bool = False) -> None:
     """A field (n_y, n_x) with its colour bar; NaN stays white, what is the same everywhere has one colour.
 
     Args:
@@ -140,7 +138,7 @@ def _bar(axes: Axes, image: AxesImage, label: str, *, extend: Literal["neither",
     return bar
 
 
-def draw_signed(axes: Axes, plane: FieldPlane, values: Values, *, label: str) -> None:
+def draw_signed(axes: Axes, plane: FieldPlane, values: Array, *, label: str) -> None:
     """A field whose sign decides, with its border: above 0 it settles, below it grows; NaN grey."""
     finite = values[np.isfinite(values)]
     above, below = finite[finite > 0], -finite[finite < 0]
@@ -156,7 +154,7 @@ def draw_signed(axes: Axes, plane: FieldPlane, values: Values, *, label: str) ->
     bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.2g}".replace("-", "−"))
 
 
-def draw_border(axes: Axes, x: Values, y: Values, values: Values, *, width: float) -> None:
+def draw_border(axes: Axes, x: Array, y: Array, values: Array, *, width: float) -> None:
     """A line along the edges x (n_x + 1,), y (n_y + 1,) between cells that settle, values (n_y, n_x) above 0, and grow.
 
     A contour would be off by half a cell: decay bends where another motion becomes the slowest, often at the border.
@@ -170,7 +168,7 @@ def draw_border(axes: Axes, x: Values, y: Values, values: Values, *, width: floa
     axes.add_collection(lines, autolim=False)
 
 
-def draw_regions(axes: Axes, plane: FieldPlane, values: Values) -> None:
+def draw_regions(axes: Axes, plane: FieldPlane, values: Array) -> None:
     """In-phase points (1) yellow, the others (0) blue, what is not mapped (NaN) bare."""
     axes.imshow(
         values, extent=plane.extent, origin="lower", interpolation="nearest", aspect=plane.aspect, vmin=0.0, vmax=1.0,
@@ -205,7 +203,7 @@ def draw_marks(axes: Axes, marks: Mapping[str, tuple[float, float]]) -> None:
         )  # fmt: skip
 
 
-def draw_best(axes: Axes, plane: FieldPlane, values: Values) -> None:
+def draw_best(axes: Axes, plane: FieldPlane, values: Array) -> None:
     """A star where a field (n_y, n_x) is largest; none where it is the same everywhere."""
     finite = values[np.isfinite(values)]
     if not finite.size or np.ptp(finite) <= SAME * np.max(np.abs(finite)):
@@ -218,7 +216,7 @@ def draw_best(axes: Axes, plane: FieldPlane, values: Values) -> None:
     )  # fmt: skip
 
 
-def draw_arms(axes: Axes, arms: Mapping[str, Values]) -> None:
+def draw_arms(axes: Axes, arms: Mapping[str, Array]) -> None:
     """Arms (2, joints and end-point) over a field, each with its name beside the end-point, off all of them."""
     inks, links = colors(), [(arm[:, k], arm[:, k + 1]) for arm in arms.values() for k in range(arm.shape[1] - 1)]
     away = BESIDE * abs(float(np.diff(axes.get_xlim())[0]))
@@ -243,7 +241,7 @@ def draw_arms(axes: Axes, arms: Mapping[str, Values]) -> None:
         )  # fmt: skip
 
 
-def _apart(point: Values, start: Values, end: Values) -> float:
+def _apart(point: Array, start: Array, end: Array) -> float:
     """Distance of a point from a line's length."""
     along = end - start
     share = float(np.clip((point - start) @ along / max(float(along @ along), 1e-300), 0.0, 1.0))

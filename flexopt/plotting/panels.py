@@ -28,7 +28,7 @@ BINS = 1200
 DIVERGED, SHOWN = 1e3, 5.0
 # Range of the energy from which on its axis is logarithmic.
 LOG_FROM = 20.0
-Line = tuple[str, Vector, Vector]
+NamedLine = tuple[str, Vector, Vector]
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Panel:
     """
 
     label: str
-    lines: tuple[Line, ...]
+    lines: tuple[NamedLine, ...]
     rate: float | None = None
     logarithmic: bool = False
     steps: bool = False

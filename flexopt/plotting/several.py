@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from flexopt.foundation.boundary import instance
 from flexopt.foundation.escapes import mathtext
 from flexopt.foundation.palette import colors
-from flexopt.plotting.panels import Line, Panel, draw_panel
+from flexopt.plotting.panels import NamedLine, Panel, draw_panel
 from flexopt.plotting.scene import Actor, draw_scene, legend_above, target_point
 from flexopt.plotting.shape import Points, Shape, View, shape_of, views
 from flexopt.plotting.sheet import Sheet, picture
@@ -102,7 +102,7 @@ def plot_plan(sheet: Sheet, plan: BasePlan) -> None:
     _draw_strip(sheet, outer[0].subgridspec(rows, min(ROW, len(shots))), plan, shots, shapes, view)
     below = outer[1].subgridspec(1, 1 + len(units))
     panels = [sheet.figure.add_subplot(below[0, k]) for k in range(1 + len(units))]
-    moving: tuple[Line, ...] = (("the base moves", plan.time, plan.V),)
+    moving: tuple[NamedLine, ...] = (("the base moves", plan.time, plan.V),)
     if plan.still is not None:
         moving = (*moving, ("it stands still", plan.time, plan.still.V))
     draw_panel(panels[0], Panel(_sought(plan), moving, colors=_of_ways))
@@ -117,7 +117,9 @@ def plot_plan(sheet: Sheet, plan: BasePlan) -> None:
             curve.set_clip_on(False)
     for panel, unit in zip(panels[1:], units, strict=True):
         rows_of = [k for k, other in enumerate(e.base_units) if other == unit]
-        lines: tuple[Line, ...] = tuple((mathtext(e.base_coordinates[k]), plan.time, plan.base[:, k]) for k in rows_of)
+        lines: tuple[NamedLine, ...] = tuple(
+            (mathtext(e.base_coordinates[k]), plan.time, plan.base[:, k]) for k in rows_of
+        )
         names = ", ".join(name for name, _, _ in lines)
         draw_panel(panel, Panel(f"placement {names}, {unit}", lines))
     for panel in panels:

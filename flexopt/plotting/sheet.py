@@ -26,7 +26,7 @@ from matplotlib.rcsetup import cycler
 from matplotlib.ticker import ScalarFormatter
 
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.boundary import Check, anything, public
+from flexopt.foundation.boundary import ArgumentCheck, anything, public
 from flexopt.foundation.palette import Palette, Theme, painted_in
 from flexopt.foundation.pictures import Size, draws
 from flexopt.foundation.writing import write_file
@@ -78,7 +78,7 @@ def picture(
     *,
     size: Callable[[Any], Inches | list[Inches]],
     panels: Callable[[Any], int] = lambda _: 2,
-    check: Check = anything,
+    check: ArgumentCheck = anything,
 ) -> Callable[[Draw], Callable[..., Figure]]:
     """Makes the public function of a function that draws.
 

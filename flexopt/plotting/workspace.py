@@ -13,10 +13,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from flexopt.foundation.arrays import Array
 from flexopt.foundation.escapes import TITLE_MAX, mathtext
 from flexopt.plotting.fields import (
     FieldPlane,
-    Values,
     draw_best,
     draw_field,
     draw_marks,
@@ -47,7 +47,7 @@ def dataset_plane(dataset: Any) -> FieldPlane:
     return FieldPlane(x, y, plain[0], plain[1], (_geometric(x), _geometric(y)))
 
 
-def _geometric(values: Values) -> bool:
+def _geometric(values: Array) -> bool:
     """Whether an axis is evenly spaced in its logarithm."""
     return bool(values[0] > 0 and values.size > 2 and abs(values[0] * values[2] / values[1] ** 2 - 1) < EVEN)
 
@@ -64,7 +64,7 @@ def _size(chart: Any) -> tuple[float, float]:
     return 0.8 + 3.2 * columns, 1.1 + (0.55 + _each(dataset_plane(chart.dataset))) * len(panels)
 
 
-def _laid(panels: list[list[Panel]], size: tuple[float, float], each: float) -> list[list[Panel]]:
+def _laid(panels: list[list[MapPanel]], size: tuple[float, float], each: float) -> list[list[MapPanel]]:
     """Rows as columns where that makes panels larger, as on a slide, and leaves no gap before a panel."""
     lengths = [len(row) for row in panels]
 
@@ -118,7 +118,7 @@ def plot_quantities(chart: Any, *, marks: Mapping[str, tuple[float, float]]) -> 
     """Each panel of a map as a picture of its own, by its title without mathematics."""
     dataset = chart.dataset
     plane, found = dataset_plane(dataset), dict[str, Figure]()
-    for panel in sum(_panels(dataset), list[Panel]()):
+    for panel in sum(_panels(dataset), list[MapPanel]()):
         figure = Figure(figsize=(5.2, 1.3 + 1.6 * _each(plane)), layout="constrained")
         axes = figure.add_subplot()
         _draw(axes, plane, panel, best=dataset.attrs["over"] == "base")
@@ -135,7 +135,7 @@ def _plain(title: str) -> str:
     return title.replace("$\\lambda_{min}(R_0 + R_0^T)$", "λmin(R0 + R0ᵀ)").replace("$", "").replace("w_", "w")
 
 
-def _draw(axes: Axes, plane: FieldPlane, panel: Panel, *, best: bool) -> None:
+def _draw(axes: Axes, plane: FieldPlane, panel: MapPanel, *, best: bool) -> None:
     """One panel; `best`: with a star at the best place of a measure."""
     kind, _, label, values = panel
     if kind == "regions":
@@ -155,13 +155,13 @@ def _placed(plane: FieldPlane, marks: Mapping[str, tuple[float, float]]) -> dict
             for name, (x, y) in marks.items()}  # fmt: skip
 
 
-Panel = tuple[str, str, str, Values]
+MapPanel = tuple[str, str, str, Array]
 
 
-def _panels(dataset: Any) -> list[list[Panel]]:
+def _panels(dataset: Any) -> list[list[MapPanel]]:
     """Rows of (how to draw, title, label of the colours, values)."""
-    rows: list[list[Panel]] = []
-    whole: list[Panel] = []
+    rows: list[list[MapPanel]] = []
+    whole: list[MapPanel] = []
     if "w" in dataset:
         frequency, w, in_phase = (_array(dataset, name) for name in ("frequency_hz", "w", "in_phase"))
         unit = written_unit(dataset["w"].attrs["units"])
@@ -183,7 +183,7 @@ def _panels(dataset: Any) -> list[list[Panel]]:
         whole.insert(
             0, ("clipped", "robust stability margin", labelled("$\\epsilon_{max}$", ""), _array(dataset, "epsilon_max"))
         )
-    loop: list[Panel] = []
+    loop: list[MapPanel] = []
     if "decay" in dataset:
         loop.append(("signed", "sampled loop: decay, above 0 it settles", "decay, 1/s", _array(dataset, "decay")))
         loop.append(("field", "its slowest motion", "frequency, Hz", _array(dataset, "loop_frequency_hz")))
@@ -193,9 +193,9 @@ def _panels(dataset: Any) -> list[list[Panel]]:
         whole.append(
             ("field", "condition of the rigid-body Jacobian", labelled("cond Jv", ""), _array(dataset, "condition"))
         )
-    rows = [*rows, whole] if max(map(len, rows), default=0) != 1 else [sum(rows, list[Panel]()), whole]
+    rows = [*rows, whole] if max(map(len, rows), default=0) != 1 else [sum(rows, list[MapPanel]()), whole]
     return [*rows, loop] if loop else rows
 
 
-def _array(dataset: Any, name: str) -> Values:
+def _array(dataset: Any, name: str) -> Array:
     return np.asarray(dataset[name].values, dtype=float)

@@ -15,13 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled.economical import Economical
-from flexopt.foundation.arrays import MatrixLike
+from flexopt.foundation.arrays import Array, MatrixLike
 from flexopt.foundation.boundary import array_of, instance, public
 from flexopt.plant.singularity import singular_points
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures
 from flexopt.robustness.modes import TRUSTED_GAP
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

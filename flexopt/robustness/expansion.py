@@ -33,7 +33,7 @@ NO_DERIVATIVES: dict[str, Any] = {
 
 
 # The parts of `held` as graphs, SX or MX, by name.
-Held = dict[str, Any]
+HeldGraphs = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -69,14 +69,14 @@ class Expansion:
         """All of them as one vector symbol."""
         return ca.veccat(*self.held_parts.values())
 
-    def parts(self, held: Any) -> Held:
+    def parts(self, held: Any) -> HeldGraphs:
         """The parts of a given `held`."""
         edges = [0, *accumulate(part.numel() for part in self.held_parts.values())]
         names, symbols = self.held_parts.keys(), self.held_parts.values()
         split: list[Any] = [held[i:j] for i, j in pairwise(edges)]
         return {name: ca.reshape(x, *symbol.shape) for name, symbol, x in zip(names, symbols, split, strict=True)}
 
-    def hold(self, at: Sequence[Any], modes: ca.Function, *near: Any) -> tuple[Held, list[Any]]:
+    def hold(self, at: Sequence[Any], modes: ca.Function, *near: Any) -> tuple[HeldGraphs, list[Any]]:
         """The parts of `held` at graphs of the inputs (of base, posture and p), and what else `modes` gives."""
         deflection = self.deflection(at)
         return self.solved(deflection, self.reduced.call([*at, *deflection]), modes, *near)
@@ -85,7 +85,9 @@ class Expansion:
         """The static deflection (m,) as a graph, in a list; an empty one without gravity."""
         return self._deflected.call(list(at)) if self.gravity else []
 
-    def solved(self, deflection: list[Any], y: Sequence[Any], modes: ca.Function, *near: Any) -> tuple[Held, list[Any]]:
+    def solved(
+        self, deflection: list[Any], y: Sequence[Any], modes: ca.Function, *near: Any
+    ) -> tuple[HeldGraphs, list[Any]]:
         """`hold` from graphs of K_p, M̄ and F; `modes` is (K_p, M̄, near) -> ω², Φ, clusters, and more."""
         stiffness, mass, factors = y
         omega_squared, shapes, same, *more = modes.call([stiffness, mass, *near])
@@ -93,11 +95,11 @@ class Expansion:
         held = zip(self.held_parts, [*(deflection or [type(f)(0, 1)]), omega_squared, shapes, same, f], strict=True)
         return dict(held), more
 
-    def slopes(self, held: Held, alpha: Any) -> list[Any]:
+    def slopes(self, held: HeldGraphs, alpha: Any) -> list[Any]:
         """The w_i (m,) and ∂V/∂f (2r, m) as graphs."""
         return self.terms.slopes.call([held["f"], held["same"], alpha])
 
-    def sizes(self, held: Held) -> Any:
+    def sizes(self, held: HeldGraphs) -> Any:
         """|a_i||b_i| (m,) as a graph."""
         return self.terms.sizes.call([held["f"]])[0]
 
@@ -111,7 +113,7 @@ class Expansion:
         given |= {} if self.baked else {"p": g.p}
         return given | ({"deflection": self.held_parts["deflection"]} if self.gravity else {})
 
-    def _at(self, at: Sequence[Any], held: Held) -> list[Any]:
+    def _at(self, at: Sequence[Any], held: HeldGraphs) -> list[Any]:
         return [*at, held["deflection"]] if self.gravity else list(at)
 
     def of_machine(self, name: str, extra: Sequence[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
@@ -209,12 +211,12 @@ class Expansion:
 
     # Both together.
 
-    def gradient(self, at: Sequence[Any], held: Held, by_f: Any) -> Any:
+    def gradient(self, at: Sequence[Any], held: HeldGraphs, by_f: Any) -> Any:
         """∂V/∂z (n_z,) as a graph, from ∂V/∂f."""
         pull = self.terms.pull.call([*self._modes(held), by_f])
         return self._machine_slope.call([*self._at(at, held), *pull])[0]
 
-    def hessian(self, at: Sequence[Any], held: Held, by_f: Any, alpha: Any) -> tuple[Any, Any]:
+    def hessian(self, at: Sequence[Any], held: HeldGraphs, by_f: Any, alpha: Any) -> tuple[Any, Any]:
         """∂V/∂z (n_z,) and ∂²V/∂z² (n_z, n_z) as graphs, from ∂V/∂f and α."""
         omega_squared, shapes, same, f = modes = self._modes(held)
         pull = self.terms.pull.call([*modes, by_f])
@@ -225,7 +227,7 @@ class Expansion:
             (hessian,) = self._spread.call([hessian, ca.horzcat(*into).T @ ca.horzcat(*bent)])
         return gradient, hessian
 
-    def jacobian(self, x: ca.SX, at: Sequence[Any], held: Held) -> Any:
+    def jacobian(self, x: ca.SX, at: Sequence[Any], held: HeldGraphs) -> Any:
         """∂w/∂x (m, n_x) as a graph, for symbols x of base, posture and p."""
         (terms, y), m = self._terms_by(x), self.plant.n_passive
         modes, by_f = self._modes(held), [self.slopes(held, one)[1] for one in ca.horzsplit(ca.DM.eye(m))]
@@ -235,7 +237,7 @@ class Expansion:
         slopes = pull.T @ ca.jacobian(y, x) if x.shape[0] < m else ca.jtimes(y, x, pull, True).T
         return self.of_machine("machine_slopes", [pull], [slopes]).call([*self._at(at, held), pulls])[0]
 
-    def factor_slopes(self, at: Sequence[Any], held: Held) -> Any:
+    def factor_slopes(self, at: Sequence[Any], held: HeldGraphs) -> Any:
         """∂f/∂z (2r m, n_z) as a graph, f column by column."""
         omega_squared, shapes, same, f = self._modes(held)
         columns = [ca.MX.zeros(f.numel(), 1) for _ in range(self._z.shape[0])]
@@ -246,10 +248,10 @@ class Expansion:
             columns[k] = ca.MX(ca.vec(change))
         return ca.horzcat(*columns)
 
-    def _modes(self, held: Held) -> list[Any]:
+    def _modes(self, held: HeldGraphs) -> list[Any]:
         return [held[name] for name in ("omega_squared", "modes", "same", "f")]
 
-    def _begun(self) -> tuple[list[ca.MX], Held, ca.MX, ca.MX]:
+    def _begun(self) -> tuple[list[ca.MX], HeldGraphs, ca.MX, ca.MX]:
         """Symbols of all inputs; the parts of held; V and ∂V/∂f."""
         g = self.plant.graph
         sizes = [x.shape[0] for x in (g.base, g.posture, g.p, self.held)]

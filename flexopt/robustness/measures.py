@@ -20,7 +20,7 @@ from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.singularity import screened
 from flexopt.plant.statics import left_over
-from flexopt.robustness.expansion import Expansion, Held
+from flexopt.robustness.expansion import Expansion, HeldGraphs
 from flexopt.robustness.modes import WRITTEN_OUT, modes_function, quick_modes
 from flexopt.robustness.residues import rigid_residue
 
@@ -199,7 +199,7 @@ class Measures:
         return compiled.batch(self.sound)
 
     @cached_property
-    def _quickly(self) -> tuple[ca.SX, ca.SX, Held]:
+    def _quickly(self) -> tuple[ca.SX, ca.SX, HeldGraphs]:
         """The w_i (m, 1), the gap, and what `hold` would give."""
         expansion = self.expansion
         held, (squares, gap) = expansion.hold(self.inputs, quick_modes(self.plant.n_passive))
@@ -224,7 +224,7 @@ class Measures:
         return [ca.MX.sym(name, x.shape[0]) for name, x in zip(NAMES, self.inputs, strict=True)]
 
     @cached_property
-    def _held(self) -> Held:
+    def _held(self) -> HeldGraphs:
         """What `hold` gives there."""
         return self.expansion.parts(self.hold.call(self._symbols)[0])
 

@@ -14,10 +14,9 @@ from functools import lru_cache
 import numpy as np
 
 from flexopt.errors import ImplausibleMachine
-from flexopt.foundation.arrays import spread
+from flexopt.foundation.arrays import Array, spread
 from flexopt.foundation.warned import warn_user
 from flexopt.model import AnyMachine
-from flexopt.model.body_numbers import Array
 from flexopt.model.loop import Loop
 from flexopt.model.plausibility import BASE_MASS, ImplausibleNumber, distant_ranges, implausible_numbers
 from flexopt.plant import Plant, build_plant

@@ -11,7 +11,7 @@ import numpy as np
 
 from flexopt.errors import Fault, InputError, UnreachableTarget, raise_if_any
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import TargetLike, Vector
+from flexopt.foundation.arrays import Interval, TargetLike, Vector
 from flexopt.foundation.boundary import Keywords, public
 from flexopt.model import AnyMachine
 from flexopt.model.choices import EVERYTHING, assumes
@@ -19,7 +19,7 @@ from flexopt.model.constraints import AnyConstraints, Constraints
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant import Plant, build_plant
-from flexopt.plant.reach import Interval, arm_length, clipped, missed, outer_reach, reach, sampled_ranges, unreachable
+from flexopt.plant.reach import arm_length, clipped, missed, outer_reach, reach, sampled_ranges, unreachable
 from flexopt.plant.statics import not_held
 from flexopt.selection.assumed import assumed, standing
 from flexopt.selection.constraints import build_constraints, constraint_faults

@@ -14,11 +14,8 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flexopt.foundation.arrays import Vector
-
-Chosen = NDArray[np.bool_]
+from flexopt.foundation.arrays import Mask, Vector
 
 # How far a solution may break rows, or have multipliers of the wrong sign: of a problem whose gradient and box are of
 # order one. Singular values of a cone's slopes below this share of the largest are rounding.
@@ -44,7 +41,7 @@ class ConicProgram:
     slopes: Vector
 
     @cached_property
-    def axes(self) -> tuple[Vector, Chosen, Chosen]:
+    def axes(self) -> tuple[Vector, Mask, Mask]:
         """Of every cone unit vectors (m, r, r), which of them C reaches, (m, r); and whether it has a tip, (m,)."""
         left, singular, _ = np.linalg.svd(self.slopes)
         reached = np.zeros(self.values.shape, dtype=np.bool_)
@@ -69,7 +66,7 @@ class ConicPoint:
     v: Vector
     pulls: Vector
     forces: Vector
-    active: Chosen
+    active: Mask
 
 
 def newton(program: ConicProgram, state: ConicPoint, steps: int) -> ConicPoint | None:
@@ -144,7 +141,7 @@ def _step(program: ConicProgram, state: ConicPoint) -> ConicPoint:
     return ConicPoint(x[:size], pulls, forces, at)
 
 
-def _directions(program: ConicProgram, state: ConicPoint) -> tuple[Vector, Vector, Chosen, Vector]:
+def _directions(program: ConicProgram, state: ConicPoint) -> tuple[Vector, Vector, Mask, Vector]:
     """Of every cone the unit (m, r) along which it pulls, 0 at a tip; unit vectors (m, r, r) and which are across it.
 
     And of these 1 / (1 + stiffness).
@@ -168,7 +165,7 @@ def _directions(program: ConicProgram, state: ConicPoint) -> tuple[Vector, Vecto
     mirror = unit.copy()
     mirror[:, 0] += np.where(unit[:, 0] < 0, -1.0, 1.0)
     flip = np.eye(r) - mirror[:, :, None] * (mirror / (1 + np.abs(unit[:, :1])))[:, None, :]
-    others: Chosen = np.arange(int(r)) > 0
+    others: Mask = np.arange(int(r)) > 0
     chosen = np.where(tip[:, None], reached, others)
     return unit, np.where(tip[:, None, None], axes, flip), chosen, np.repeat(give, r)[chosen.ravel()]
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Mask, Vector
 from flexopt.selection.cone_interior import interior
-from flexopt.selection.cone_newton import TOLERANCE, Chosen, ConicPoint, ConicProgram, newton
+from flexopt.selection.cone_newton import TOLERANCE, ConicPoint, ConicProgram, newton
 from flexopt.selection.programs import Bounds
 
 # Singular values of equations below this share of the largest are rounding.
@@ -128,9 +128,7 @@ class _Scaled:
             slopes / self.spans[:, None, None],
         )
 
-    def _sides(
-        self, bounds: Bounds, lines: Vector, always: Chosen, equal: Chosen, fixed: Chosen
-    ) -> tuple[Vector, Vector]:
+    def _sides(self, bounds: Bounds, lines: Vector, always: Mask, equal: Mask, fixed: Mask) -> tuple[Vector, Vector]:
         """Of rows and then of d what is bounded from above, and by what; upper sides first.
 
         What equations hold is moved by rounding alone, which must not be scaled up: it is not reached.

@@ -24,7 +24,7 @@ from flexopt.selection.coupling import Coupling
 from flexopt.selection.own import OwnGraphs, OwnTerm, own_graphs
 
 # Of objectives in order, of each its branches: values, or slopes by x (1, n_x).
-Branches = list[list[ca.MX]]
+BranchGraphs = list[list[ca.MX]]
 
 
 @dataclass(frozen=True)
@@ -118,13 +118,13 @@ class MemberGraph:
         target = s["target"][k * n_task : (k + 1) * n_task]
         self.offset = ca.vertcat(target, ca.DM.zeros(configuration.n_rows - n_task, 1))
 
-    def values(self) -> tuple[Branches, ca.MX]:
+    def values(self) -> tuple[BranchGraphs, ca.MX]:
         """V / size less travel of every objective, and the rows."""
         smooth = [found[0] for found in self._of_modes("value")]
         epsilon = self.margin[0].call([*self.at, self.s["gain"]])[0] if self._kinks else None
         return self._objectives(smooth, epsilon), self._rows(self.configuration.row_values.call(self.row_inputs)[0])
 
-    def slopes(self) -> tuple[tuple[Branches, ca.MX], tuple[Branches, ca.MX]]:
+    def slopes(self) -> tuple[tuple[BranchGraphs, ca.MX], tuple[BranchGraphs, ca.MX]]:
         """As `values`, from the calls that give the slopes, too; and the slopes by x."""
         s, found = self.s, self._of_modes("slope")
         rows, row_slopes = self.configuration.row_slopes.call(self.row_inputs)
@@ -192,9 +192,9 @@ class MemberGraph:
     def _rows(self, rows: ca.MX) -> ca.MX:
         return (rows - self.offset) / self.s["row_scale"]
 
-    def _objectives(self, smooth: list[ca.MX], epsilon: ca.MX | None) -> Branches:
+    def _objectives(self, smooth: list[ca.MX], epsilon: ca.MX | None) -> BranchGraphs:
         s, away = self.s, ca.sumsqr(self.away)
-        both: Branches = [[value] for value in smooth]
+        both: BranchGraphs = [[value] for value in smooth]
         if epsilon is not None:
             both = [
                 [value + s["beta"][j] * epsilon[b] for b in range(2)] if form.kinks else [value]
@@ -202,7 +202,7 @@ class MemberGraph:
             ]
         return [[value / s["size"][j] - s["cost"][j] * away for value in branches] for j, branches in enumerate(both)]
 
-    def _branch_slopes(self, smooth: list[ca.MX]) -> Branches:
+    def _branch_slopes(self, smooth: list[ca.MX]) -> BranchGraphs:
         """∂V/∂z (n_z,) of every objective and branch."""
         s, epsilon_z = self.s, self._told[1]
         if epsilon_z is None:

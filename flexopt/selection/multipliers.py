@@ -17,7 +17,7 @@ STATIONARITY_TOLERANCE = 1e-6
 # Rounds in which multipliers of kinks are looked for where the nearest are too large, and by how much they may be.
 ROUNDS, OVER = 200, 1e-9
 # Of kinks by configuration and number in `mode_cones`, what `smooth_slope` holds.
-Held = dict[tuple[int, int], tuple[float, Vector]]
+HeldCones = dict[tuple[int, int], tuple[float, Vector]]
 # Of kinks of ε_max by configuration and objective the p (2,).
 HeldMargins = dict[tuple[int, int], Vector]
 
@@ -93,9 +93,9 @@ class FirstOrderModel:
         pairs = zip(sizes, self.limits(multipliers, kept), strict=True)
         return [size / limit if limit > 0 else (np.inf if size > OVER else 0.0) for size, limit in pairs]
 
-    def held(self, multipliers: Vector, kept: list[int]) -> Held:
+    def held(self, multipliers: Vector, kept: list[int]) -> HeldCones:
         """What `smooth_slope` holds of the kinks."""
-        found: Held = {}
+        found: HeldCones = {}
         limits = self.limits(multipliers, kept)
         none: tuple[float, Vector] = (0.0, np.zeros(1))
         for kink, limit in zip(self.kinks, limits, strict=True):

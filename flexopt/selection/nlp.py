@@ -18,7 +18,7 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.configuration import Configuration
 from flexopt.selection.coupling import Coupling, alone
-from flexopt.selection.member_graph import Branches, MemberGraph, ObjectiveForm, parameters_of
+from flexopt.selection.member_graph import BranchGraphs, MemberGraph, ObjectiveForm, parameters_of
 from flexopt.selection.programs import Local, make_solver
 
 QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False, "calc_lam_p": False, "no_nlp_grad": True}
@@ -178,7 +178,7 @@ class _Arranged:
     x: ca.MX
     goal: Goal
 
-    def values(self, members: Sequence[tuple[Branches, ca.MX]]) -> tuple[ca.MX, ca.MX]:
+    def values(self, members: Sequence[tuple[BranchGraphs, ca.MX]]) -> tuple[ca.MX, ca.MX]:
         """Objective f and constraints g."""
         steps = self._steps @ self.x
         level = self.x[-1] if self.goal == "worst" else self.s["level"]
@@ -188,7 +188,7 @@ class _Arranged:
         return (-self.x[-1] if self.goal == "worst" else ca.sumsqr(steps) / 2), g
 
     def slopes(
-        self, members: Sequence[tuple[tuple[Branches, ca.MX], tuple[Branches, ca.MX]]]
+        self, members: Sequence[tuple[tuple[BranchGraphs, ca.MX], tuple[BranchGraphs, ca.MX]]]
     ) -> tuple[tuple[ca.MX, ca.MX], tuple[ca.MX, ca.MX]]:
         """F and g, and their slopes (1, n_x) and (n_g, n_x)."""
         by_x, n_x = [slopes for _, slopes in members], self.x.shape[0]
@@ -218,7 +218,7 @@ class _Arranged:
     def _steps(self) -> ca.DM:
         return ca.sparsify(ca.DM(self.coupling.steps(self.x.shape[0])))
 
-    def _stacked(self, members: Sequence[tuple[Branches, ca.MX]], steps: ca.MX, level: ca.MX) -> ca.MX:
+    def _stacked(self, members: Sequence[tuple[BranchGraphs, ca.MX]], steps: ca.MX, level: ca.MX) -> ca.MX:
         """Rows of every member, steps, the objectives to be kept, and the last one above the level."""
         parts = [rows for _, rows in members] + ([steps] if self.coupling.pairs else [])
         for kept in zip(*(values[:-1] for values, _ in members), strict=True):
@@ -227,7 +227,7 @@ class _Arranged:
             parts += [value - level for values, _ in members for value in values[-1]]
         return ca.vertcat(*parts)
 
-    def _weighted(self, members: Sequence[tuple[Branches, ca.MX]]) -> ca.MX:
+    def _weighted(self, members: Sequence[tuple[BranchGraphs, ca.MX]]) -> ca.MX:
         total = ca.MX(0)
         for k, (values, _) in enumerate(members):
             total = total + self.s["share"][k] * values[-1][0]

@@ -16,7 +16,7 @@ import numpy as np
 from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, BaseRangeLike, MatrixLike, PostureLike, Vector
-from flexopt.foundation.boundary import Check, by, number, of_machine, public, words
+from flexopt.foundation.boundary import ArgumentCheck, by, number, of_machine, public, words
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import DURATION, Quantity, each_named, entries, vector
@@ -66,7 +66,7 @@ def _metric(value: Any, names: tuple[str, ...]) -> Vector:
     return np.array(vector(what, Quantity("", low=1e-12, high=1e12), names)(value))
 
 
-def _named(check: Callable[[Any, tuple[str, ...]], Any]) -> Check:
+def _named(check: Callable[[Any, tuple[str, ...]], Any]) -> ArgumentCheck:
     """A check that asks the names of z."""
 
     def asked(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> Any:

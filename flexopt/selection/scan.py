@@ -15,10 +15,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Interval, Vector
 from flexopt.plant import Plant
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, low_discrepancy
-from flexopt.plant.reach import Interval
 from flexopt.selection.constraints import ConstraintSet
 from flexopt.selection.objective import Objective, Quantities
 

@@ -13,7 +13,7 @@ from flexopt.selection.ascent_model import halves, turn
 from flexopt.selection.cones import SHARED, Parallel, smooth_slope
 from flexopt.selection.coupling import own_directions
 from flexopt.selection.first_order import TIP
-from flexopt.selection.multipliers import FirstOrderModel, Held, HeldMargins
+from flexopt.selection.multipliers import FirstOrderModel, HeldCones, HeldMargins
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Linearisation, Program
 from flexopt.selection.programs import Local
@@ -116,7 +116,7 @@ def lagrangian_hessian(
 
 
 def _second_derivatives(
-    program: Program, k: int, z: Vector, basis: Vector, weights: Vector, held: Held, margins: HeldMargins
+    program: Program, k: int, z: Vector, basis: Vector, weights: Vector, held: HeldCones, margins: HeldMargins
 ) -> Vector:
     """Second derivatives of configuration k's share in the Lagrangian along a basis (d, n_z) of z / scale, (d, d)."""
     count, kept, n_rows = program.coupling.count, len(program.first.kept), len(program.first.constraints)

@@ -61,8 +61,8 @@ NO_NUMBER = 1e100
 # Starts that differ by less, in scaled variables, are one.
 SAME_START = 1e-3
 
-Values = Callable[[SelectionProblem, Vector], Vector]
-Seed = tuple[int, ...]
+ValuesAt = Callable[[SelectionProblem, Vector], Vector]
+SeedNumbers = tuple[int, ...]
 
 
 def bounds(problem: SelectionProblem) -> tuple[Vector, Vector, Vector, Vector]:
@@ -262,7 +262,7 @@ def values_with_margin(problem: SelectionProblem, z: Vector) -> Vector:
     return values
 
 
-def _in_turn(problem: SelectionProblem, z: Vector, count: int, values_at: Values, workers: int) -> list[Vector]:
+def _in_turn(problem: SelectionProblem, z: Vector, count: int, values_at: ValuesAt, workers: int) -> list[Vector]:
     """Where the points lead that climb at random, freely and in the planes of symmetry, in turn, the best first."""
     sets = [(problem, z), *((plane, _into(plane, z[:, ::2])) for plane in _planes(problem))]
     first, *others = climbed(sets, values_at, workers)
@@ -324,7 +324,11 @@ def _worst(problem: SelectionProblem, z: Vector) -> Vector:
 
 
 def climbed(
-    sets: list[tuple[SelectionProblem, Vector]], values_at: Values, workers: int, steps: int = STEPS, seed: Seed = ()
+    sets: list[tuple[SelectionProblem, Vector]],
+    values_at: ValuesAt,
+    workers: int,
+    steps: int = STEPS,
+    seed: SeedNumbers = (),
 ) -> list[Vector]:
     """Of every problem its points (n_z, N) after random steps, the best first; in blocks, over processes."""
     blocks = [
@@ -343,13 +347,19 @@ def climbed(
 
 
 def _block(
-    problems: list[SelectionProblem], blocks: list[tuple[int, Vector, Seed]], values_at: Values, steps: int, number: int
+    problems: list[SelectionProblem],
+    blocks: list[tuple[int, Vector, SeedNumbers]],
+    values_at: ValuesAt,
+    steps: int,
+    number: int,
 ) -> tuple[Vector, Vector]:
     k, z, seed = blocks[number]
     return _climbing(problems[k], z, values_at, steps, seed)
 
 
-def _climbing(problem: SelectionProblem, z: Vector, values_at: Values, steps: int, seed: Seed) -> tuple[Vector, Vector]:
+def _climbing(
+    problem: SelectionProblem, z: Vector, values_at: ValuesAt, steps: int, seed: SeedNumbers
+) -> tuple[Vector, Vector]:
     """The points (n_z, N) after random steps along the target, taken where they keep all constraints and V grows.
 
     No slope is asked for, so that kinks and narrow valleys stop it less than a solver. `values_at`: of the problem and
@@ -371,7 +381,7 @@ def _climbing(problem: SelectionProblem, z: Vector, values_at: Values, steps: in
     return z, values
 
 
-def _feasible(problem: SelectionProblem, z: Vector, values_at: Values, above: Vector) -> Vector:
+def _feasible(problem: SelectionProblem, z: Vector, values_at: ValuesAt, above: Vector) -> Vector:
     """Values (N,) at points that reach the target; −∞ where they break a constraint, or are no more than `above`."""
     values: Vector = np.full(above.size, -np.inf)
     asked = np.flatnonzero(above < np.inf)

@@ -15,7 +15,7 @@ import numpy as np
 from flexopt.errors import InputError
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.tableaus import classical, dormand_prince, stability_polynomial
-from flexopt.model.simulation import Method, SimulationOptions
+from flexopt.model.simulation import IntegrationMethod, SimulationOptions
 
 # Steps of the accurate methods, as shares of the fastest mode's radian.
 ACCURATE_STEP = 0.3
@@ -95,7 +95,7 @@ def stepping(options: SimulationOptions, of: Fastest) -> Stepping:
     return Stepping(substeps, max(6, math.ceil(-38.0 / math.log(shrink))), damped, stiff)
 
 
-def _stable_steps(method: Method, of: Fastest, period: float) -> tuple[int, complex]:
+def _stable_steps(method: IntegrationMethod, of: Fastest, period: float) -> tuple[int, complex]:
     """The fewest steps in a sample from which on no pole that decays grows, and the pole that wants most of them."""
     polynomial = _polynomial(method)
     if polynomial is None:
@@ -109,7 +109,7 @@ def _stable_steps(method: Method, of: Fastest, period: float) -> tuple[int, comp
 
 
 @lru_cache
-def _polynomial(method: Method) -> Vector | None:
+def _polynomial(method: IntegrationMethod) -> Vector | None:
     """Of an explicit method."""
     tableaus = {"rk4": classical, "dop853": dormand_prince}
     return stability_polynomial(tableaus[method]()) if method in tableaus else None

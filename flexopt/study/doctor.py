@@ -13,7 +13,7 @@ from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Document
 from flexopt.foundation.documents import package_version, provenance
 from flexopt.model import load, load_experiment, load_problem, shipped_names
-from flexopt.model.files import Kind, read_source
+from flexopt.model.files import ShippedKind, read_source
 from flexopt.model.study_file import load_study
 
 COMPILERS = ("cc", "gcc", "clang", "cl")
@@ -93,7 +93,7 @@ def _ipopt() -> InstallationCheck:
     )
 
 
-def _shipped(kind: Kind) -> InstallationCheck:
+def _shipped(kind: ShippedKind) -> InstallationCheck:
     names = shipped_names(kind)
     try:
         for name in names:
@@ -103,7 +103,7 @@ def _shipped(kind: Kind) -> InstallationCheck:
     return InstallationCheck(kind, bool(names), ", ".join(names) or "none found")
 
 
-def _read(kind: Kind, name: str) -> None:
+def _read(kind: ShippedKind, name: str) -> None:
     if kind == "models":
         load(name)
         return

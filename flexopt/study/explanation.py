@@ -25,7 +25,9 @@ from flexopt.robustness.plausibility import warn_implausible
 from flexopt.robustness.residues import residue_unit
 from flexopt.selection.nonnegative import nonnegative_least_squares
 
-Status = Literal["move", "stationary", "optimum", "at a limit", "end-point fixed", "singular", "shared", "unexcited"]
+ModeStatus = Literal[
+    "move", "stationary", "optimum", "at a limit", "end-point fixed", "singular", "shared", "unexcited"
+]
 
 # Slopes of w_i along all that keeps the end-point, below this share of |a_i||b_i| per rad or arm's length, are what
 # solving for a posture and rounding leave: verified optima have some 1e-11 of it, other postures 1e-2 to 10.
@@ -36,7 +38,7 @@ NOTHING = 1e-12
 DEPENDENT, AT_LIMIT = 1e-9, 1e-9
 # Modes whose frequencies are so near, as a share, trade their shapes where the posture changes by little.
 NEIGHBOURS = 0.01
-WHY: Mapping[Status, str] = {
+WHY: Mapping[ModeStatus, str] = {
     "stationary": "to first order no motion that keeps the end-point changes it: an optimum, or another point where "
     "its slope is nothing to rounding (`flexopt select` tells which)",
     "optimum": "it is 0, its greatest value",
@@ -67,7 +69,7 @@ class ModeMove(Result):
 
     DOCUMENT = "status variable unit direction rate effects room"
 
-    status: Status
+    status: ModeStatus
     variable: str | None
     unit: str
     direction: Vector
@@ -320,7 +322,7 @@ def _moves(machine: AnyMachine, measures: Measures, stand: Evaluation, shared: s
     at_low, at_high = z - limits[:, 0] <= AT_LIMIT * scale, limits[:, 1] - z <= AT_LIMIT * scale
     walls = np.concatenate([np.eye(len(z))[at_low], -np.eye(len(z))[at_high]])
 
-    def none(status: Status) -> ModeMove:
+    def none(status: ModeStatus) -> ModeMove:
         nothing: Vector = np.full(len(stand.w), math.nan)
         return ModeMove(status, None, "", np.full(len(z), math.nan), math.nan, nothing, math.nan)
 

@@ -14,12 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled import Economical
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Mask, Vector
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.inverse_kinematics import solve_postures
-
-Mask = NDArray[np.bool_]
 
 ITERATIONS = 60
 # Largest step of a coordinate, rad or m; what is left over where a cell counts as reached, and of the nearest posture.

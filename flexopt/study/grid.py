@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Interval, Vector
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.plant import Plant, build_plant
@@ -22,8 +22,7 @@ from flexopt.plant.reach import arm_length, missed, outer_reach, reach, sampled_
 from flexopt.study.follow import MapPoints, follow
 
 Over = Literal["end_point", "posture", "base"]
-Range = tuple[float, float]
-Pair = tuple[int, int]
+AxisPair = tuple[int, int]
 
 # Postures from which the extent of a workspace is told.
 SAMPLES = 4096
@@ -62,19 +61,19 @@ def closed_form(machine: AnyMachine) -> bool:
     return build_plant(machine).closed_form and len(machine.joints) == 2
 
 
-def joint_ranges(machine: AnyMachine) -> list[Range]:
+def joint_ranges(machine: AnyMachine) -> list[Interval]:
     """The joint limits; a missing end is a whole turn from the other one, of a slide twice the arm's length."""
     ends = sampled_ranges(machine, arm_length(build_plant(machine)))
     return [(float(low), float(high)) for low, high in ends]
 
 
-def reach_ranges(machine: AnyMachine) -> tuple[Range, Range]:
+def reach_ranges(machine: AnyMachine) -> tuple[Interval, Interval]:
     """The square around all that a planar arm reaches, workspace frame, m."""
     outer = reach(build_plant(machine)).outer
     return (-outer, outer), (-outer, outer)
 
 
-def task_ranges(plant: Plant, base: Vector) -> list[Range]:
+def task_ranges(plant: Plant, base: Vector) -> list[Interval]:
     """What each task row takes over the joint ranges, m: a sample's extremes, climbed to where they end."""
     from scipy.optimize import minimize  # noqa: PLC0415  (loads slowly)
 
@@ -93,13 +92,13 @@ def task_ranges(plant: Plant, base: Vector) -> list[Range]:
     return [(end(row, 1.0), end(row, -1.0)) for row in range(plant.n_task)]
 
 
-def placement_ranges(plant: Plant, end_point: Vector, base: Vector) -> list[Range]:
+def placement_ranges(plant: Plant, end_point: Vector, base: Vector) -> list[Interval]:
     """Placements around those from which an end-point may be reached: as far from it as the arm is long; a turn."""
     machine = plant.machine
     names, rows = machine.base_coordinates, machine.task_rows
     center, radius = outer_reach(plant)
     radius += float(np.linalg.norm(center[:2]))
-    ranges: list[Range] = []
+    ranges: list[Interval] = []
     for name, place in zip(names, base.tolist(), strict=True):
         middle = float(end_point[rows.index(name)]) if name in rows else place
         ranges.append((-math.pi, math.pi) if name == "yaw" else (middle - radius, middle + radius))
@@ -115,7 +114,9 @@ def _sample(plant: Plant, base: Vector) -> list[Vector]:
     return [plant.rest.call([bases, posture, p])[0].full(), bases, p]
 
 
-def end_point_grid(machine: AnyMachine, x_range: Range, y_range: Range, points: tuple[int, int], elbow: Elbow) -> Grid:
+def end_point_grid(
+    machine: AnyMachine, x_range: Interval, y_range: Interval, points: tuple[int, int], elbow: Elbow
+) -> Grid:
     """Postures of a two-joint arm whose end-point at rest is on each point of the workspace frame.
 
     A row is one target seen from many placements: the posture depends on where the target is from the base alone.
@@ -136,7 +137,7 @@ def end_point_grid(machine: AnyMachine, x_range: Range, y_range: Range, points: 
 
 
 def posture_grid(
-    machine: AnyMachine, x_range: Range, y_range: Range, points: tuple[int, int], joints: Pair, rest: Vector,
+    machine: AnyMachine, x_range: Interval, y_range: Interval, points: tuple[int, int], joints: AxisPair, rest: Vector,
     base: Vector,
 ) -> Grid:  # fmt: skip
     """The joints of the indices `joints` along x and y, the others (n − 2,), in order, fixed at `rest`, rad or m."""
@@ -156,8 +157,8 @@ def _joint_axis(machine: AnyMachine, k: int, values: Vector) -> Axis:
 
 
 def task_grid(
-    machine: AnyMachine, ranges: Sequence[Range], points: tuple[int, int], rows: Pair, end_point: Vector, base: Vector,
-    reference: Vector, told: Callable[[int], None],
+    machine: AnyMachine, ranges: Sequence[Interval], points: tuple[int, int], rows: AxisPair, end_point: Vector,
+    base: Vector, reference: Vector, told: Callable[[int], None],
 ) -> Grid:  # fmt: skip
     """Postures followed over a plane of the task: the rows of the indices `rows` vary, the others are `end_point`'s."""
     plant, names = build_plant(machine), machine.task_rows
@@ -177,7 +178,7 @@ def task_grid(
 
 
 def placement_grid(
-    machine: AnyMachine, ranges: Sequence[Range], points: tuple[int, int], coordinates: Pair, end_point: Vector,
+    machine: AnyMachine, ranges: Sequence[Interval], points: tuple[int, int], coordinates: AxisPair, end_point: Vector,
     base: Vector, reference: Vector, told: Callable[[int], None],
 ) -> Grid:  # fmt: skip
     """Postures followed over placements with the end-point held: two coordinates vary, the others are `base`'s.

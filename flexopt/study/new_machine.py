@@ -72,7 +72,7 @@ class Springs:
 
 Build = Callable[[Springs], AnyMachine]
 # The values of `templates/loop.toml`.
-Gains = Mapping[str, str]
+GainTexts = Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def _first_mode(plant: Plant, posture: Sequence[float]) -> float:
     return math.tau * first
 
 
-def gains_told(machine: AnyMachine, posture: Sequence[float]) -> Gains:
+def gains_told(machine: AnyMachine, posture: Sequence[float]) -> GainTexts:
     """Gains that follow from the machine where a loop leaves them out, here of one that is stable, and their units.
 
     Without numbers where there is no such loop.
@@ -284,7 +284,7 @@ def planar_file(
         "rest_angle": UPRIGHT,
     }
 
-    def text(springs: Springs, gains: Gains | None = None) -> str:
+    def text(springs: Springs, gains: GainTexts | None = None) -> str:
         rows: dict[str, Any] = {
             word: [{"key": d, "value": number(x), "unit": PLANAR_UNITS[d][k]}
                    for d, x in zip(ground.gives, getattr(springs, word), strict=True)]

@@ -18,16 +18,17 @@ from typing import Any
 import numpy as np
 
 from flexopt.errors import Fault, FlexoptWarning, InputError, ModelError, raise_if_any
+from flexopt.foundation.arrays import Array
 from flexopt.foundation.escapes import one_line
 from flexopt.foundation.nearest import hint
 from flexopt.foundation.rendering import render
 from flexopt.model import AnyMachine
 from flexopt.model.robots.description import Description, Joint, RobotLink
-from flexopt.model.robots.geometry import Array, Pose
+from flexopt.model.robots.geometry import Pose
 from flexopt.model.robots.known import UNKNOWN
 from flexopt.model.robots.reading import read_description, robot_from_dict
 from flexopt.study.new_machine import (
-    Gains,
+    GainTexts,
     Ground,
     NewMachine,
     Springs,
@@ -333,7 +334,7 @@ class _Text:
     ground: Ground
     rows: tuple[str, ...]
 
-    def __call__(self, springs: Springs, gains: Gains | None = None) -> str:
+    def __call__(self, springs: Springs, gains: GainTexts | None = None) -> str:
         chain = self.chain
         joints = [(joint, link) for link in chain.robot.links for joint in link.joints]
         shown = [self._told(joint, link) for joint, link in joints[:JOINTS_SHOWN]]

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 # Names of columns, `OfNumbers` where they hold these, and rows of text, as `pieces.html` draws them; None where there
 # is nothing to show.
-Table = tuple[Sequence[str], Sequence[Sequence[str]]] | None
+PageTable = tuple[Sequence[str], Sequence[Sequence[str]]] | None
 
 
 # Inches from which a picture scrolls where the page is narrow, in place of becoming too small to read.

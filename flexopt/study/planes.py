@@ -13,7 +13,7 @@ import numpy as np
 
 from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Interval, Vector
 from flexopt.foundation.plain import counted, shown
 from flexopt.foundation.quantities import COORDINATE, Quantity, coordinate_max, pair, several
 from flexopt.model import AnyMachine
@@ -21,10 +21,9 @@ from flexopt.model.choices import Elbow
 from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import in_words
 from flexopt.study.grid import (
+    AxisPair,
     Grid,
     Over,
-    Pair,
-    Range,
     closed_form,
     end_point_at,
     end_point_grid,
@@ -64,12 +63,12 @@ class Plane:
 
     over: Over
     followed: bool
-    varies: Pair = (0, 1)
+    varies: AxisPair = (0, 1)
     names: tuple[str, str] = ("x", "y")
     posture: Vector = field(default_factory=lambda: np.zeros(0))
     end_point: Vector = field(default_factory=lambda: np.zeros(0))
     base: Vector = field(default_factory=lambda: np.zeros(0))
-    ranges: tuple[Range, Range] = ((0.0, 1.0), (0.0, 1.0))
+    ranges: tuple[Interval, Interval] = ((0.0, 1.0), (0.0, 1.0))
     rows: tuple[str, ...] = ()
     placed: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
 
@@ -172,7 +171,7 @@ def _read_varying(arguments: Arguments, machine: AnyMachine, plane: Plane, given
         _note(arguments, "over", f"needs two {what}, not {len(names)}{listed}{instead}", plane.over)
         return
 
-    def check(value: Any) -> Pair:
+    def check(value: Any) -> AxisPair:
         chosen = several(value)
         if len(chosen) != 2 or not all(isinstance(name, str) for name in chosen):
             raise ValueError(f"must be two names of {what}: {', '.join(names)}")
@@ -188,7 +187,7 @@ def _read_varying(arguments: Arguments, machine: AnyMachine, plane: Plane, given
     plane.names = names[plane.varies[0]], names[plane.varies[1]]
 
 
-def _other_joints(arguments: Arguments, machine: AnyMachine, varies: Pair, posture: Any) -> Vector:
+def _other_joints(arguments: Arguments, machine: AnyMachine, varies: AxisPair, posture: Any) -> Vector:
     """The joints that do not vary."""
     names = machine.joints
     if len(names) < 2:
@@ -243,10 +242,10 @@ def _read_ranges(arguments: Arguments, machine: AnyMachine, plane: Plane, given:
         return
     units = [unit_of[k] for k in plane.varies]
     defaults = plane.ranges if arguments.faults else _default_ranges(machine, plane)
-    read: list[Range] = []
+    read: list[Interval] = []
     for name, unit, default in zip(("x_range", "y_range"), units, defaults, strict=True):
 
-        def check(value: Any, quantity: Quantity = COORDINATE[unit]) -> Range:
+        def check(value: Any, quantity: Quantity = COORDINATE[unit]) -> Interval:
             try:
                 return pair(quantity)(value)
             except ValueError as error:
@@ -256,7 +255,7 @@ def _read_ranges(arguments: Arguments, machine: AnyMachine, plane: Plane, given:
     plane.ranges = read[0], read[1]
 
 
-def _default_ranges(machine: AnyMachine, plane: Plane) -> tuple[Range, Range]:
+def _default_ranges(machine: AnyMachine, plane: Plane) -> tuple[Interval, Interval]:
     if plane.over == "end_point" and not plane.followed:
         return reach_ranges(machine)
     if plane.over == "posture":

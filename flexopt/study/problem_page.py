@@ -16,8 +16,8 @@ from flexopt.selection import Selection
 from flexopt.selection.result import shown_measures
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.page import (
+    PageTable,
     Picture,
-    Table,
     begun,
     coordinate,
     number,
@@ -176,7 +176,7 @@ def _listed(report: Report) -> list[_Listed]:
     ]
 
 
-def _placed(report: Report) -> tuple[Table, str]:
+def _placed(report: Report) -> tuple[PageTable, str]:
     """Where each configuration stands and how it is held, and a remark."""
     listed, selection = _listed(report), report.selection
     first = listed[0].evaluation
@@ -205,7 +205,7 @@ def _placed(report: Report) -> tuple[Table, str]:
     return (["", *map(OfNumbers, names), *[last] * said], rows), " ".join(notes)
 
 
-def _measured(report: Report) -> Table:
+def _measured(report: Report) -> PageTable:
     """Measures and frequencies of each."""
     listed = _listed(report)
     modes = range(1, listed[0].evaluation.w.size + 1)
@@ -262,7 +262,7 @@ def _told(value: Any) -> str:
     return number(value, 6) if isinstance(value, float) else str(value)
 
 
-def _loops(report: Report) -> Table:
+def _loops(report: Report) -> PageTable:
     rows: list[list[str]] = []
     for name, loop in report.loops.items():
         run, linear = loop.run, loop.linear
@@ -284,7 +284,7 @@ def _loops(report: Report) -> Table:
     return (header, rows) if rows else None
 
 
-def _borders(report: Report) -> Table:
+def _borders(report: Report) -> PageTable:
     rows = [
         [
             row.stand,

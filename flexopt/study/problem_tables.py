@@ -17,7 +17,7 @@ from flexopt.robustness.residues import residue_unit, written_unit
 from flexopt.selection import Selection
 from flexopt.selection.constraint_values import by_kind
 from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
-from flexopt.study.page import Table, number, with_minus
+from flexopt.study.page import PageTable, number, with_minus
 
 if TYPE_CHECKING:
     from flexopt.study.report_result import Report
@@ -33,8 +33,8 @@ NAMED = 0.15
 class ConstraintTables(NamedTuple):
     """Constraints near their bounds; those farther away, and what these are called; how many columns are left out."""
 
-    near: Table
-    far: Table
+    near: PageTable
+    far: PageTable
     told: str
     others: str
 
@@ -72,7 +72,7 @@ def constraints(report: Report) -> ConstraintTables | None:
     more = f"1 more {what} keeps" if left == 1 else f"{left} more {what}s keep"
     others = f"{more} within them, too; the values are in report.json."
 
-    def table(names: list[str]) -> Table:
+    def table(names: list[str]) -> PageTable:
         rows = list[list[str]]()
         for name in names:
             values = [each.constraints[name] for each in shown]
@@ -88,7 +88,7 @@ def constraints(report: Report) -> ConstraintTables | None:
     return ConstraintTables(table(near), table(far), told, others if left else "")
 
 
-def coordinates(report: Report) -> Table:
+def coordinates(report: Report) -> PageTable:
     """Every coordinate of the machine, passive and actuated."""
     machine, plant = report.machine, build_plant(report.machine)
     rows: list[list[str]] = []
@@ -108,7 +108,7 @@ def coordinates(report: Report) -> Table:
     return ["coordinate", "unit", "kind", "limits", OfNumbers("effort")], rows
 
 
-def parameters(report: Report, units: tuple[str, ...], what: str) -> Table:
+def parameters(report: Report, units: tuple[str, ...], what: str) -> PageTable:
     """Parameters of some units; of masses their total, too."""
     rows = [
         [parameter.name, number(parameter.value, 6), parameter.unit]
@@ -126,7 +126,7 @@ def written_residue(evaluation: Evaluation) -> str:
     return written_unit(residue_unit(evaluation.control, evaluation.joint_units))
 
 
-def modes(report: Report, name: str) -> Table:
+def modes(report: Report, name: str) -> PageTable:
     """Modes of a configuration, and the coordinates that hold their strain energy."""
     stand = report.stands[name]
     shares, names = report.mode_shares(stand), build_plant(report.machine).coordinates

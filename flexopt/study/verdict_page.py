@@ -15,7 +15,7 @@ from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
 from flexopt.study.decision import BETTER, gains_in_words, spoken
-from flexopt.study.page import Picture, Table, begun, coordinate, number, picture, sentence, with_minus
+from flexopt.study.page import PageTable, Picture, begun, coordinate, number, picture, sentence, with_minus
 from flexopt.study.places import MOVE, STAY, allowed, told
 
 if TYPE_CHECKING:
@@ -196,7 +196,7 @@ def _pictures(verdict: Verdict) -> list[Picture]:
     return found
 
 
-def _places(verdict: Verdict) -> Table:
+def _places(verdict: Verdict) -> PageTable:
     """Every place's worst over what is uncertain."""
     shown = measures(verdict)
     numbers = ("drive", *map(_title, shown), "stable on", f"{BETTER} on")
@@ -212,7 +212,7 @@ def _places(verdict: Verdict) -> Table:
     return header, rows
 
 
-def _where(verdict: Verdict) -> Table:
+def _where(verdict: Verdict) -> PageTable:
     """Placement and posture of each."""
     header = ["place", *(OfNumbers(f"{name}, {unit}") for name, unit in _names(verdict))]
     return header, [

@@ -21,7 +21,7 @@ from flint import arb, arb_poly
 import flexopt
 from flexopt.model import machine_from_dict
 from flexopt.selection.certificate import check as checking
-from flexopt.selection.certificate.balls import Cell
+from flexopt.selection.certificate.balls import BallSeries
 from flexopt.selection.certificate.curve import RedundancyCurve
 from tests.oracles.certificates import contradictions, random_case
 from tests.oracles.machines import Structure, arm_at_rest, random_machine
@@ -154,7 +154,7 @@ def test_w_over_cells(number: int) -> None:
     rounding = 1e-12 * problem.objective_scale
     for k in known:
         for x in rng.uniform(low[k], high[k], 3):
-            place = Cell(arb_poly([arb(x)]), arb(0))
+            place = BallSeries(arb_poly([arb(x)]), arb(0))
             value = checking.objective(machine.terms(place, int(elbow[k])), arb(0), log["weights"][-1])
             assert seen.low[k] - rounding <= float(checking.span(value).mid()) <= seen.high[k] + rounding
 

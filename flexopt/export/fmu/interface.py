@@ -29,8 +29,8 @@ from flexopt.simulation.base_path import moved
 from flexopt.simulation.scenario import Scenario
 from flexopt.simulation.trajectory import Trajectory
 
-Kind = Literal["co-simulation", "model-exchange"]
-KINDS: tuple[Kind, ...] = ("co-simulation", "model-exchange")
+FmuKind = Literal["co-simulation", "model-exchange"]
+KINDS: tuple[FmuKind, ...] = ("co-simulation", "model-exchange")
 NOMINAL_MIN = 1e-6
 
 
@@ -49,7 +49,7 @@ class Interface:
     """
 
     scenario: Scenario
-    kind: Kind
+    kind: FmuKind
     run: Trajectory
     served: Served | None = None
 

@@ -20,7 +20,7 @@ from flexopt.compiled.storage import scratch
 from flexopt.errors import CompilerNotFound, ExportError, Fault, FlexoptWarning, InputError, raise_if_any
 from flexopt.export.fmu.description import build_description, describe
 from flexopt.export.fmu.documents import page, reference_table
-from flexopt.export.fmu.interface import KINDS, Kind, moving_placement
+from flexopt.export.fmu.interface import KINDS, FmuKind, moving_placement
 from flexopt.export.fmu.model import FmuModel
 from flexopt.export.fmu.settings import Served
 from flexopt.export.fmu.source import VERSIONS, Version, body, source
@@ -75,7 +75,7 @@ class FmuReport(Tabled):
     path: Path
     reference: Path
     version: Version
-    kind: Kind
+    kind: FmuKind
     token: str
     platforms: tuple[str, ...]
     period: float
@@ -142,7 +142,7 @@ def export_fmu(
     *,
     loop: LoopLike | None = None,
     version: Version = "2.0",
-    kind: Kind = "co-simulation",
+    kind: FmuKind = "co-simulation",
     options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
     **keywords: Unpack[SimulationKeywords],
 ) -> FmuReport:

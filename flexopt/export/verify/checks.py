@@ -11,13 +11,13 @@ from flexopt.foundation.arrays import Document
 from flexopt.foundation.rendering import OfNumbers
 from flexopt.foundation.results import Result
 
-Target = Literal["host", "cortex-m4f", "cortex-m7"]
-TARGETS: tuple[Target, ...] = ("host", "cortex-m4f", "cortex-m7")
-State = Literal["passed", "failed", "not verified"]
+VerifyTarget = Literal["host", "cortex-m4f", "cortex-m7"]
+TARGETS: tuple[VerifyTarget, ...] = ("host", "cortex-m4f", "cortex-m7")
+FindingState = Literal["passed", "failed", "not verified"]
 
 
 @dataclass(frozen=True)
-class Table:
+class FindingTable:
     """Numbers behind a finding: a heading, names of columns, and rows of text or numbers."""
 
     title: str
@@ -62,10 +62,10 @@ class VerificationCheck(Result):
     DOCUMENT = "name target state finding tables missing"
 
     name: str
-    target: Target
-    state: State
+    target: VerifyTarget
+    state: FindingState
     finding: str
-    tables: tuple[Table, ...] = ()
+    tables: tuple[FindingTable, ...] = ()
     missing: tuple[str, ...] = ()
 
 
@@ -81,7 +81,7 @@ class Finding:
 
     sentence: str
     faults: Sequence[str] = ()
-    tables: Sequence[Table] = field(default_factory=tuple[Table, ...])
+    tables: Sequence[FindingTable] = field(default_factory=tuple[FindingTable, ...])
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class PlannedCheck:
     """
 
     name: str
-    target: Target
+    target: VerifyTarget
     look: Callable[[], Finding]
 
     def made(self) -> VerificationCheck:

@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.export.operations import Array, Operation
+from flexopt.export.operations import Operation
 from flexopt.export.verify import optimiser, replay
 from flexopt.export.verify.bench import STRICT, Bench, warnings_in
-from flexopt.export.verify.checks import Finding, PlannedCheck, Table
+from flexopt.export.verify.checks import Finding, FindingTable, PlannedCheck
 from flexopt.export.verify.tools import ProgramOutput, StepFailed, need, run, sanitizing_compiler
+from flexopt.foundation.arrays import Array
 
 COMPILERS = (("gcc", "g++"), ("clang", "clang++"))
 # What a compiler warns of once it optimises does not depend on the standard: the first is compiled optimised.
@@ -130,7 +131,7 @@ def agreement(bench: Bench, blocks: list[replay.Block], answers: list[replay.Ans
         ]
     worst = max(float(row[3]) for row in rows)  # type: ignore[arg-type]
     header = ("function", "output", "scale", "largest error / scale", "calls compared", "not accurate")
-    table = Table(f"Against Python, {bench.inputs} random inputs with random parameters", header, tuple(rows))
+    table = FindingTable(f"Against Python, {bench.inputs} random inputs with random parameters", header, tuple(rows))
     sentence = f"largest error {worst:.2g} of the output's scale, allowed {bench.tolerance:g}"
     return Finding(sentence, faults, [table])
 
@@ -158,7 +159,7 @@ def _fuzz(bench: Bench) -> Finding:
         rows.append(row)
         faults += found
     header = ("function", "calls", "succeeded", "equal to Python of those compared", *replay.NAMES[1:])
-    table = Table("Faulty calls, by the status they got", header, tuple(rows))
+    table = FindingTable("Faulty calls, by the status they got", header, tuple(rows))
     total = sum(len(b.rows) for b in blocks)
     sentence = f"{total} calls with {compiler}: no sanitizer complained, no silent success, refused outputs untouched"
     return Finding(sentence, faults, [table])

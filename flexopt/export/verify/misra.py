@@ -12,7 +12,7 @@ from collections import Counter
 from pathlib import Path
 
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import Finding, PlannedCheck, Table
+from flexopt.export.verify.checks import Finding, FindingTable, PlannedCheck
 from flexopt.export.verify.tools import run
 from flexopt.foundation.writing import write_file
 
@@ -51,7 +51,7 @@ def _examined(bench: Bench) -> Finding:
         (rule, count, deviations.get(rule, {}).get("where", ""), deviations.get(rule, {}).get("reason", "none"))
         for rule, count in sorted(found.items(), key=lambda item: [int(part) for part in item[0].split(".")])
     )
-    table = Table("Rules not kept", ("rule", "times", "where", "reason"), rows)
+    table = FindingTable("Rules not kept", ("rule", "times", "where", "reason"), rows)
     return Finding(f"{len(found)} rules are not kept, each with a reason; cppcheck finds nothing else", faults, [table])
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from flexopt.export.kernels import MATH
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import Finding, PlannedCheck, Table, Target
+from flexopt.export.verify.checks import Finding, FindingTable, PlannedCheck, VerifyTarget
 from flexopt.export.verify.tools import need, run
 
 # What compilers call by themselves: copying, and arithmetic that the processor has not.
@@ -69,17 +69,17 @@ class CallGraph:
         return self.stack.get(name, 0) + max((self.stack_from(c) for c in self.calls.get(name, ())), default=0)
 
 
-def objects_check(bench: Bench, target: Target, compiler: str, flags: Sequence[str]) -> PlannedCheck:
+def objects_check(bench: Bench, target: VerifyTarget, compiler: str, flags: Sequence[str]) -> PlannedCheck:
     """The objects that `compiler` makes of the library."""
     return PlannedCheck("object files and sources", target, lambda: _examined(bench, target, compiler, flags))
 
 
-def accounted(bench: Bench, target: Target, compiler: str, flags: Sequence[str]) -> dict[str, Path]:
+def accounted(bench: Bench, target: VerifyTarget, compiler: str, flags: Sequence[str]) -> dict[str, Path]:
     """Objects beside which the compiler wrote its account of calls and frames."""
     return bench.objects(f"objects-{target}", compiler, [*flags, "-fcallgraph-info=su"])
 
 
-def _examined(bench: Bench, target: Target, compiler: str, flags: Sequence[str]) -> Finding:
+def _examined(bench: Bench, target: VerifyTarget, compiler: str, flags: Sequence[str]) -> Finding:
     tools = "arm-none-eabi-" if compiler.startswith("arm") else ""
     nm, objdump = f"{tools}nm", f"{tools}objdump"
     need(compiler, nm, objdump)
@@ -116,7 +116,9 @@ def _examined(bench: Bench, target: Target, compiler: str, flags: Sequence[str])
         in_memory += bounds_in_memory(text)
         faults += [f"{source.name}: {line}" for line in found]
     rows = tuple((name, graph.stack[name], graph.stack_from(name)) for name in sorted(own & set(graph.stack)))
-    table = Table("Stack by the compiler's account, bytes", ("function", "its own frame", "with what it calls"), rows)
+    table = FindingTable(
+        "Stack by the compiler's account, bytes", ("function", "its own frame", "with what it calls"), rows
+    )
     sentence = f"no allocation, no static mutable state, no recursion, {loops} loops all counted and bounded"
     sentence += ", no double" if bench.single else ""
     if in_memory:

@@ -13,13 +13,13 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from flexopt.export.operations import Array
 from flexopt.export.optimiser import FIRST_FAILURE, STARTS, TOLERANCES
 from flexopt.export.optimiser_part import LOSS, OptimiserPart, ReferenceProblem, draw_target
 from flexopt.export.verify import replay
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import Finding, Table
+from flexopt.export.verify.checks import Finding, FindingTable
 from flexopt.export.verify.tools import StepFailed, need, run, sanitizing_compiler
+from flexopt.foundation.arrays import Array
 from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.foundation.writing import write_file
 from flexopt.plant.reach import outer_reach
@@ -131,7 +131,7 @@ def agreement(bench: Bench, runner: Runner, *, counts: bool = False) -> Finding:
             ("stack of a call, bytes (painted)", int(solved.stack.max())),
         ]
         sentence += f"; {int(instructions.max()):,} instructions at most"
-    return Finding(sentence, faults, [Table("Posture optimiser", ("what", "number"), tuple(rows))])
+    return Finding(sentence, faults, [FindingTable("Posture optimiser", ("what", "number"), tuple(rows))])
 
 
 def _compared(
@@ -201,7 +201,7 @@ def faulty_calls(bench: Bench, runner: Runner) -> Finding:
     names = sorted(part.sources.statuses.items(), key=lambda item: item[1])
     rows = tuple((name, int((solved.status == value).sum())) for name, value in names)
     sentence = f"{len(calls.words)} faulty calls, no silent success, refused results untouched"
-    table = Table("Faulty calls, by the status they got", ("status", "calls"), rows)
+    table = FindingTable("Faulty calls, by the status they got", ("status", "calls"), rows)
     return Finding(sentence, _judged(bench, calls, solved), [table])
 
 

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.export.operations import Array, Operation, Samples
+from flexopt.export.operations import Operation, Samples
 from flexopt.export.sources import STATUSES, WITH_OUTPUT
 from flexopt.export.verify.tools import StepFailed
+from flexopt.foundation.arrays import Array
 from flexopt.foundation.writing import write_file
 
 CODES = {name: k for k, name in enumerate(STATUSES)}
@@ -24,7 +25,7 @@ WRITTEN = [CODES[name] for name in WITH_OUTPUT]
 NULL_IN, NULL_PARAMETERS, NULL_OUT, NULL_WORKSPACE, MISALIGNED, SHORT = (1 << k for k in range(6))
 CALIBRATION = 4_000_000  # instructions
 
-Words = NDArray[np.uint32]
+WordArray = NDArray[np.uint32]
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Block:
     operation: Operation
     rows: Array
     repeats: int
-    faults: Words
+    faults: WordArray
 
 
 @dataclass(frozen=True)
@@ -58,14 +59,14 @@ class Answers:
         stack: bytes of one call; 0 on the host.
     """
 
-    status: Words
-    ticks: Words
+    status: WordArray
+    ticks: WordArray
     untouched: NDArray[np.bool_]
     outputs: Array
     stack: int
 
 
-def block(index: int, operation: Operation, rows: Array, *, repeats: int = 1, faults: Words | None = None) -> Block:
+def block(index: int, operation: Operation, rows: Array, *, repeats: int = 1, faults: WordArray | None = None) -> Block:
     """Calls without faults, unless they are given."""
     made = np.zeros(len(rows), np.uint32) if faults is None else faults
     return Block(index, operation, rows, repeats, made)

@@ -17,7 +17,7 @@ import numpy as np
 from flexopt.export.operations import Operation
 from flexopt.export.verify import objects, optimiser, replay
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import Finding, PlannedCheck, Table, Target
+from flexopt.export.verify.checks import Finding, FindingTable, PlannedCheck, VerifyTarget
 from flexopt.export.verify.host import agreement
 from flexopt.export.verify.tools import ProgramOutput, StepFailed, need, run
 from flexopt.foundation.writing import write_file
@@ -40,13 +40,13 @@ class Board:
     flags: tuple[str, ...]
 
 
-BOARDS: dict[Target, Board] = {
+BOARDS: dict[VerifyTarget, Board] = {
     "cortex-m4f": Board("mps2-an386", ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")),
     "cortex-m7": Board("mps2-an500", ("-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16")),
 }
 
 
-def target_checks(bench: Bench, target: Target) -> list[PlannedCheck]:
+def target_checks(bench: Bench, target: VerifyTarget) -> list[PlannedCheck]:
     """Every check of one board."""
     board = BOARDS[target]
     flags = ["-std=c99", "-O2", *board.flags]
@@ -63,7 +63,7 @@ def target_checks(bench: Bench, target: Target) -> list[PlannedCheck]:
     return checks
 
 
-def _agreement(bench: Bench, board: Board, target: Target, flags: Sequence[str]) -> Finding:
+def _agreement(bench: Bench, board: Board, target: VerifyTarget, flags: Sequence[str]) -> Finding:
     need(COMPILER, EMULATOR)
     built = objects.accounted(bench, target, COMPILER, flags)
     program = _program(bench, board, f"driver-{target}", [bench.folder / "test" / "driver.c", *built.values()])
@@ -85,18 +85,18 @@ def _agreement(bench: Bench, board: Board, target: Target, flags: Sequence[str])
     title = (
         f"One call with its checks, {board.machine} ({per_tick:.3g} instructions a tick, repeated for small functions)"
     )
-    table = Table(title, header, tuple(rows))
+    table = FindingTable(title, header, tuple(rows))
     return Finding(found.sentence, found.faults, [*found.tables, table])
 
 
-def _optimiser(bench: Bench, target: Target, flags: Sequence[str]) -> Finding:
+def _optimiser(bench: Bench, target: VerifyTarget, flags: Sequence[str]) -> Finding:
     built = objects.accounted(bench, target, COMPILER, flags)
     found = optimiser.agreement(bench, board_runner(bench, target, list(built.values())), counts=True)
     # Doubles in software cost what they cost; the bar is for processors that have the precision.
     return optimiser.within_bar(found) if bench.single or target == "cortex-m7" else found
 
 
-def board_runner(bench: Bench, target: Target, library: Sequence[Path] | None = None) -> optimiser.Runner:
+def board_runner(bench: Bench, target: VerifyTarget, library: Sequence[Path] | None = None) -> optimiser.Runner:
     """The optimiser's driver on an emulated board, linked with the library's objects, by default with its sources."""
     need(COMPILER, EMULATOR)
     sources = [bench.folder / "test" / "optimiser_driver.c", *(library or bench.sources)]
@@ -113,7 +113,7 @@ def _repeats(operation: Operation) -> int:
     return max(1, 4000 // max(1, operation.kernel.n_instructions())) if operation.kernel.is_a("SXFunction") else 1
 
 
-def _memory(bench: Bench, target: Target, flags: Sequence[str]) -> Finding:
+def _memory(bench: Bench, target: VerifyTarget, flags: Sequence[str]) -> Finding:
     need(COMPILER, "arm-none-eabi-objdump")
     built = objects.accounted(bench, target, COMPILER, flags)
     graph = objects.call_graph(built)
@@ -131,7 +131,7 @@ def _memory(bench: Bench, target: Target, flags: Sequence[str]) -> Finding:
         rows.append((part, sizes["flash"], sizes["ram"], space, stack))
     header = ("part", "flash, bytes", "static RAM, bytes", "workspace, bytes", "stack of its own functions, bytes")
     total = sum(int(row[1]) for row in rows)  # type: ignore[call-overload]
-    table = Table("Memory by part (-O2; the mathematical library not counted)", header, tuple(rows))
+    table = FindingTable("Memory by part (-O2; the mathematical library not counted)", header, tuple(rows))
     return Finding(f"{total} bytes of flash for all parts, no static RAM", [], [table])
 
 
@@ -174,7 +174,9 @@ def _against_plain(bench: Bench, board: Board) -> Finding:
         ("the bundle's function, with checks", round(whole), f"{whole / kernel:.1f}"),
         ("the checks alone", round(whole - kernel), f"{(whole - kernel) / kernel:.1f}"),
     )
-    table = Table("Controller step (Jacobian inverse), instructions of a call", ("who", "instructions", "ratio"), rows)
+    table = FindingTable(
+        "Controller step (Jacobian inverse), instructions of a call", ("who", "instructions", "ratio"), rows
+    )
     faults = [] if ratio >= SPEEDUP else [f"only {ratio:.1f} times fewer instructions than CasADi's own export"]
     sentence = f"{ratio:.1f} times fewer instructions than CasADi's own single-precision export, kernel to kernel"
     return Finding(sentence, faults, [table])

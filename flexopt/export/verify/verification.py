@@ -21,7 +21,7 @@ from flexopt.export.bundle import (
     render_library,
 )
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import TARGETS, Finding, PlannedCheck, Target, VerificationCheck
+from flexopt.export.verify.checks import TARGETS, Finding, PlannedCheck, VerificationCheck, VerifyTarget
 from flexopt.export.verify.host import host_checks
 from flexopt.export.verify.misra import misra_check
 from flexopt.export.verify.objects import objects_check
@@ -65,7 +65,7 @@ class Verification(Result):
     machine: str
     real: str
     bundle_sha256: str
-    targets: tuple[Target, ...]
+    targets: tuple[VerifyTarget, ...]
     checks: tuple[VerificationCheck, ...]
     tools: dict[str, str]
     inputs: int
@@ -137,7 +137,7 @@ _COUNT = whole(1, COUNT_MAX)
 def verify_bundle(
     folder: str | Path,
     *,
-    target: Target | None = None,
+    target: VerifyTarget | None = None,
     inputs: int = INPUTS,
     fuzz_calls: int = FUZZ_CALLS,
     progress: Progress | None = None,
@@ -191,7 +191,7 @@ def verify_bundle(
     return result
 
 
-def _checks(bench: Bench, target: Target) -> list[PlannedCheck]:
+def _checks(bench: Bench, target: VerifyTarget) -> list[PlannedCheck]:
     if target == "host":
         return [*host_checks(bench), objects_check(bench, "host", "gcc", HOST_OBJECT_FLAGS), misra_check(bench)]
     return target_checks(bench, target)

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.foundation.arrays import Document
+from flexopt.foundation.arrays import Array, Document
 from flexopt.foundation.quantities import ANGLE_MAX
 from flexopt.model.robots.description import Joint
 from flexopt.model.robots.elements import Element
-from flexopt.model.robots.geometry import Array, Inertial, Pose
+from flexopt.model.robots.geometry import Inertial, Pose
 from flexopt.model.robots.roles import Role
 
 # Names of parameters that are no body's.

@@ -13,8 +13,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from flexopt.foundation.arrays import Array
 from flexopt.model.robots.elements import Element, Faults
-from flexopt.model.robots.geometry import Array, Pose
+from flexopt.model.robots.geometry import Pose
 from flexopt.model.robots.mjcf_geoms import SIZES, WITHOUT_MASS, geom_size
 from flexopt.model.robots.mjcf_settings import Settings
 

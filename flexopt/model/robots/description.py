@@ -12,15 +12,16 @@ from typing import Literal
 
 import numpy as np
 
+from flexopt.foundation.arrays import Array
 from flexopt.model.robots.collisions import Solid
 from flexopt.model.robots.elements import Element, Faults
-from flexopt.model.robots.geometry import NO_MOMENT, Array, Inertial, Pose, about, shift
+from flexopt.model.robots.geometry import NO_MOMENT, Inertial, Pose, about, shift
 from flexopt.model.robots.visuals import LinkVisual
 
 # How far the largest principal moment may exceed the sum of the others, as a share of it: printed digits.
 TRIANGLE_ROUNDING = 1e-6
 
-Kind = Literal["hinge", "slide", "free"]
+JointKind = Literal["hinge", "slide", "free"]
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Joint:
     """A joint of one degree of freedom, or a free one (six). SI, radians; limits, effort and speed None without any."""
 
     name: str
-    kind: Kind
+    kind: JointKind
     element: Element
     axis: Array
     anchor: Array

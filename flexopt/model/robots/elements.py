@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flexopt.errors import Fault, ModelError
+from flexopt.foundation.arrays import Array
 from flexopt.foundation.nearest import hint_or_list
 
 FILE_SIZE_MAX = 16_000_000
@@ -23,8 +23,6 @@ ELEMENTS_MAX = 200_000
 ATTRIBUTES_MAX = 200
 # Far beyond any machine; products of a few such numbers stay finite.
 NUMBER_MAX = 1e30
-
-Array = NDArray[np.float64]
 
 
 @dataclass

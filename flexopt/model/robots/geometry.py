@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from flexopt.foundation.arrays import Array
 
 # A moment of inertia below this is none, kg m²; negative ones this small, or this share of the largest, are rounding.
 NO_MOMENT = 1e-15

@@ -16,10 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
+from flexopt.foundation.arrays import Array
 from flexopt.model.robots.collisions import Solid, mjcf_solid
 from flexopt.model.robots.description import Description, Frame, Joint, RobotLink, check_inertial
 from flexopt.model.robots.elements import Element, Faults, unique
-from flexopt.model.robots.geometry import Array, Inertial, Pose, tensor
+from flexopt.model.robots.geometry import Inertial, Pose, tensor
 from flexopt.model.robots.known import check_known
 from flexopt.model.robots.mjcf_actuators import drive_efforts
 from flexopt.model.robots.mjcf_geoms import geom_inertial

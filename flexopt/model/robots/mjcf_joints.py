@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from flexopt.model.robots.description import Joint, Kind, unit_axis
+from flexopt.model.robots.description import Joint, JointKind, unit_axis
 from flexopt.model.robots.elements import Element, check_text
 from flexopt.model.robots.geometry import Pose
 from flexopt.model.robots.mjcf_actuators import bounded
 from flexopt.model.robots.mjcf_settings import Settings
 
-KINDS: dict[str, Kind] = {"hinge": "hinge", "slide": "slide", "free": "free"}
+KINDS: dict[str, JointKind] = {"hinge": "hinge", "slide": "slide", "free": "free"}
 
 
 def read_joint(settings: Settings, element: Element, name: str, frame: Pose, *, free: bool) -> Joint | None:

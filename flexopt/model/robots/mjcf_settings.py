@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from flexopt.errors import ModelError
+from flexopt.foundation.arrays import Array
 from flexopt.model.robots.elements import DEPTH_MAX, ELEMENTS_MAX, Element, Faults, check_text, parse
 from flexopt.model.robots.geometry import (
-    Array,
     Pose,
     about,
     from_euler,

@@ -28,13 +28,13 @@ from flexopt.foundation.quantities import (
 )
 from flexopt.model.file_model import Described, FileModel
 from flexopt.model.hydraulics import Cylinder
-from flexopt.model.kinematic_tree import UNTURNED, Placement, Row
+from flexopt.model.kinematic_tree import UNTURNED, Placement, TaskRow
 from flexopt.model.loop import Loop
 from flexopt.model.robots.elements import there_are
 from flexopt.model.tables import Payload, Polygon
 from flexopt.model.tree_quantities import (
-    Pair,
-    Point,
+    JointInterval,
+    Point3,
     Rotation,
     check_square,
 )
@@ -44,14 +44,14 @@ DIRECTIONS = ("x", "y", "z", "roll", "pitch", "yaw")
 Ignorable = Literal["armature", "equality", "tendon", "gravcomp", "unknown"]
 
 ByDirection = dict[str, float]
-Matrix = tuple[tuple[float, ...], ...]
+CoupledMatrix = tuple[tuple[float, ...], ...]
 
 
-def _by_direction(linear: Quantity, turning: Quantity) -> Checked[ByDirection | Matrix]:
+def _by_direction(linear: Quantity, turning: Quantity) -> Checked[ByDirection | CoupledMatrix]:
     """A table by direction, six numbers, or a matrix."""
     quantities = dict(zip(DIRECTIONS, [linear] * 3 + [turning] * 3, strict=True))
 
-    def check(value: Any) -> ByDirection | Matrix:
+    def check(value: Any) -> ByDirection | CoupledMatrix:
         given = entries(value)
         if len(given) == len(DIRECTIONS):
             if all(isinstance(row, list | tuple) for row in given):
@@ -93,12 +93,12 @@ class BaseTable(FileModel):
         rotation: of the root link at rest: roll, pitch, yaw in rad, or a rotation matrix.
     """
 
-    stiffness: Annotated[ByDirection | Matrix, _by_direction(STIFFNESS, ROTATIONAL_STIFFNESS)]
-    damping: Annotated[ByDirection | Matrix, _by_direction(DAMPING, ROTATIONAL_DAMPING)] = Field(
+    stiffness: Annotated[ByDirection | CoupledMatrix, _by_direction(STIFFNESS, ROTATIONAL_STIFFNESS)]
+    damping: Annotated[ByDirection | CoupledMatrix, _by_direction(DAMPING, ROTATIONAL_DAMPING)] = Field(
         default_factory=dict[str, float]
     )
-    point: Point = (0.0, 0.0, 0.0)
-    position: Point | None = None
+    point: Point3 = (0.0, 0.0, 0.0)
+    position: Point3 | None = None
     rotation: Rotation | None = None
 
 
@@ -119,9 +119,9 @@ class EndPointTable(FileModel):
 
     link: str | None = None
     site: str | None = None
-    offset: Point = (0.0, 0.0, 0.0)
+    offset: Point3 = (0.0, 0.0, 0.0)
     rotation: Rotation = UNTURNED
-    rows: tuple[Row, ...] = ("x", "y", "z")
+    rows: tuple[TaskRow, ...] = ("x", "y", "z")
     reference: Rotation = UNTURNED
     length: Length = 1.0
 
@@ -142,7 +142,7 @@ class JointTable(FileModel):
     stiffness: Annotated[float, Quantity(JOINT_STIFFNESS.unit, low=0.0, high=JOINT_STIFFNESS.high)] | None = None
     damping: Annotated[float, JOINT_DAMPING] | None = None
     rest: Annotated[float, JOINT_VALUE] | None = None
-    limits: Pair | None = None
+    limits: JointInterval | None = None
     effort: Annotated[float, EFFORT] | None = None
     speed: Annotated[float, SPEED] | None = None
     armature: Annotated[float, ARMATURE] | None = None
@@ -159,8 +159,8 @@ class CapsuleTable(FileModel):
     """
 
     link: str = Field(min_length=1)
-    start: Point
-    end: Point
+    start: Point3
+    end: Point3
     radius: Length
 
 

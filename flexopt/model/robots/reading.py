@@ -79,7 +79,7 @@ from typing import Any, cast
 from flexopt.errors import Fault, FlexoptWarning, ModelError, raise_if_any
 from flexopt.foundation.boundary import path as named
 from flexopt.foundation.boundary import public
-from flexopt.model.file_model import Table, read_table, validated
+from flexopt.model.file_model import FileTable, read_table, validated
 from flexopt.model.files import read_toml
 from flexopt.model.robots.assembly import Assembly
 from flexopt.model.robots.description import Description
@@ -122,7 +122,7 @@ def load_robot(path: str | os.PathLike[str]) -> Tree:
     return _read(data, path.parent, str(path))
 
 
-def robot_from_dict(data: Table, *, folder: str | os.PathLike[str], origin: str = "machine") -> Tree:
+def robot_from_dict(data: FileTable, *, folder: str | os.PathLike[str], origin: str = "machine") -> Tree:
     """As `load_robot`, for a dictionary in the layout of a spatial machine file.
 
     Args:
@@ -136,7 +136,7 @@ def robot_from_dict(data: Table, *, folder: str | os.PathLike[str], origin: str 
     return _read(data, Path(folder), origin)
 
 
-def _read(data: Table, folder: Path, origin: str) -> Tree:
+def _read(data: FileTable, folder: Path, origin: str) -> Tree:
     frozen = read_table(data, origin, "a spatial machine file")
     faults: list[Fault] = []
     overlay: Overlay | None = None

@@ -17,13 +17,13 @@ import numpy as np
 from flexopt.errors import ModelError
 from flexopt.foundation.quantities import EFFORT, SPEED
 from flexopt.model.robots.collisions import urdf_solids
-from flexopt.model.robots.description import Description, Joint, Kind, Mimic, RobotLink, check_inertial, unit_axis
+from flexopt.model.robots.description import Description, Joint, JointKind, Mimic, RobotLink, check_inertial, unit_axis
 from flexopt.model.robots.elements import Element, Faults, unique
 from flexopt.model.robots.geometry import Inertial, Pose, from_quaternion, from_rpy, tensor
 from flexopt.model.robots.known import check_known
 from flexopt.model.robots.visuals import urdf_visuals
 
-KINDS: dict[str, Kind | None] = {
+KINDS: dict[str, JointKind | None] = {
     "revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "fixed": None, "floating": "free",
 }  # fmt: skip
 # Bounds beyond these are none.

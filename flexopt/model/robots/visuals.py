@@ -15,10 +15,11 @@ from urllib.request import url2pathname
 
 import numpy as np
 
+from flexopt.foundation.arrays import Array
 from flexopt.foundation.quantities import LENGTH_MAX
 from flexopt.model.robots.collisions import URDF_SHAPES
 from flexopt.model.robots.elements import Element, Faults
-from flexopt.model.robots.geometry import Array, Pose, from_quaternion
+from flexopt.model.robots.geometry import Pose, from_quaternion
 from flexopt.model.robots.mjcf_geoms import SIZES, geom_size
 from flexopt.model.robots.mjcf_settings import MAIN, Settings
 

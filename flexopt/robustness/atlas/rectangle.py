@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 
-Mask = NDArray[np.bool_]
 Whole = NDArray[np.int64]
-Pair = tuple[Vector, Vector]
+ValuesAndSlopes = tuple[Vector, Vector]
 # Points (2, N) -> values (k, N) and slopes (k, 2, N); not finite where there are none.
-Fields = Callable[[Vector], Pair]
+Fields = Callable[[Vector], ValuesAndSlopes]
 
 # Lines stand this share of a cell off the round numbers at which machines are singular or symmetric.
 SHIFT = 0.381966
@@ -65,12 +64,12 @@ class CellFields:
         """And back."""
         return (z - self.rectangle.low[:, None]) / self.size[:, None]
 
-    def __call__(self, x: Vector) -> Pair:
+    def __call__(self, x: Vector) -> ValuesAndSlopes:
         """Values (k, N) and slopes (k, 2, N)."""
         values, slopes = self.fields(self.outwards(x))
         return values, slopes * self.size[:, None]
 
-    def one(self, x: Vector, function: Whole) -> Pair:
+    def one(self, x: Vector, function: Whole) -> ValuesAndSlopes:
         """Value (N,) and slope (2, N) of one function for each point."""
         if not x.shape[1]:
             return np.zeros(0), np.zeros((2, 0))
@@ -78,7 +77,7 @@ class CellFields:
         number: Whole = np.arange(x.shape[1], dtype=np.int64)
         return values[function, number], slopes[function, :, number].T
 
-    def lines(self) -> Pair:
+    def lines(self) -> ValuesAndSlopes:
         """Where the lines of the grid stand along each coordinate."""
         both: list[Vector] = []
         for periodic, count in zip(self.rectangle.periodic, self.cells, strict=True):
@@ -86,7 +85,7 @@ class CellFields:
             both.append(np.array([*inner, inner[0] + count] if periodic else [0.0, *inner, count]))
         return both[0], both[1]
 
-    def at_nodes(self, lines: Pair) -> Vector:
+    def at_nodes(self, lines: ValuesAndSlopes) -> Vector:
         """Values (k, n_u, n_v)."""
         # Where an edge of the rectangle has no values, as at a singular posture, they come from beside it.
         beside = [np.clip(line, INSET, count - INSET) for line, count in zip(lines, self.cells, strict=True)]

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Mask, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.singularity import CONDITION_MAX
 from flexopt.robustness.atlas.fields import Slice
-from flexopt.robustness.atlas.rectangle import Mask, Rectangle, Whole
+from flexopt.robustness.atlas.rectangle import Rectangle, Whole
 from flexopt.robustness.atlas.result import Atlas, EdgeCurve, RobustCurve, RobustPoint
 from flexopt.robustness.atlas.tracing import ZeroCurve
 from flexopt.robustness.atlas.zero_curves import Nodes, common_zeros, on_curve, zero_curves

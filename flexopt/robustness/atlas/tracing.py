@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from flexopt.foundation.arrays import Vector
-from flexopt.robustness.atlas.rectangle import CellFields, Mask, Pair, Whole
+from flexopt.foundation.arrays import Mask, Vector
+from flexopt.robustness.atlas.rectangle import CellFields, ValuesAndSlopes, Whole
 
-Cell = tuple[int, int]
+CellIndex = tuple[int, int]
 
 # In cells: the longest step, the shortest, where Newton's method has converged, what counts as one point.
 STEP, LEAST_STEP, CONVERGED, SAME = 0.35, 1e-5, 1e-9, 1e-6
@@ -94,13 +94,13 @@ class _Crossings:
 class Tracing:
     """All curves of a grid, advanced together from crossing to crossing."""
 
-    def __init__(self, scaled: CellFields, lines: Pair, values: Vector, functions: int) -> None:
+    def __init__(self, scaled: CellFields, lines: ValuesAndSlopes, values: Vector, functions: int) -> None:
         self.scaled, self.lines, self.periodic = scaled, lines, scaled.rectangle.periodic
         self.count = tuple(line.size - 1 for line in lines)
         self.crossings = _Crossings()
         self.pieces: list[_Piece] = []
         # By crossing and the cell beside it: the piece through that cell.
-        self.linked: dict[tuple[int, Cell], int] = {}
+        self.linked: dict[tuple[int, CellIndex], int] = {}
         for axis in range(2):
             self._seed(values[:functions], axis)
 
@@ -159,14 +159,14 @@ class Tracing:
                 return self._joined()
             self._advance(halves)
 
-    def _open(self, *, forwards: bool) -> list[tuple[int, Cell]]:
+    def _open(self, *, forwards: bool) -> list[tuple[int, CellIndex]]:
         """Crossings with a cell beside them whose piece is not known; forwards: greater values are to the left."""
         known = self.crossings
         fresh = np.arange(len(known.slope), len(known.x))
         if fresh.size:
             at = np.stack([known.x[k] for k in fresh], axis=1)
             known.slope += list(self.scaled.one(at, np.array([known.function[k] for k in fresh]))[1].T)
-        found: list[tuple[int, Cell]] = []
+        found: list[tuple[int, CellIndex]] = []
         for k, (axis, slope) in enumerate(zip(known.axis, known.slope, strict=True)):
             # The tangent is (−∂g/∂v, ∂g/∂u).
             ahead = (slope[0] if axis == 0 else -slope[1]) > 0
@@ -176,7 +176,7 @@ class Tracing:
                     found.append((k, cell))
         return found
 
-    def _beside(self, number: int, up: bool) -> Cell | None:
+    def _beside(self, number: int, up: bool) -> CellIndex | None:
         """The cell on one side of the line that a crossing lies on; None outside the rectangle."""
         axis, line = self.crossings.axis[number], self.crossings.line[number]
         across = line if up else line - 1
@@ -187,7 +187,7 @@ class Tracing:
         cell = self.crossings.cell[number]
         return (cell, across) if axis == 0 else (across, cell)
 
-    def _advance(self, halves: list[tuple[int, Cell]]) -> None:
+    def _advance(self, halves: list[tuple[int, CellIndex]]) -> None:
         """Continue curves from crossings through the cells beside them."""
         known = self.crossings
         low = np.array([[self.lines[0][i], self.lines[1][j]] for _, (i, j) in halves]).T
@@ -213,7 +213,7 @@ class Tracing:
             if end >= 0:
                 self.linked[end, cell] = len(self.pieces) - 1
 
-    def _arrived(self, function: int, x: Vector, axis: int, cell: Cell) -> int:
+    def _arrived(self, function: int, x: Vector, axis: int, cell: CellIndex) -> int:
         """The number of the crossing at which a curve leaves a cell through a line across a coordinate."""
         line = cell[axis] + int(abs(x[axis] - self.lines[axis][cell[axis]]) > SAME)
         if self.periodic[axis] and line == self.count[axis]:

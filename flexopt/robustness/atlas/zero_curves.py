@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexopt.foundation.arrays import Vector
-from flexopt.robustness.atlas.rectangle import INSET, CellFields, Fields, Mask, Pair, Rectangle, Whole
+from flexopt.foundation.arrays import Mask, Vector
+from flexopt.robustness.atlas.rectangle import INSET, CellFields, Fields, Rectangle, ValuesAndSlopes, Whole
 from flexopt.robustness.atlas.tracing import CONVERGED, CORRECTIONS, ROUNDING, STEP, Tracing, ZeroCurve
 
 NEWTON_MAX = 40
@@ -36,7 +36,7 @@ class Nodes:
         values: (k, n_u, n_v) at all nodes.
     """
 
-    lines: Pair
+    lines: ValuesAndSlopes
     values: Vector
 
 
@@ -123,7 +123,7 @@ def _solved(slope: Vector, value: Vector) -> Vector:
         return np.stack([d * x - b * y, a * y - c * x]) / (a * d - b * c)
 
 
-def _hidden(scaled: CellFields, lines: Pair, values: Vector, functions: int) -> Vector:
+def _hidden(scaled: CellFields, lines: ValuesAndSlopes, values: Vector, functions: int) -> Vector:
     """Points (2, N) of another sign than all nodes about them: extrema inside loops that no line crosses."""
     function, i, j = _least(values[:functions], scaled.rectangle.periodic)
     if not function.size:

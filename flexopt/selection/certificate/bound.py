@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.compiled.taylor import Array
+from flexopt.compiled.taylor import FloatArray
 from flexopt.foundation.arrays import Vector
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch
-from flexopt.selection.certificate.curve import RedundancyCurve, Seen
+from flexopt.selection.certificate.curve import CellBounds, RedundancyCurve
 from flexopt.selection.problem import beyond_bounds
 
 # Cells that each elbow begins with, parts of one that is split, cells looked at in one go and in all at most.
@@ -44,11 +44,11 @@ class Covering:
         better: a configuration that has more; the search ends there.
     """
 
-    elbow: Array
-    low: Array
-    high: Array
+    elbow: FloatArray
+    low: FloatArray
+    high: FloatArray
     outside: list[str]
-    bound: Array
+    bound: FloatArray
     decided: bool
     better: Better | None
 
@@ -75,7 +75,7 @@ def branch_and_bound(curve: RedundancyCurve, sought: float) -> Covering:
     # How much is known of V where a cell came from; infinite where nothing is.
     before = np.full(low.size, np.inf)
     narrowest = NARROWEST * max(abs(variable.lower), abs(variable.upper), variable.upper - variable.lower)
-    done: list[tuple[Array, Array, Array, list[str], Array]] = []
+    done: list[tuple[FloatArray, FloatArray, FloatArray, list[str], FloatArray]] = []
     seen, decided = 0, True
     better: Better | None = None
     while low.size and better is None:
@@ -104,8 +104,8 @@ def branch_and_bound(curve: RedundancyCurve, sought: float) -> Covering:
 
 
 def _seen(
-    curve: RedundancyCurve, low: Array, high: Array, elbow: Array, before: Array, sought: float
-) -> tuple[Seen, Array]:
+    curve: RedundancyCurve, low: FloatArray, high: FloatArray, elbow: FloatArray, before: FloatArray, sought: float
+) -> tuple[CellBounds, FloatArray]:
     """What is known of cells, and to what in V, (N,).
 
     Where that is hardly less than of the larger cell they are part of, rounding is what is left: more digits are taken.
@@ -121,13 +121,15 @@ def _seen(
             words[k] = word
         lows, highs, apart = found.low.copy(), found.high.copy(), found.apart.copy()
         lows[rounded], highs[rounded], apart[rounded] = again.low, again.high, again.apart
-        found, known = Seen(words, lows, highs, apart), highs - lows
+        found, known = CellBounds(words, lows, highs, apart), highs - lows
         # Whatever comes of such a cell is looked at with more digits, too.
         known[rounded] = 0.0
     return found, known
 
 
-def _better(curve: RedundancyCurve, cells: NDArray[np.int64], low: Array, high: Array, elbow: Array) -> Better | None:
+def _better(
+    curve: RedundancyCurve, cells: NDArray[np.int64], low: FloatArray, high: FloatArray, elbow: FloatArray
+) -> Better | None:
     """The middle of the first of these cells that is allowed, in all of which V is more than what was sought."""
     problem = curve.problem
     for k in cells.tolist():

@@ -32,7 +32,7 @@ from flexopt.selection.result import Selection
 FORMAT = "flexopt certificate 1"
 # The gap that is asked for, as a share of the objective's scale: of a single mode, and of sums.
 GAP_OF_ONE, GAP = 1e-8, 1e-5
-Verdict = Literal["proven", "undecided", "refuted"]
+ProofStatus = Literal["proven", "undecided", "refuted"]
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Certificate(Result):
 
     DOCUMENT = "verdict status objective value upper gap gap_asked scale cells better where"
 
-    verdict: Verdict
+    verdict: ProofStatus
     objective: str
     value: float
     upper: float
@@ -194,7 +194,7 @@ def certify(selection: Selection, *, gap: float | None = None) -> Certificate:
     value = _value(curve, best.z)
     cells = branch_and_bound(curve, value + asked)
     upper = max(cells.upper, value)
-    verdict: Verdict = "refuted" if cells.better is not None else "proven" if cells.decided else "undecided"
+    verdict: ProofStatus = "refuted" if cells.better is not None else "proven" if cells.decided else "undecided"
     loose = np.flatnonzero(~(cells.bound <= value + asked))[:3]
     where = tuple((float((cells.low[k] + cells.high[k]) / 2), float(cells.elbow[k])) for k in loose)
     better = None if cells.better is None else cells.better.z

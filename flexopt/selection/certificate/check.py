@@ -24,11 +24,11 @@ from typing import Any
 
 from flexopt.selection.certificate.balls import (
     DEGREE,
-    Cell,
-    Matrix,
-    Number,
+    BallMatrix,
+    BallNumber,
+    BallSeries,
+    BallVector,
     Unknown,
-    Vector,
     added,
     cross,
     dot,
@@ -58,7 +58,7 @@ from flint import arb, arb_mat, arb_poly, ctx  # isort: skip
 # numbers, as a share of the scale.
 FORMAT = "flexopt certificate 1"
 BITS, PARTS, ROUNDING = 128, 400, 1e-9
-Terms = tuple[Matrix, Matrix, Matrix]
+Terms = tuple[BallMatrix, BallMatrix, BallMatrix]
 
 
 class LoggedMachine:
@@ -85,9 +85,11 @@ class LoggedMachine:
         self.senses = [1 if dot(normal, axes[k]) > 0 else -1 for k in self.actuated]
         self.lengths = [root(dot(v, v)) for v in (self.one, self.two)]
 
-    def placed(self, turned: dict[int, tuple[Number, Number]]) -> tuple[list[Matrix], Matrix, Matrix, Vector]:
+    def placed(
+        self, turned: dict[int, tuple[BallNumber, BallNumber]]
+    ) -> tuple[list[BallMatrix], BallMatrix, BallMatrix, BallVector]:
         """Rotations, origins and joint axes of all bodies, and the end-point, the anchor at x = 0."""
-        rotations, origins, axes = list[Matrix](), list[Vector](), list[Vector]()
+        rotations, origins, axes = list[BallMatrix](), list[BallVector](), list[BallVector]()
         for k, body in enumerate(self.bodies):
             joint, parent = body["joint"], self.parent[k]
             around = identity(3) if parent is None else rotations[parent]
@@ -109,14 +111,14 @@ class LoggedMachine:
         tip = [plus(o, dot(row, reach)) for o, row in zip(origins[last], rotations[last], strict=True)]
         return rotations, origins, axes, tip
 
-    def elbow_cosine(self, x: Number) -> tuple[Number, Vector]:
+    def elbow_cosine(self, x: BallNumber) -> tuple[BallNumber, BallVector]:
         """Cosine of the angle between the arm's segments, and the way from the first joint to the target."""
         away = [minus(t, s) for t, s in zip(self.target, self.start, strict=True)]
         away[0] = minus(away[0], x)
         one, two = self.lengths
         return (dot(away, away) - one * one - two * two) * inverted(2 * one * two), away
 
-    def reaching(self, x: Number, elbow: int) -> list[tuple[Number, Number]]:
+    def reaching(self, x: BallNumber, elbow: int) -> list[tuple[BallNumber, BallNumber]]:
         """(cos, sin) of both joints that put the end-point on the target."""
         cosine, away = self.elbow_cosine(x)
         sine = elbow * root(1 - cosine * cosine)
@@ -134,7 +136,7 @@ class LoggedMachine:
         first = times(away[0] * a0 + away[1] * a1, over), times(away[1] * a0 - away[0] * a1, over)
         return [(cos, sense * sin) for (cos, sin), sense in zip((first, (c, s)), self.senses, strict=True)]
 
-    def terms(self, x: Number, elbow: int) -> Terms:
+    def terms(self, x: BallNumber, elbow: int) -> Terms:
         """C, A L⁻ᵀ and B L⁻ᵀ."""
         turned = dict(zip(self.actuated, self.reaching(x, elbow), strict=True))
         rotations, origins, axes, tip = self.placed(turned)
@@ -143,9 +145,9 @@ class LoggedMachine:
         for k, parent in enumerate(self.parent):
             ways.append({k} if parent is None else ways[parent] | {k})
 
-        def moved(body: int, point: Vector) -> tuple[Matrix, Matrix]:
+        def moved(body: int, point: BallVector) -> tuple[BallMatrix, BallMatrix]:
             """What each coordinate does to a point of a body, and to its direction."""
-            linear, angular = list[Vector](), list[Vector]()
+            linear, angular = list[BallVector](), list[BallVector]()
             for k in order:
                 slide, on = self.bodies[k]["joint"]["kind"] == "slide", k in ways[body]
                 away = [minus(a, b) for a, b in zip(point, origins[k], strict=True)]
@@ -154,7 +156,7 @@ class LoggedMachine:
             return linear, angular
 
         n, m = len(order), len(self.passive)
-        mass: Matrix = [[0] * n for _ in range(n)]
+        mass: BallMatrix = [[0] * n for _ in range(n)]
         for k, body in enumerate(self.bodies):
             xx, yy, zz, xy, xz, yz = numbers(body["inertia"])
             inertia = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
@@ -181,7 +183,7 @@ class LoggedMachine:
         return product(product(self.lower, reduced), back), product(a, back), product(b, back)
 
 
-def task_map(jv: Matrix, control: str) -> Matrix:
+def task_map(jv: BallMatrix, control: str) -> BallMatrix:
     """Jv, Jv⁻ᵀ, or (Jv Jvᵀ + λ² I)⁻¹ Jv."""
     if control == "transpose":
         return jv
@@ -194,12 +196,12 @@ def task_map(jv: Matrix, control: str) -> Matrix:
     return [[times(s, over), times(times(-1, r), over)], [times(times(-1, q), over), times(p, over)]]
 
 
-def shifted(c: Matrix, z: Number, order: list[int]) -> Matrix:
+def shifted(c: BallMatrix, z: BallNumber, order: list[int]) -> BallMatrix:
     """Rows and columns of z I − C, in an order."""
     return [[minus(z if j == k else 0, c[j][k]) for k in order] for j in order]
 
 
-def eigenvectors(c: Matrix, z: Number, i: int) -> tuple[Vector, Vector]:
+def eigenvectors(c: BallMatrix, z: BallNumber, i: int) -> tuple[BallVector, BallVector]:
     """V and u with C v = z v, Cᵀ u = z u and v_i = u_i = 1."""
     others = [j for j in range(len(c)) if j != i]
     block = shifted(c, z, others)
@@ -209,17 +211,17 @@ def eigenvectors(c: Matrix, z: Number, i: int) -> tuple[Vector, Vector]:
     return [*v[:i], arb(1), *v[i:]], [*u[:i], arb(1), *u[i:]]
 
 
-def eigenvalues(c: Matrix, h: arb) -> Vector:
+def eigenvalues(c: BallMatrix, h: arb) -> BallVector:
     """All eigenvalues of C, whose diagonal is near them: polynomials, and how far off they are at most.
 
     With z_i the polynomials and W_i = p(z_i) / Π (z_i − z_j), a root of p lies within n |W_i| of z_i, one in each of
     these discs where they are apart (Smith, Journal of the ACM 17(1), 1970).
     """
     n = len(c)
-    found: Vector = [Cell(arb_poly([middle_of(c[i][i])]), h) for i in range(n)]
+    found: BallVector = [BallSeries(arb_poly([middle_of(c[i][i])]), h) for i in range(n)]
 
-    def corrections() -> Vector:
-        steps: Vector = []
+    def corrections() -> BallVector:
+        steps: BallVector = []
         for i, value in enumerate(found):
             # The i-th last: its pivot is what vanishes.
             *pivots, rest = pivots_of(shifted(c, value, [*(j for j in range(n) if j != i), i]))
@@ -231,7 +233,7 @@ def eigenvalues(c: Matrix, h: arb) -> Vector:
 
     for _ in range(DEGREE.bit_length()):
         better = [value - step for value, step in zip(found, corrections(), strict=True)]
-        found = [Cell(arb_poly([x.mid() for x in value.polynomial.coeffs()]), h) for value in better]
+        found = [BallSeries(arb_poly([x.mid() for x in value.polynomial.coeffs()]), h) for value in better]
     off = [arb(0, (n * span(step).abs_upper()).upper()) for step in corrections()]
     for i in range(n):
         for j in range(i):
@@ -240,12 +242,12 @@ def eigenvalues(c: Matrix, h: arb) -> Vector:
     return [value + wrong for value, wrong in zip(found, off, strict=True)]
 
 
-def middle_of(x: Number) -> arb:
+def middle_of(x: BallNumber) -> arb:
     """What a number is in the middle of the cell, a double and more."""
-    return (x.polynomial[0] if isinstance(x, Cell) else arb(x)).mid()
+    return (x.polynomial[0] if isinstance(x, BallSeries) else arb(x)).mid()
 
 
-def objective(terms: Terms, h: arb, weights: list[float]) -> Number:
+def objective(terms: Terms, h: arb, weights: list[float]) -> BallNumber:
     """Σ α_i w_i."""
     (c, a, b), n = terms, len(terms[0])
     # In axes in which C is nearly diagonal, its eigenvalues are nearly its entries; largest first.
@@ -257,7 +259,7 @@ def objective(terms: Terms, h: arb, weights: list[float]) -> Number:
     (a_right, b_right), (a_left, b_left) = (
         [product(each, axes_of) for each in (a, b)] for axes_of in (x, transposed(back))
     )
-    value: Number = arb(0)
+    value: BallNumber = arb(0)
     for i, mu in enumerate(eigenvalues(c, h)):
         if not weights[i]:
             continue
@@ -287,7 +289,7 @@ def upper_bound(
 ) -> float:
     """An upper bound on V in a cell, less the cost of travel."""
     middle, h = within(low, high)
-    x = Cell(arb_poly([middle, 1]), h)
+    x = BallSeries(arb_poly([middle, 1]), h)
     try:
         value = objective(machine.terms(x, elbow), h, weights) - travel_cost(machine, log, x, elbow)
     except (Unknown, ZeroDivisionError):
@@ -296,11 +298,11 @@ def upper_bound(
     return math.inf if math.isnan(bound) else bound
 
 
-def angles(machine: LoggedMachine, x: Number, elbow: int) -> Vector:
+def angles(machine: LoggedMachine, x: BallNumber, elbow: int) -> BallVector:
     """Both joint angles over a cell, each on one turn."""
-    found: Vector = []
+    found: BallVector = []
     for c, s in machine.reaching(x, elbow):
-        c0, s0 = (each.polynomial[0].mid() if isinstance(each, Cell) else each for each in (c, s))
+        c0, s0 = (each.polynomial[0].mid() if isinstance(each, BallSeries) else each for each in (c, s))
         tangent = (s * c0 - c * s0) * inverted(c * c0 + s * s0)
         if not span(c * c0 + s * s0) > 0:
             raise Unknown
@@ -309,12 +311,12 @@ def angles(machine: LoggedMachine, x: Number, elbow: int) -> Vector:
     return found
 
 
-def travel_cost(machine: LoggedMachine, log: dict[str, Any], x: Number, elbow: int) -> Number:
+def travel_cost(machine: LoggedMachine, log: dict[str, Any], x: BallNumber, elbow: int) -> BallNumber:
     """What the way from the present configuration costs, each joint on its nearest turn; from below, where unsure."""
     travel = log["travel"]
     if travel is None:
         return 0
-    cost: Number = 0
+    cost: BallNumber = 0
     for k, (value, now, scale) in enumerate(
         zip([x, *angles(machine, x, elbow)], travel["now"], travel["scale"], strict=True)
     ):
@@ -335,7 +337,7 @@ def left_out(machine: LoggedMachine, log: dict[str, Any], low: float, high: floa
         return bool(abs(span(machine.elbow_cosine(middle + h)[0])) > arb(log["margin"]).cos())
     if why == "limit":
         try:
-            found = angles(machine, Cell(arb_poly([middle, 1]), h), elbow)
+            found = angles(machine, BallSeries(arb_poly([middle, 1]), h), elbow)
         except Unknown:
             return False
         for angle, (lower, upper) in zip(map(span, found), log["bounds"][1:], strict=True):

@@ -13,7 +13,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from flexopt.compiled.taylor import PRECISE, Array, TaylorFunction, TaylorModel, matrix, taylor
+from flexopt.compiled.taylor import PRECISE, FloatArray, TaylorFunction, TaylorModel, matrix, taylor
 from flexopt.selection.certificate.modes import enclosed_measures
 from flexopt.selection.problem import SelectionProblem
 
@@ -25,7 +25,7 @@ OUT_OF_REACH, TOO_STRAIGHT, LIMIT, CONSTRAINT, NOT_KEPT = "reach", "margin", "li
 
 
 @dataclass(frozen=True)
-class Seen:
+class CellBounds:
     """What is known of N cells.
 
     Attributes:
@@ -35,9 +35,9 @@ class Seen:
     """
 
     outside: list[str]
-    low: Array
-    high: Array
-    apart: Array
+    low: FloatArray
+    high: FloatArray
+    apart: FloatArray
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class RedundancyCurve:
         return [[TaylorModel.constant(float(value)) for value in each] for each in numbers]
 
     @np.errstate(all="ignore")
-    def see(self, low: Array, high: Array, elbow: Array, *, precise: bool = False) -> Seen:
+    def see(self, low: FloatArray, high: FloatArray, elbow: FloatArray, *, precise: bool = False) -> CellBounds:
         """What is known of the cells [low, high] of x, m, with elbows −1 or +1, (N,) each; `precise`: in `PRECISE`."""
         problem, n = self.problem, low.size
         kind = PRECISE if precise else np.float64
@@ -89,11 +89,11 @@ class RedundancyCurve:
         if inside.size:
             why, lows[inside], highs[inside], apart[inside] = self._see_inside(x.at(inside), turned.at(inside), graph)
             outside[inside] = why
-        return Seen([str(word) for word in outside], lows, highs, apart)
+        return CellBounds([str(word) for word in outside], lows, highs, apart)
 
     def _see_inside(
         self, x: TaylorModel, elbow: TaylorModel, graph: TaylorFunction
-    ) -> tuple[Array, Array, Array, Array]:
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         problem = self.problem
         m, n = problem.measures.plant.n_passive, x.c.shape[1]
         posture, stiffness, mass, factors, *rows = graph([x], [elbow], *self._constants)
@@ -121,7 +121,7 @@ class RedundancyCurve:
         known = np.isfinite(low) & np.isfinite(high) & ~np.isnan(low)
         return outside, np.where(known, low, -np.inf), np.where(known, high, np.inf), np.broadcast_to(apart, (n,))
 
-    def _turns(self, k: int, angle: TaylorModel, outside: Array) -> tuple[Array, Array]:
+    def _turns(self, k: int, angle: TaylorModel, outside: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Whole turns that bring joint k of a cell's postures into its limits: the least and the largest number."""
         variable = self.problem.variables[1 + k]
         low, high = (np.broadcast_to(bound, outside.shape) for bound in angle.bounds)
@@ -130,7 +130,7 @@ class RedundancyCurve:
         outside[(first > last) & (outside == "")] = LIMIT
         return first, last
 
-    def _constrain(self, rows: list[TaylorModel], outside: Array) -> None:
+    def _constrain(self, rows: list[TaylorModel], outside: FloatArray) -> None:
         """Mark the cells that break a constraint throughout."""
         extra = self.problem.constraint_set
         assert extra is not None  # there are rows
@@ -140,7 +140,7 @@ class RedundancyCurve:
             outside[broken & (outside == "")] = CONSTRAINT
 
     def _travel(
-        self, x: TaylorModel, posture: list[TaylorModel], turns: list[tuple[Array, Array]]
+        self, x: TaylorModel, posture: list[TaylorModel], turns: list[tuple[FloatArray, FloatArray]]
     ) -> TaylorModel | None:
         """Cost · Σ ((z − z_now) / scale)², each joint on the turn where that is least."""
         problem = self.problem
@@ -156,7 +156,7 @@ class RedundancyCurve:
         return total.scaled(problem.travel.cost)
 
 
-def _least_turn(away: TaylorModel, first: Array, last: Array) -> TaylorModel:
+def _least_turn(away: TaylorModel, first: FloatArray, last: FloatArray) -> TaylorModel:
     """What an angle is away, on the whole turn between `first` and `last` where that is nearest to 0."""
     nearest = np.minimum(np.maximum(-np.rint(away.c[0] / TURN), first), last)
     shift = TaylorModel((TURN * nearest)[None, :], 4e-16 * TURN * np.abs(nearest))

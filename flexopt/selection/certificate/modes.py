@@ -14,10 +14,10 @@ from itertools import combinations
 
 import numpy as np
 
-from flexopt.compiled.taylor import DEGREE, Array, TaylorModel, dot
+from flexopt.compiled.taylor import DEGREE, FloatArray, TaylorModel, dot
 from flexopt.robustness.modes import CLUSTER_TOLERANCE
 
-Matrix = list[list[TaylorModel]]
+TaylorMatrix = list[list[TaylorModel]]
 _ONE = TaylorModel.constant(1.0)
 # Rounding of a few operations on numbers that are bounds.
 _UP = 1.0 + 1e-12
@@ -31,15 +31,17 @@ _IMPROVED = 2
 class _Nearly:
     """Ĥ and Ĝ, bounds on their entries' absolute values (m, m, N), and the eigenvalues' models μ̂_i = Ĥ_ii / Ĝ_ii."""
 
-    h: Matrix
-    g: Matrix
-    sizes_h: Array
-    sizes_g: Array
+    h: TaylorMatrix
+    g: TaylorMatrix
+    sizes_h: FloatArray
+    sizes_g: FloatArray
     mu: list[TaylorModel]
 
 
 @np.errstate(all="ignore")
-def enclosed_measures(stiffness: Matrix, mass: Matrix, factors: Matrix) -> tuple[list[TaylorModel], Array]:
+def enclosed_measures(
+    stiffness: TaylorMatrix, mass: TaylorMatrix, factors: TaylorMatrix
+) -> tuple[list[TaylorModel], FloatArray]:
     """The w_i in order of ascending frequency, and how far from each other 1/ω² are, relative, from below, (N,).
 
     Unknown (r infinite) where frequencies come too close in a cell.
@@ -63,7 +65,7 @@ def enclosed_measures(stiffness: Matrix, mass: Matrix, factors: Matrix) -> tuple
     return [_measure(nearly, f, i, np.maximum(boxes[i][0], known)) for i in range(m)], least
 
 
-def _modes_in_the_middle(stiffness: Matrix, mass: Matrix, count: int) -> Array:
+def _modes_in_the_middle(stiffness: TaylorMatrix, mass: TaylorMatrix, count: int) -> FloatArray:
     """X (m, m, N): the modes in the cells' middles with Xᵀ K_p X = I, by ascending frequency."""
     k, m0 = (
         np.array([[np.broadcast_to(x.c[0], (count,)) for x in row] for row in rows]).transpose(2, 0, 1)
@@ -83,32 +85,32 @@ def _modes_in_the_middle(stiffness: Matrix, mass: Matrix, count: int) -> Array:
     return x.transpose(1, 2, 0)
 
 
-def _transposed(rows: Matrix) -> Matrix:
+def _transposed(rows: TaylorMatrix) -> TaylorMatrix:
     return [list(column) for column in zip(*rows, strict=True)]
 
 
-def _symmetric(rows: Matrix) -> Matrix:
+def _symmetric(rows: TaylorMatrix) -> TaylorMatrix:
     """The same with what is above the diagonal below it, too."""
     return [[rows[min(i, j)][max(i, j)] for j in range(len(rows))] for i in range(len(rows))]
 
 
-def _turned(rows: Matrix, axes: Array) -> Matrix:
+def _turned(rows: TaylorMatrix, axes: FloatArray) -> TaylorMatrix:
     """Rows times a matrix of numbers (m, m, N)."""
     return [[_combined(axes[:, j], row) for j in range(axes.shape[1])] for row in rows]
 
 
-def _combined(numbers: Array, models: list[TaylorModel]) -> TaylorModel:
+def _combined(numbers: FloatArray, models: list[TaylorModel]) -> TaylorModel:
     total, *others = (model.scaled(number) for number, model in zip(numbers, models, strict=True))
     for other in others:
         total = total + other
     return total
 
 
-def _product(rows: Matrix, others: Matrix) -> Matrix:
+def _product(rows: TaylorMatrix, others: TaylorMatrix) -> TaylorMatrix:
     return [[dot(row, column) for column in _transposed(others)] for row in rows]
 
 
-def _shapes(h: Matrix, count: int) -> Matrix:
+def _shapes(h: TaylorMatrix, count: int) -> TaylorMatrix:
     """Y (m, m), exact polynomials with Y_ii = 1: the modes in the axes X, to rounding and the degree kept."""
     m = len(h)
     kind = h[0][0].c.dtype
@@ -116,7 +118,7 @@ def _shapes(h: Matrix, count: int) -> Matrix:
     for j in range(m):
         for k in range(m):
             c[: len(h[j][k].c), j, k] = h[j][k].c
-    shapes: Matrix = [[_ONE] * m for _ in range(m)]
+    shapes: TaylorMatrix = [[_ONE] * m for _ in range(m)]
     for i in range(m):
         y, mu = np.zeros((DEGREE + 1, m, count), dtype=kind), np.zeros((DEGREE + 1, count), dtype=kind)
         y[0, i], mu[0] = 1.0, c[0, i, i]
@@ -134,7 +136,7 @@ def _shapes(h: Matrix, count: int) -> Matrix:
     return shapes
 
 
-def _nearly_diagonal(h: Matrix, g: Matrix, shapes: Matrix, count: int) -> _Nearly:
+def _nearly_diagonal(h: TaylorMatrix, g: TaylorMatrix, shapes: TaylorMatrix, count: int) -> _Nearly:
     """Ĥ and Ĝ."""
     turned = _transposed(shapes)
     h, g = (_product(turned, _product(x, shapes)) for x in (h, g))
@@ -145,7 +147,7 @@ def _nearly_diagonal(h: Matrix, g: Matrix, shapes: Matrix, count: int) -> _Nearl
     return _Nearly(h, g, sizes_h, sizes_g, mu)
 
 
-def _box(nearly: _Nearly, i: int) -> tuple[Array, Array]:
+def _box(nearly: _Nearly, i: int) -> tuple[FloatArray, FloatArray]:
     """Bounds E (m, N) on e, 0 of e_i, and on the error of μ̂_i, (N,); infinite where no box maps into itself."""
     m, count = len(nearly.h), nearly.sizes_g.shape[-1]
     mu, others = nearly.mu[i], [j for j in range(m) if j != i]
@@ -157,7 +159,7 @@ def _box(nearly: _Nearly, i: int) -> tuple[Array, Array]:
         gap[j] = np.maximum(np.maximum(low, -high), 0.0) * (1 - 1e-12)
     own = nearly.g[i][i].bounds[0]
 
-    def mapped(e: Array) -> tuple[Array, Array]:
+    def mapped(e: FloatArray) -> tuple[FloatArray, FloatArray]:
         moved = off[i, i] + sum((off[i, j] * e[j] for j in others), start=np.zeros(count))
         least = own * (1 - 1e-12) - sum((nearly.sizes_g[i, j] * e[j] for j in others), start=np.zeros(count)) * _UP
         shift = np.where(least > 0, moved / least, np.inf) * _UP
@@ -174,7 +176,7 @@ def _box(nearly: _Nearly, i: int) -> tuple[Array, Array]:
     return np.where(holds, box, np.inf), np.where(holds, shift, np.inf)
 
 
-def _measure(nearly: _Nearly, f: Matrix, i: int, box: Array) -> TaylorModel:
+def _measure(nearly: _Nearly, f: TaylorMatrix, i: int, box: FloatArray) -> TaylorModel:
     """W = (a·b − |a||b|) / (vᵀ H v) with a = A v, b = B v of the eigenvector v, whatever it is in its box."""
     m, n_task = len(nearly.h), len(f) // 2
     others = [j for j in range(m) if j != i]

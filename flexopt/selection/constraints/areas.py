@@ -35,7 +35,7 @@ from flexopt.selection.constraints.polygon_distance import (
 )
 
 # A constraint as people see it, and as rows for a solver.
-Seen = tuple[ca.SX, list[ca.SX]]
+ValueAndRows = tuple[ca.SX, list[ca.SX]]
 INSIDE = "distance inside region"
 # Rows of what has many parts, the least of all: a placement's three coordinates are held by three, and one may tie.
 FEW = 4
@@ -187,14 +187,14 @@ def _region_groups(plant: Plant, constraints: Constraints) -> list[Group]:
     return [Group("region", (shape, sizes), numbers, tuple(ConstraintRow(x, "m", 0.0, math.inf) for x in labels))]
 
 
-def _inside(scene: Scene, kind: str, parts: list[ca.SX]) -> list[Seen]:
+def _inside(scene: Scene, kind: str, parts: list[ca.SX]) -> list[ValueAndRows]:
     """Of one area the distance inside it of what is held, corner by corner, and off what it lacks of its hull."""
     if kind == "interval":
         inside = _in_interval(scene, parts[0])
         return [(inside, [inside])]
     outline, around, *lacks = parts
     points = scene.footprint if kind == "footprint" else [scene.anchor]
-    seen: list[Seen] = [(polygon_distance(x, outline), _least(left_of_edges(x, around), 2)) for x in points]
+    seen: list[ValueAndRows] = [(polygon_distance(x, outline), _least(left_of_edges(x, around), 2)) for x in points]
     if kind == "point":
         inside, edges = seen[0]
         return [(inside, [*edges, *(_off_all(scene.anchor, inside, lacks) if lacks else [])])]
@@ -203,7 +203,7 @@ def _inside(scene: Scene, kind: str, parts: list[ca.SX]) -> list[Seen]:
     return seen
 
 
-def _off(scene: Scene, pieces: list[ca.SX]) -> Seen:
+def _off(scene: Scene, pieces: list[ca.SX]) -> ValueAndRows:
     """The footprint off all of these convex pieces."""
     apart = ca.mmin(ca.vertcat(*(_distance(scene, piece) for piece in pieces)))
     return apart, _few([row for piece in pieces for row in _gaps(scene, piece)])
@@ -218,7 +218,7 @@ def _few(rows: list[ca.SX]) -> list[ca.SX]:
     return _least(rows, min(FEW, len(rows)))
 
 
-def _in_region(scene: Scene, shape: Any, c: ca.SX) -> list[Seen]:
+def _in_region(scene: Scene, shape: Any, c: ca.SX) -> list[ValueAndRows]:
     kind, sizes = cast(tuple[str, tuple[tuple[int, ...], ...]], shape)
     numbers = _pieces(c, [sum(area) for area in sizes])
     areas = [_inside(scene, kind, _pieces(own, area)) for area, own in zip(sizes, numbers, strict=True)]
@@ -251,7 +251,7 @@ def _keep_out_groups(plant: Plant, constraints: Constraints) -> list[Group]:
     return groups
 
 
-def _kept_out(scene: Scene, shape: Any, c: ca.SX) -> list[Seen]:
+def _kept_out(scene: Scene, shape: Any, c: ca.SX) -> list[ValueAndRows]:
     kind, sizes = cast(tuple[str, tuple[int, ...]], shape)
     if kind == "interval":
         outside = -_in_interval(scene, c)
@@ -265,7 +265,7 @@ def _kept_out(scene: Scene, shape: Any, c: ca.SX) -> list[Seen]:
 
 def _kind(
     groups: Callable[[Plant, Constraints], list[Group]],
-    seen: Callable[[Scene, Any, ca.SX], list[Seen]],
+    seen: Callable[[Scene, Any, ca.SX], list[ValueAndRows]],
     faults: Callable[[Plant, Constraints], list[Fault]],
 ) -> ConstraintKind:
     def solved(scene: Scene, shape: Any, c: ca.SX) -> list[ca.SX]:

@@ -8,9 +8,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant, build_plant
@@ -26,7 +26,6 @@ from flexopt.selection.constraints import (
 )
 from flexopt.selection.constraints.kind import ConstraintKind, Group, Scene
 
-Vector = NDArray[np.float64]
 # A further kind is a module with a `ConstraintKind`, a field of `Constraints`, and a line here; rows are in this order.
 KINDS: dict[str, ConstraintKind] = {
     "manipulability": manipulability.KIND,

@@ -25,7 +25,7 @@ from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.choices import ALLOWED_GAIN, DELAY_MARGIN, RADIUS
 from flexopt.model.loop import DELAY_MAX, GAINS
 from flexopt.model.uncertainty import GROUND
-from flexopt.selection.outcomes.branches import Branches, Measure, Slopes, rates_of, slopes_of
+from flexopt.selection.outcomes.branches import Branches, Measure, SlopesByInput, rates_of, slopes_of
 
 # Places before a border that count.
 PLACES = 2
@@ -55,7 +55,7 @@ class Line:
     rate: Callable[[float], float]
     start: float
     own: bool
-    by: Callable[[LoopPoint, Slopes], tuple[dict[str, Any], float]]
+    by: Callable[[LoopPoint, SlopesByInput], tuple[dict[str, Any], float]]
 
     def border(self, level: float) -> float:
         """The first level, this one at most, at which the loop grows."""
@@ -157,7 +157,7 @@ class AllowedGain(Border):
             factor = math.exp(x) / kp
             return replace(point, numbers={**point.numbers, **{name: point.numbers[name] * factor for name in GAINS}})
 
-        def by(there: LoopPoint, slopes: Slopes) -> tuple[dict[str, Any], float]:
+        def by(there: LoopPoint, slopes: SlopesByInput) -> tuple[dict[str, Any], float]:
             of = {name: float(slopes[name] @ there.numbers[name]) for name in GAINS}
             total = sum(of.values())
             # The gain that the level is told in stays, whatever the present one is; the others follow their ratio.
@@ -193,7 +193,7 @@ class DelayMargin(Border):
         def loop(x: float) -> LoopPoint:
             return replace(point, dead_time=point.dead_time + min(max(x, 0.0) * at.size, most))
 
-        def by(there: LoopPoint, slopes: Slopes) -> tuple[dict[str, Any], float]:  # noqa: ARG001
+        def by(there: LoopPoint, slopes: SlopesByInput) -> tuple[dict[str, Any], float]:  # noqa: ARG001
             return dict(slopes), float(slopes[DEAD_TIME][0]) * at.size
 
         return [Line(loop, lambda x: rates_of(loop(x))[0], 0.0, True, by)]
@@ -238,7 +238,7 @@ class Radius(Border):
         def loop(x: float) -> LoopPoint:
             return replace(point, numbers=point.motions.numbers(given | {"p": point.numbers["p"] * np.exp(x * ways)}))
 
-        def by(there: LoopPoint, slopes: Slopes) -> tuple[dict[str, Any], float]:
+        def by(there: LoopPoint, slopes: SlopesByInput) -> tuple[dict[str, Any], float]:
             return dict(slopes), float(slopes["p"] @ (ways * there.numbers["p"]))
 
         return Line(loop, lambda x: rates_of(loop(x))[0], 0.0, True, by)

@@ -21,7 +21,7 @@ from flexopt.loop.uncertain import UncertainLoop
 if TYPE_CHECKING:
     from flexopt.selection.outcomes.program import OutcomeProgram, ProgramPoint
 
-Slopes = Mapping[str, Vector]
+SlopesByInput = Mapping[str, Vector]
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ from flexopt.selection.starts import FEASIBLE
 # Intervals whose corners are members from the beginning; points that are looked at behind a climb, and how often what
 # they find is added and climbed again.
 CORNERED, MEMBERS, ROUNDS = 3, 32, 6
-Bounds = tuple[tuple[Measure, float], ...]
+MeasureBounds = tuple[tuple[Measure, float], ...]
 # Of the value, by which two are equal.
 EQUAL = 1e-6
 # Of the value, by which a member that is slower than those that were climbed with is new.
@@ -61,7 +61,7 @@ def outcome_selection(
     name: str = DECAY,
     least: LeastOutcomes | None = None,
     *,
-    bounds: Bounds = (),
+    bounds: MeasureBounds = (),
     seeds: Sequence[Seed] = (),
     kept: tuple[Kept, ...] = (),
 ) -> OutcomeSelection:
@@ -153,7 +153,7 @@ def distinct_optima(program: OutcomeProgram, found: list[Climbed | None]) -> tup
     return distinct, program.measure.sign * max(more) if more else None
 
 
-def asked_of(least: LeastOutcomes | None) -> Bounds:
+def asked_of(least: LeastOutcomes | None) -> MeasureBounds:
     """What the loop must do at least, as measures count."""
     return tuple((MEASURES[word], MEASURES[word].sign * x) for word, x in least or () if x is not None)
 
@@ -236,7 +236,7 @@ def kept_values(program: OutcomeProgram, y: Vector) -> dict[str, ConstraintValue
 
 
 def unfit(
-    name: str, bounds: Bounds, loop: Loop, settings: LoopSettings, varied: tuple[Uncertainty, ...]
+    name: str, bounds: MeasureBounds, loop: Loop, settings: LoopSettings, varied: tuple[Uncertainty, ...]
 ) -> list[Fault]:
     """What measures cannot be had of."""
     found, asked = list[Fault](), {name, *(measure.name for measure, _ in bounds)}

@@ -14,7 +14,7 @@ from flexopt.model.constraints import LeastOutcomes
 from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.robustness import Evaluation
-from flexopt.selection.outcomes.choice import Bounds, measure_of, outcome_selection
+from flexopt.selection.outcomes.choice import MeasureBounds, measure_of, outcome_selection
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import Seed
 from flexopt.selection.problem import SelectionProblem
@@ -43,7 +43,7 @@ def outcome_selection_in_order(
     Raises:
         InputError, NoSolutionFound: as `outcome_selection`, of any of the objectives.
     """
-    names, bounds, kept, seeds = list(problems), Bounds(), list[Kept](), list[Seed]()
+    names, bounds, kept, seeds = list(problems), MeasureBounds(), list[Kept](), list[Seed]()
     for name in names[:-1]:
         problem, measure = problems[name], measure_of(name, problems[name])
         if measure.of_modes and not bounds and least is None:
