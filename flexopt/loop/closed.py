@@ -123,7 +123,7 @@ class ClosedLoop:
             u, w = motion.relative(u, at.base), motion.relative_rates(u, w, at.base, at.base_rate)
         outputs = {
             "q": a @ u + motion.origin(at.of["base"]), "v": a @ w, "end_point": point + place,
-            "error": at.target - point, "error_rate": at.target_rate - rate, "torque": at.applied(at.command()),
+            "error": at.target - point, "error_rate": at.target_rate - rate, "torque": at.given(a @ w),
             "energy": energy, "deflection": at.deflection, "monitor": at.monitor(),
         }  # fmt: skip
         dense = [ca.densify(value) for value in outputs.values()]

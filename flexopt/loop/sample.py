@@ -156,6 +156,11 @@ class Sample(SampleModel):
         """Torques that act."""
         return self.x["torque"] if self.s.lagging else command
 
+    def given(self, rates: ca.SX) -> ca.SX:
+        """Torques (n,) that the drives give at these rates (n_q,): those that act, less what drives brake by."""
+        acting = self.applied(self.command())
+        return acting - self.of["braking"] * rates[-acting.shape[0] :] if self.s.served else acting
+
     def successors(self) -> tuple[ca.SX, ca.SX]:
         """States of a sampled law and its filter, and of the queue, at the next sample."""
         e, _ = self.error

@@ -73,6 +73,11 @@ class LoopSettings(Result):
         redundant = len(self.joint_units) > self.kp.size
         return redundant and not self.nullspace_damping and self.drive != "velocity"
 
+    @property
+    def braking(self) -> float:
+        """By which a drive that serves rates brakes its joint, N m s/rad or N s/m; 0 of one that serves torques."""
+        return float(self.servo_gain or 1.0) if self.drive == "velocity" else 0.0
+
     DOCUMENT = """
     control feedback drive kp kv ki rate[Hz] dead_time[s] filter_hz[Hz] bandwidth_hz[Hz] servo_gain nullspace_damping
     torque_limit rate_limit joint_units gain_units force_units sources

@@ -41,6 +41,7 @@ class LoopStructure:
         quantised, noisy, filtered: of the measurement.
         limited, lagging, rate_limited, dead_band: of the actuators.
         nullspace_damped: whether a damper acts on the arm's self-motion.
+        served: whether drives serve rates, and brake their joints; that is within the machine's damping.
         moving_base, moving_target: whether they come as signals instead of constants.
         watched: whether a step gives what is judged (see `Sample.monitor`); else it is taken from the samples.
         levers, hydraulic: how joint rates that pass through levers are cut, and the machine whose levers they are: all
@@ -69,6 +70,7 @@ class LoopStructure:
     rate_limited: bool = False
     dead_band: bool = False
     nullspace_damped: bool = False
+    served: bool = False
     moving_base: bool = False
     moving_target: bool = False
     levers: Literal["each", "uniform"] | None = None
@@ -141,6 +143,7 @@ def constant_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]
         (s.lagging, "bandwidth", n),
         (s.rate_limited, "rate_limit", n),
         (s.nullspace_damped, "nullspace_damping", 1),
+        (s.served, "braking", n),
         (s.hydraulic is not None, "servo_gain", 1),
         (s.control == DAMPED, JACOBIAN_DAMPING, 1),
     ):

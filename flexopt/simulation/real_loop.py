@@ -48,7 +48,7 @@ def run_options(machine: AnyMachine, settings: LoopSettings, waits: int) -> dict
     """
     s = settings
     # A servo gain makes torques of the rates that are asked for.
-    gain = float(s.servo_gain or 1.0) if s.drive == "velocity" else 1.0
+    gain = s.braking or 1.0
     actuator: dict[str, Any] = {} if s.bandwidth_hz is None else {"bandwidth_hz": s.bandwidth_hz.tolist()}
     limits = {"torque_limit": s.torque_limit, "rate_limit": s.rate_limit}
     actuator |= {name: limit.tolist() for name, limit in limits.items() if limit is not None}
@@ -64,8 +64,7 @@ def run_options(machine: AnyMachine, settings: LoopSettings, waits: int) -> dict
 
 def braked_by(machine: AnyMachine, settings: LoopSettings, *, gravity: bool) -> Vector:
     """What the joints' damping is more by, of the machine's p (n_par,): drives that serve rates brake their joints."""
-    gain = float(settings.servo_gain or 1.0) if settings.drive == "velocity" else 0.0
-    found: Vector = settings.motions(machine, gravity=gravity).drive_damping * gain
+    found: Vector = settings.motions(machine, gravity=gravity).drive_damping * settings.braking
     return found
 
 

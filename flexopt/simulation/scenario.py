@@ -179,6 +179,7 @@ def build_scenario(
     *,
     watched: bool = False,
     exact: bool = False,
+    braking: float = 0.0,
 ) -> Scenario:
     """The scenario of checked options.
 
@@ -189,6 +190,7 @@ def build_scenario(
             numbers; None for this machine alone.
         watched: whether steps give what is judged.
         exact: whether it is there to be linearised and advanced exactly: no step is then too long.
+        braking: of each joint by its drive, within the machine's damping, N m s/rad or N s/m.
 
     Raises:
         SingularPosture: Jv loses rank in the design posture.
@@ -204,7 +206,7 @@ def build_scenario(
     fastest = Fastest(design.poles, 2 * math.pi * float(design.frequencies_hz[-1]), servo, design.damper)
     steps = Stepping(1) if exact else stepping(options, fastest)
     structure = _structure(machine, options, steps)
-    structure = replace(structure, watched=watched, method="rk4" if exact else structure.method)
+    structure = replace(structure, watched=watched, method="rk4" if exact else structure.method, served=braking > 0)
     if zeros is not None:
         structure = replace(structure, motion=replace(structure.motion, zeros=zeros), own_model=True)
     parts: dict[str, Any] = dict(constant_values(machine))
@@ -218,7 +220,7 @@ def build_scenario(
     held = design_constants(shape, ca.SX(design.q[:-n]), ca.SX(design.base))
     parts |= {name: ca.evalf(value).full().ravel() for name, value in held.items()}
     parts |= {name: np.broadcast_to(getattr(options, name), rows) for name in ("kp", "kv", "ki")}
-    parts |= {"servo_gain": options.actuator.servo_gain}
+    parts |= {"servo_gain": options.actuator.servo_gain, "braking": [braking] * n}
     parts |= {"integral_limit": options.integral_limit, "nullspace_damping": options.nullspace_damping}
     parts |= {JACOBIAN_DAMPING: control_damping(options.control) or 0.0}
     parts |= {"resolution": [options.sensor.resolution] * rows}

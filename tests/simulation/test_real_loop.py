@@ -270,3 +270,29 @@ def test_an_ensemble_falls_back_on_the_loop_of_its_machine() -> None:
     # Gains that vary are the whole controller, as of `simulate`.
     gains = flexopt.simulate_ensemble(machine, POSTURE, vary={"kp": [1e4]}, kv=1e3, duration=0.2)
     assert gains.linear_growth_rate[0] == flexopt.simulate(machine, POSTURE, kp=1e4, kv=1e3).linear_growth_rate
+
+
+@pytest.mark.parametrize("drive", ["torque", "velocity"])
+def test_torques_account_for_the_energy(drive: str) -> None:
+    """What the drives give and the dampers take is what the energy changes by: torques are those that act.
+
+    Of drives that serve rates the servo's braking is a part of them, most of it once the joints move.
+    """
+    machine = flexopt.load("excavator")
+    plant = build_plant(machine)
+    loop = {"rate": 2e4, "nullspace_damping": 0.0} | (
+        {"drive": "velocity", "servo_gain": 2e5, "kp": 3.0} if drive == "velocity" else {"kp": 1e4, "kv": 1e3}
+    )
+    run = flexopt.simulate(machine, POSTURE, loop=loop, duration=0.2)
+    members = {"offset": [[0.05, 0.05]]}
+    same = flexopt.simulate_ensemble(machine, POSTURE, vary=members, loop=loop, duration=0.2, keep="trajectories")
+    damping = plant.damping(plant.parameter_values).full()
+    for time, v, torque, energy in (
+        (run.time, run.v, run.torque, run.energy),
+        (run.time, *(same.dataset[name].to_numpy()[0] for name in ("v", "torque", "energy"))),
+    ):
+        power = np.sum(torque * v[:, plant.n_passive :], axis=1) - np.einsum("ki,ij,kj->k", v, damping, v)
+        # Commands are held for a sample of 50 µs; powers go up to some kW.
+        gained = np.concatenate([[0.0], np.cumsum(np.diff(time) * (power[1:] + power[:-1]) / 2)])
+        np.testing.assert_allclose(gained, energy - energy[0], atol=2e-3 * np.ptp(energy))
+        assert np.ptp(energy) > 5.0

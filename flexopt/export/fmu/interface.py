@@ -178,7 +178,7 @@ class Interface:
         found += [Variable(f"end_point.{row}", "m", f"end-point, {row_text(row)}") for row in machine.task_rows]
         found += [Variable(f"error.{row}", "m", f"target less end-point, {row}") for row in machine.task_rows]
         found += [
-            Variable(f"torque.{joint}", EFFORT[unit][1], f"{joint}: {EFFORT[unit][0]} that acts from now on")
+            Variable(f"torque.{joint}", EFFORT[unit][1], f"{joint}: {EFFORT[unit][0]} that its drive gives from now on")
             for joint, unit in coordinates[plant.n_passive :]
         ]
         found.append(Variable("energy", "J", "kinetic, of the springs, and of the weight where it acts"))

@@ -21,6 +21,7 @@ from flexopt.loop.directions import Computed
 from flexopt.loop.flow import Flow
 from flexopt.loop.integrators import State
 from flexopt.loop.rest import design_constants, in_base_axes, placed, state_at_rest
+from flexopt.loop.small_motions import damping_entries
 from flexopt.loop.structure import JACOBIAN_DAMPING, Layout
 from flexopt.plant.machine_motion import constants_at, motion_of
 from flexopt.simulation.run import RESIDUAL_MAX
@@ -70,6 +71,10 @@ class FmuModel(Interface):
         parts |= {name: of[name] for name in loop.constants.sizes if name in of}
         resolutions = {name: of[name] for name in ("resolution", "rate_resolution") if name in of}
         parts |= {name: ca.repmat(value, plant.n_task, 1) for name, value in resolutions.items()}
+        if loop.structure.served:
+            # What a master sets is both; the joints' own is what the machine came with.
+            braked = list(damping_entries(machine))
+            parts["braking"] = p[braked] - (plant.parameter_values[braked] - ca.DM(s.parts["braking"]))
         if "filter_hz" in of:
             parts["filter"] = 2 * math.pi * of["filter_hz"]
         if "bandwidth_hz" in of:

@@ -186,11 +186,12 @@ def export_fmu(
     target = Path(path)
     given: dict[str, Any] = {"posture": posture} | keywords
     real = cast("Loop | None", loop) or (own_loop(machine, given) if kind == "co-simulation" else None)
-    served: Served | None = None
+    served, braking = cast("Served | None", None), 0.0
     if real is not None:
         own = machine
         machine, given, loop_numbers, sentences = with_loop(machine, real, given, "export_fmu")
-        if loop_numbers.drive == "velocity":
+        braking = loop_numbers.braking
+        if braking:
             served = Served(loop_numbers, _changed(own, machine))
         for sentence in sentences:
             warnings.warn(sentence, FlexoptWarning, stacklevel=3)
@@ -198,7 +199,8 @@ def export_fmu(
     _check_base_path(machine, checked)
     reference = target.with_name(f"{target.stem}_reference.csv")
     _check_replaceable(target, reference)
-    model = FmuModel(build_scenario(machine, checked), kind, _quiet(machine, checked), served)
+    scenario = build_scenario(machine, checked, braking=braking)
+    model = FmuModel(scenario, kind, _quiet(machine, checked, braking), served)
     try:
         content = body(model)
     except Unsupported as error:
@@ -266,11 +268,11 @@ def _check_replaceable(path: Path, reference: Path) -> None:
     raise_if_any(InputError, "export_fmu", [Fault("path", sentence, repr(str(path)))] if sentence else [])
 
 
-def _quiet(machine: AnyMachine, options: SimulationOptions) -> Trajectory:
+def _quiet(machine: AnyMachine, options: SimulationOptions, braking: float) -> Trajectory:
     """The run that the FMU reproduces: without the noise, which a master gives."""
     sensor = Sensor(**options.sensor.model_dump(exclude={"noise", "rate_noise"}))
     quiet = options.model_copy(update={"sensor": sensor})
-    return simulate_checked(build_scenario(machine, quiet))
+    return simulate_checked(build_scenario(machine, quiet, braking=braking))
 
 
 def _warnings(run: Trajectory) -> tuple[str, ...]:
