@@ -21,7 +21,7 @@ from flexopt.plotting.fields import cell_edges, draw_border, signed_colors
 from flexopt.plotting.panels import Panel, draw_panel
 from flexopt.plotting.scene import Actor, draw_scene, legend_above
 from flexopt.plotting.shape import chain, views
-from flexopt.plotting.sheet import sized
+from flexopt.plotting.sheet import SettledLayout, sized
 from flexopt.plotting.trajectory import plot_trajectories
 from flexopt.plotting.units import labelled
 from flexopt.robustness.residues import residue_unit
@@ -41,7 +41,7 @@ def plot_figure9(runs: Mapping[str, Trajectory], *, theme: Theme = "light", size
 @sized
 def plot_figure10(stopped: BaseTrajectory, climb: BaseTrajectory) -> Figure:
     """The base's way with and without a stop: the machine at its ends, base position, its rate and V over time."""
-    figure = Figure(figsize=(9.6, 4.9), layout="constrained")
+    figure = Figure(figsize=(9.6, 4.9), layout=SettledLayout())
     grid = figure.add_gridspec(3, 2, width_ratios=[1.15, 1.0])
     inks = colors()
     ends = {
@@ -92,7 +92,7 @@ def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: floa
         kv: held along a border.
         ratios: Kv/Kp held, s, two at most.
     """
-    figure = Figure(figsize=(4.3 * len(gains.names) + 0.8, 5.0), layout="constrained")
+    figure = Figure(figsize=(4.3 * len(gains.names) + 0.8, 5.0), layout=SettledLayout())
     inks, norm = colors(), SymLogNorm(RATE_LINEAR, vmin=-RATE_SHOWN, vmax=RATE_SHOWN)
     tested_kp, tested_kv = np.meshgrid(gains.tested_kp, gains.tested_kv)
     image: Any = None

@@ -19,7 +19,7 @@ from flexopt.article.gaps import GapSweep
 from flexopt.foundation.arrays import Array
 from flexopt.foundation.palette import colors
 from flexopt.plotting.fields import LOWEST_SHOWN, draw_arms, draw_field, draw_regions, label_plane
-from flexopt.plotting.sheet import sized
+from flexopt.plotting.sheet import SettledLayout, sized
 from flexopt.plotting.units import labelled
 from flexopt.plotting.workspace import dataset_plane
 from flexopt.robustness.residues import residue_unit, written_unit
@@ -33,7 +33,7 @@ NAMED = 0.1
 def plot_figure5(inverse: Any, arms: Arms) -> Figure:
     """In-phase regions of modes 1 to 3, and the first two together (their intersection)."""
     plane, in_phase = dataset_plane(inverse), _array(inverse, "in_phase")
-    figure = Figure(figsize=(9.0, 9.0), layout="constrained")
+    figure = Figure(figsize=(9.0, 9.0), layout=SettledLayout())
     panels = [*in_phase[:3], in_phase[0] * in_phase[1]]
     titles = ["(a) mode 1", "(b) mode 2", "(c) mode 3", "(d) modes 1 and 2 (intersection)"]
     for k, (title, values) in enumerate(zip(titles, panels, strict=True)):
@@ -48,7 +48,7 @@ def plot_figure5(inverse: Any, arms: Arms) -> Figure:
 @sized
 def plot_figure6(transpose: Any, inverse: Any, arms: Arms) -> Figure:
     """ε_max over the workspace."""
-    figure = Figure(figsize=(11.0, 4.9), layout="constrained")
+    figure = Figure(figsize=(11.0, 4.9), layout=SettledLayout())
     for k, (title, dataset) in enumerate((("(a) Jacobian transpose", transpose), ("(b) Jacobian inverse", inverse))):
         axes, plane = figure.add_subplot(1, 2, k + 1), dataset_plane(dataset)
         draw_field(axes, plane, _array(dataset, "epsilon_max"), label=labelled("$\\epsilon_{max}$", ""), clipped=True)
@@ -62,7 +62,7 @@ def plot_figure6(transpose: Any, inverse: Any, arms: Arms) -> Figure:
 @sized
 def plot_figure7(transpose: Any, inverse: Any) -> Figure:
     """w_i over the workspace: a row for each control, a column for each mode."""
-    figure = Figure(figsize=(13.0, 7.6), layout="constrained")
+    figure = Figure(figsize=(13.0, 7.6), layout=SettledLayout())
     for row, (control, dataset) in enumerate((("transpose", transpose), ("inverse", inverse))):
         plane, w, frequency = dataset_plane(dataset), _array(dataset, "w"), _array(dataset, "frequency_hz")
         unit = dataset["w"].attrs["units"]
@@ -81,7 +81,7 @@ def plot_figure8(transpose: Curve, inverse: Curve, marks: Mapping[str, float]) -
     """ε_max and w_1 along one height, with the end-points `marks` (name -> x, m) as thin lines."""
     inks = colors()
     epsilon_color, w_color = inks.series[0], inks.series[1]
-    figure = Figure(figsize=(12.5, 4.6), layout="constrained")
+    figure = Figure(figsize=(12.5, 4.6), layout=SettledLayout())
     for k, (title, curve) in enumerate((("(a) Jacobian transpose", transpose), ("(b) Jacobian inverse", inverse))):
         left = figure.add_subplot(1, 2, k + 1)
         right = left.twinx()
@@ -123,7 +123,7 @@ def _along(axes: Axes, curve: Curve, values: Array, color: str, label: str, styl
 @sized
 def plot_gaps(sweep: GapSweep) -> Figure:
     """ν-gap between rigid and full plant, and ε_max, as the damping grows; robust postures and others."""
-    figure = Figure(figsize=(12.0, 4.6), layout="constrained")
+    figure = Figure(figsize=(12.0, 4.6), layout=SettledLayout())
     panels: Sequence[tuple[str, Array]] = (("ν-gap to the rigid plant", sweep.nu_gap),
                                            ("$\\epsilon_{max}$", sweep.epsilon_max))  # fmt: skip
     for k, (label, values) in enumerate(panels):

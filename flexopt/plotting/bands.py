@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from flexopt.foundation.palette import colors
-from flexopt.plotting.sheet import Sheet, picture, themed
+from flexopt.plotting.sheet import SettledLayout, Sheet, picture, themed
 from flexopt.plotting.units import labelled
 
 # Ratio of the largest to the least from which an axis is logarithmic.
@@ -68,7 +68,7 @@ class Bands:
 @themed
 def plot_band(bands: Bands) -> Figure:
     """One measure."""
-    figure = Figure(figsize=(WIDTH, _height(bands)), layout="constrained")
+    figure = Figure(figsize=(WIDTH, _height(bands)), layout=SettledLayout())
     _draw(figure.add_subplot(), bands)
     return figure
 

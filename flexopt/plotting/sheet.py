@@ -39,6 +39,8 @@ PAGE, SLIDE = (7.16, 9.4), (10.0, 5.625)
 ROOM = 1.12
 DOTS: dict[Any, float] = {"paper": 300.0, "slide": 192.0}
 DOTS_OTHERWISE = 150.0
+# How often axes are placed at most: where the first cuts something, the second or third do not.
+LAYOUTS = 3
 
 Draw = Callable[..., None]
 T = TypeVar("T")
@@ -198,6 +200,26 @@ def sized(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     return fitting
 
 
+class SettledLayout(ConstrainedLayoutEngine):
+    """The constrained layout, again where it cuts something: axes that keep their proportions shrink after it."""
+
+    def execute(self, fig: Figure) -> None:
+        """Place axes."""
+        for _ in range(LAYOUTS):
+            super().execute(fig)
+            if all(axes.get_aspect() == "auto" for axes in fig.axes) or not _is_cut(fig):
+                return
+
+
+def _is_cut(figure: Figure) -> bool:
+    """Whether axes, with all that belongs to them, reach over the sheet's edge."""
+    renderer, whole = cast(Any, figure)._get_renderer(), figure.bbox
+    boxes = [axes.get_tightbbox(renderer) for axes in figure.axes if axes.get_visible()]
+    return any(
+        min(box.x0 - whole.x0, box.y0 - whole.y0, whole.x1 - box.x1, whole.y1 - box.y1) < 0 for box in boxes if box
+    )
+
+
 def placed_as(figure: Figure, drawn: Figure) -> None:
     """Axes and titles where they are in a figure that has been drawn and has the same contents, in other colours.
 
@@ -295,7 +317,7 @@ def _sheet(ax: Axes | Figure | SubFigure | None, inches: Inches, palette: Palett
     if ax is not None:
         ax.set_facecolor(palette.page)
         return Sheet(ax, None, palette, inches, way)
-    return Sheet(ShownFigure(figsize=inches, layout="constrained"), None, palette, inches, way)
+    return Sheet(ShownFigure(figsize=inches, layout=SettledLayout()), None, palette, inches, way)
 
 
 def _settings(palette: Palette, letters: float) -> dict[str, Any]:

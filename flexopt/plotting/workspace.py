@@ -24,7 +24,7 @@ from flexopt.plotting.fields import (
     draw_signed,
     label_plane,
 )
-from flexopt.plotting.sheet import Sheet, picture, themed
+from flexopt.plotting.sheet import SettledLayout, Sheet, picture, themed
 from flexopt.plotting.units import labelled
 from flexopt.robustness.residues import written_unit
 
@@ -119,7 +119,7 @@ def plot_quantities(chart: Any, *, marks: Mapping[str, tuple[float, float]]) -> 
     dataset = chart.dataset
     plane, found = dataset_plane(dataset), dict[str, Figure]()
     for panel in sum(_panels(dataset), list[MapPanel]()):
-        figure = Figure(figsize=(5.2, 1.3 + 1.6 * _each(plane)), layout="constrained")
+        figure = Figure(figsize=(5.2, 1.3 + 1.6 * _each(plane)), layout=SettledLayout())
         axes = figure.add_subplot()
         _draw(axes, plane, panel, best=dataset.attrs["over"] == "base")
         draw_marks(axes, _placed(plane, marks))

@@ -17,6 +17,7 @@ from flexopt.article.gaps import RIGID_MARGIN
 from flexopt.foundation.palette import PALETTES
 from flexopt.study import page
 from tests.cli.command import strict_json
+from tests.plotting.looking import faults
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
 
@@ -262,6 +263,14 @@ def test_figures_as_files(result, tmp_path):
     assert {file.stem for file in files} == {"gains", "gaps", "figures11and12", *(f"figure{k}" for k in range(5, 11))}
     for file in files:
         assert PALETTES["dark"].page.lower() in file.read_text(encoding="utf-8").lower()
+
+
+@pytest.mark.long("paper", "slide")
+@pytest.mark.parametrize("size", ["screen", "paper", "slide"])
+def test_no_text_of_a_figure_is_cut_or_lies_on_another(result, size):
+    found = {name: faults(figure) for name, figure in result.figures(theme="light", size=size).items()}
+    assert not any(found.values()), found
+    assert len(found) > 8
 
 
 def test_text(result):
