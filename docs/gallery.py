@@ -13,7 +13,7 @@ import flexopt
 
 FOLDER = "gallery"
 INTRODUCTION = """Each picture is drawn by the lines above it when these pages are built. One colour has one meaning in
-all of them: blue is what stands now, orange what is proposed, brown-red grows, teal settles, violet is undecided.
+all of them: blue is what stands now, orange what is proposed, red grows, teal settles, violet is undecided.
 [Sizes, themes and your own axes](../howto/pictures.md) are the same for every result."""
 
 
@@ -97,7 +97,7 @@ EXHIBITS = (
         'result.plot("FILE")',
     ),
     Exhibit(
-        "map-of-the-loop", "A map of the loop", "Teal settles, brown-red grows, black is the border.", "WorkspaceMap",
+        "map-of-the-loop", "A map of the loop", "Teal settles, red grows, black is the border.", "WorkspaceMap",
         'machine = flexopt.load("excavator")\nvary = {"kp": (1e3, 1e6), "kv": (1e2, 1e5)}\n'
         "result = flexopt.map_loop(machine, posture=(0.0448, -2.0499), vary=vary, points=(60, 60))\n"
         'result.plot("FILE")',

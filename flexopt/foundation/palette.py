@@ -74,7 +74,7 @@ class Palette(NamedTuple):
 
 LIGHT = Palette(
     page="#ffffff", panel="#f6f7f9", halo="#ffffff", text="#1c2530", muted="#566270", line="#c9d0d8", grid="#e3e6ea",
-    focus="#0050b3", present="#3b6ea5", chosen="#d95f02", other="#8a8f94", grows="#b23a00", settles="#0b6b5d",
+    focus="#0050b3", present="#3b6ea5", chosen="#d95f02", other="#8a8f94", grows="#a82505", settles="#0b6b5d",
     undecided="#8b7ca6", base="#777777", undercarriage="#444444", edge="#111111", ground="#efe9df",
     ground_line="#8a7a5c", target="#111111", obstacle="#8c564b", allowed="#1c8a5a", forbidden="#8e1b6b",
     in_phase="#f5d327", out_of_phase="#27509b", mark="#d81b1b", emphasis="#f0e442", measured="#9aa0a6",
@@ -82,7 +82,7 @@ LIGHT = Palette(
 )  # fmt: skip
 DARK = Palette(
     page="#12161b", panel="#1c2229", halo="#12161b", text="#e6eaef", muted="#a5b0bc", line="#3b4551", grid="#2b333c",
-    focus="#8fc1ff", present="#6fa3dc", chosen="#f0893a", other="#8f979f", grows="#ff8f57", settles="#4fc9b4",
+    focus="#8fc1ff", present="#6fa3dc", chosen="#f0893a", other="#8f979f", grows="#e03e64", settles="#4fc9b4",
     undecided="#a894d6", base="#9aa0a6", undercarriage="#b4bac1", edge="#05070a", ground="#2a2620",
     ground_line="#a08f6c", target="#f5f7fa", obstacle="#b98376", allowed="#4cc38a", forbidden="#d96bd0",
     in_phase="#f5d327", out_of_phase="#27509b", mark="#ff5a52", emphasis="#f0e442", measured="#7d868f",

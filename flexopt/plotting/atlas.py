@@ -27,6 +27,8 @@ EDGES = {
 }
 # Share of an axis that is shown beyond a limit; the two parts of a sheet so narrow stand one below the other, in.
 MARGIN, NARROW = 0.04, 6.0
+# And beyond a whole turn, so that a curve along its end is seen beside the frame.
+SEAM = 0.012
 
 
 @picture("Atlas", size=lambda _: (10.5, 6.2))
@@ -44,6 +46,9 @@ def plot_atlas(sheet: Sheet, atlas: Atlas) -> None:
     task.set_title("the end-point there" + (f", base at {place}" if place else ""))
     task.set_xlabel(f"{atlas.rows[0]}, m (inertial frame)")
     task.set_ylabel(f"{atlas.rows[-1]}, m (inertial frame)")
+    if not any((atlas.edges, atlas.curves, atlas.vanishing, atlas.isolated, atlas.doubly_robust)):
+        task.set_axis_off()
+        joints.text(0.5, 0.5, "nothing found here", transform=joints.transAxes, ha="center", color=inks.muted)
     for axes in (joints, task):
         axes.grid(color=inks.grid)
     handles, labels = joints.get_legend_handles_labels()
@@ -111,7 +116,8 @@ def _frame(axes: Axes, atlas: Atlas) -> None:
     """The plane of the two joints: ranges, and what lies beyond limits hatched."""
     ranges = np.array([atlas.x_range, atlas.y_range])
     spans = np.ptp(ranges, axis=1)
-    shown = ranges + MARGIN * spans[:, None] * ([-1, 1] * ~np.array(atlas.periodic)[:, None])
+    beyond = np.where(atlas.periodic, SEAM, MARGIN)
+    shown = ranges + (beyond * spans)[:, None] * [-1, 1]
     style: dict[str, Any] = {
         "label": "beyond the joints' limits",
         "facecolor": colors().grid,

@@ -21,8 +21,6 @@ from flexopt.plotting.units import labelled
 
 # Ratio of the largest to the least from which an axis is logarithmic.
 LOG_FROM = 20.0
-# Of what is neither the present choice nor the one that is told of.
-PALE = 0.45
 WIDTH = 3.9  # inches
 # Panels of a verdict beside each other: below each other, or in rows on a sheet that is wider than high.
 COLUMNS = (1, 2, 3)
@@ -119,14 +117,14 @@ def _draw(axes: Axes, bands: Bands) -> None:
             fontsize="x-small", color=inks.grows,
         )  # fmt: skip
     for k, row in enumerate(bands.rows):
-        color = inks.present if row.name == bands.present else inks.chosen
-        alpha = 1.0 if row.name in (bands.present, bands.told) else PALE
+        told = inks.chosen if row.name == bands.told else inks.other
+        color = inks.present if row.name == bands.present else told
         if not math.isnan(row.least + row.greatest):
             ends = [min(max(v, low), high) for v in (row.least, row.greatest)]
-            axes.plot(ends, [k, k], color=color, alpha=alpha, linewidth=7, solid_capstyle="butt", zorder=3)
-            axes.plot(ends, [k, k], "|", color=color, alpha=alpha, markersize=11, markeredgewidth=2, zorder=3)
+            axes.plot(ends, [k, k], color=color, linewidth=7, solid_capstyle="butt", zorder=3)
+            axes.plot(ends, [k, k], "|", color=color, markersize=11, markeredgewidth=2, zorder=3)
             if math.isinf(row.greatest):
-                axes.plot([high], [k], ">", color=color, alpha=alpha, markersize=9, clip_on=False, zorder=4)
+                axes.plot([high], [k], ">", color=color, markersize=9, clip_on=False, zorder=4)
         if math.isfinite(row.nominal):
             axes.plot(
                 [row.nominal], [k], "o", color=inks.page, markeredgecolor=inks.text, markersize=5.5,

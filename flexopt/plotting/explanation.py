@@ -86,7 +86,7 @@ def _draw_arrows(axes: Axes, view: View, shape: Shape, found: Any, i: int) -> No
     ends = [view.of(tip)]
     for name, vector, color, width in (
         ("a: the end-point moves so", found.a[:, i], inks.series[1], 3.2),
-        ("b: feedback pushes it so", found.b[:, i], inks.chosen, 1.4),
+        ("b: feedback pushes it so", found.b[:, i], inks.series[2], 1.4),
     ):
         along = _in_space(vector, rows, tip.size)
         if along is None:

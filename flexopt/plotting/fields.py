@@ -15,7 +15,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize, TwoSlopeNorm, to_rgb
 from matplotlib.image import AxesImage
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
 from flexopt.foundation.arrays import Array
 from flexopt.foundation.palette import colors
@@ -24,6 +24,8 @@ from flexopt.foundation.palette import colors
 LOWEST_SHOWN = 0.05
 # Share of a field by which its values differ from rounding alone.
 SAME = 1e-9
+# A range up to which an axis that is logarithmic has no powers of ten enough.
+DECADES = 100.0
 # How far from an end-point its name stands, as a share of a field's width.
 BESIDE = 0.08
 
@@ -181,8 +183,15 @@ def label_plane(axes: Axes, plane: FieldPlane, title: str, *, left: bool = True,
     axes.set_title(title)
     axes.set_xlabel(plane.x_label if bottom else "")
     axes.set_ylabel(plane.y_label if left else "")
-    for axis, log in zip((axes.xaxis, axes.yaxis), plane.logarithmic, strict=True):
-        if log:
+    for axis, log, values in zip((axes.xaxis, axes.yaxis), plane.logarithmic, (plane.x, plane.y), strict=True):
+        if log and values.max() < DECADES * values.min():
+            # Too few whole powers of ten.
+            low = math.floor(math.log10(values.min()))
+            steps = [m * 10.0**k for k in range(low, low + 4) for m in (1, 2, 5)]
+            shown = [step for step in steps if values.min() <= step * (1 + SAME) and step <= values.max() * (1 + SAME)]
+            axis.set_major_locator(FixedLocator(np.log10(shown).tolist()))
+            axis.set_major_formatter(lambda value, _: f"{10**value:.3g}")
+        elif log:
             axis.set_major_locator(MaxNLocator(4, integer=True))
             axis.set_major_formatter(lambda value, _: f"$10^{{{value:g}}}$")
         else:

@@ -109,21 +109,26 @@ def _draw_measure(axes: Axes, selection: Selection, mode: int) -> None:
                 axes.plot(part_x, part_w, color=color, label=name if k == 0 else None)
         else:
             axes.plot(x, w, ".", color=color, markersize=2.5, alpha=0.5, label=name)
-    others = selection.candidates[1:]
-    axes.plot(
-        [c.evaluation.base[0] for c in others], [c.evaluation.w[mode] for c in others], "o", color=inks.page,
-        markeredgecolor=inks.other, markersize=4.5, linestyle="none", label="other local optima", zorder=4,
-    )  # fmt: skip
+    drawn = [best] if initial is None else [best, initial]
+    floor = min(float(np.quantile(scan.w[mode], WORST_SHOWN)), *(e.w[mode] for e in drawn))
+    bottom = 1.12 * floor
+    others = [(c.evaluation.base[0], c.evaluation.w[mode]) for c in selection.candidates[1:]]
+    # One that is far worse would leave nothing to be seen of all the others.
+    for marker, name, shown in (
+        ("o", "other local optima", [at for at in others if at[1] >= bottom]),
+        ("v", "below", [(x, bottom) for x, w in others if w < bottom]),
+    ):
+        axes.plot(
+            *np.array(shown).reshape(-1, 2).T, marker, color=inks.page, markeredgecolor=inks.other, markersize=4.5,
+            linestyle="none", label=name if shown else "_", zorder=4, clip_on=marker == "o",
+        )  # fmt: skip
     if initial is not None:
         axes.plot(initial.base[0], initial.w[mode], "s", color=inks.present, markersize=7, label="present", zorder=5)
     axes.plot(
         best.base[0], best.w[mode], "*", color=inks.chosen, markersize=14, markeredgecolor=inks.edge, label="chosen",
         zorder=6,
     )  # fmt: skip
-    drawn = [best, *(each.evaluation for each in others), *([] if initial is None else [initial])]
-    shown = [e.w[mode] for e in drawn]
-    floor = min(float(np.quantile(scan.w[mode], WORST_SHOWN)), *shown)
-    axes.set_ylim(1.12 * floor, -0.1 * floor if floor < 0 else 1.0)
+    axes.set_ylim(bottom, -0.1 * floor if floor < 0 else 1.0)
     axes.axhline(0.0, color=inks.muted, linewidth=0.8, zorder=0)
     axes.set_ylabel(measure_label(best, str(mode + 1)))
     axes.locator_params(axis="y", nbins=5)

@@ -171,7 +171,9 @@ def map_loop(
                "points": list(size), "loop": settings.to_dict()}  # fmt: skip
     dataset = loop_dataset(grid, result, machine)
     present = {each.name: _present(machine, settings, each) for each in (x, y)}
-    marks = {"present": (present[x.name], present[y.name])} if all(map(math.isfinite, present.values())) else {}
+    # Numbers that nobody gave follow from the machine.
+    name = "proposed" if {x.name, y.name} & (settings.sources.keys() - {DEAD_TIME}) else "present"
+    marks = {name: (present[x.name], present[y.name])} if all(map(math.isfinite, present.values())) else {}
     marks = {name: at for name, at in marks.items() if x.low <= at[0] <= x.high and y.low <= at[1] <= y.high}
     proof = provenance(machine, **options)
     dataset.attrs |= {

@@ -14,6 +14,7 @@ from flexopt.foundation.palette import PALETTES, THEMES, Palette
 TOGETHER = (
     ("present", "chosen", "other"),
     ("grows", "settles", "undecided"),
+    ("chosen", "grows"),
     ("allowed", "forbidden"),
     ("in_phase", "out_of_phase"),
     ("measured", "fitted"),
