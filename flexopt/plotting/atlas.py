@@ -47,7 +47,7 @@ def plot_atlas(sheet: Sheet, atlas: Atlas) -> None:
     task.set_xlabel(f"{atlas.rows[0]}, m (inertial frame)")
     task.set_ylabel(f"{atlas.rows[-1]}, m (inertial frame)")
     if not any((atlas.edges, atlas.curves, atlas.vanishing, atlas.isolated, atlas.doubly_robust)):
-        task.set_axis_off()
+        task.set_visible(False)
         joints.text(0.5, 0.5, "nothing found here", transform=joints.transAxes, ha="center", color=inks.muted)
     for axes in (joints, task):
         axes.grid(color=inks.grid)

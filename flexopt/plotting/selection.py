@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import MaxNLocator
@@ -67,7 +68,10 @@ def _draw_along_redundancy(figure: Figure | SubFigure, panels: list[Axes], selec
         panel.tick_params(labelbottom=mode == len(panels) - 1)
     e = selection.best.evaluation
     panels[-1].set_xlabel(f"placement {mathtext(e.base_coordinates[0])}, {e.base_units[0]}")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower right", ncols=5, frameon=False)
+    named: dict[str, Artist] = {}
+    for panel in panels:
+        named = dict(zip(*reversed(panel.get_legend_handles_labels()), strict=True)) | named
+    figure.legend([*named.values()], [*named], loc="outside lower right", ncols=6, frameon=False)
 
 
 def draw_configurations(axes: Sequence[Axes], selection: Selection) -> None:
@@ -116,11 +120,11 @@ def _draw_measure(axes: Axes, selection: Selection, mode: int) -> None:
     # One that is far worse would leave nothing to be seen of all the others.
     for marker, name, shown in (
         ("o", "other local optima", [at for at in others if at[1] >= bottom]),
-        ("v", "below", [(x, bottom) for x, w in others if w < bottom]),
+        ("v", "further below", [(x, 1.07 * floor) for x, w in others if w < bottom]),
     ):
         axes.plot(
             *np.array(shown).reshape(-1, 2).T, marker, color=inks.page, markeredgecolor=inks.other, markersize=4.5,
-            linestyle="none", label=name if shown else "_", zorder=4, clip_on=marker == "o",
+            linestyle="none", label=name if shown else "_", zorder=4,
         )  # fmt: skip
     if initial is not None:
         axes.plot(initial.base[0], initial.w[mode], "s", color=inks.present, markersize=7, label="present", zorder=5)

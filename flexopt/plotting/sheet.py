@@ -205,9 +205,12 @@ class SettledLayout(ConstrainedLayoutEngine):
 
     def execute(self, fig: Figure) -> None:
         """Place axes."""
-        for _ in range(LAYOUTS):
+        kept = [axes for axes in fig.axes if axes.get_aspect() != "auto"]
+        # Axes that change their limits in place of their box would do so again.
+        often = bool(kept) and not any(_gives_way(axes) for axes in kept)
+        for _ in range(LAYOUTS if often else 1):
             super().execute(fig)
-            if all(axes.get_aspect() == "auto" for axes in fig.axes) or not _is_cut(fig):
+            if not often or not _is_cut(fig):
                 return
 
 

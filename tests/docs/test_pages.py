@@ -12,7 +12,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
+from PIL import Image
+
+import flexopt
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted({*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "howto").glob("*.md"), ROOT / "README.md"})
@@ -101,3 +105,15 @@ def test_the_blocks_of_a_page_run(path: Path, tmp_path: Path, monkeypatch: pytes
     names: dict[str, Any] = {"__name__": "page"}
     for block in blocks(path.read_text(encoding="utf-8")):
         run(block, names)
+
+
+def test_the_readmes_picture_is_what_its_command_draws(tmp_path: Path) -> None:
+    """Eyes would see more than a mean; it sees another axis, another line, other numbers in the legend."""
+    flexopt.solve_problem(flexopt.load_problem("article")).plot(tmp_path / "article.png")
+
+    def small(path: Path) -> np.ndarray:
+        # Of letters and lines what remains where Matplotlib sets them a point apart.
+        return np.asarray(Image.open(path).convert("L").resize((210, 112), Image.Resampling.BOX), dtype=float)
+
+    drawn, kept = small(tmp_path / "article.png"), small(ROOT / "docs" / "article.png")
+    assert np.abs(drawn - kept).mean() < 0.5  # of 255; another axis of one panel is 1.5 off
