@@ -57,7 +57,8 @@ class Loop(BuiltByCall):
             torque servo_gain · (rate asked for − rate).
         servo_gain: of velocity-served joints, N m s/rad or N s/m; by default the largest at which no full lever asks a
             joint for more than its effort, or where a cylinder with a force drives it, than that gives.
-        torque_limit, rate_limit: of the drives, as in `flexopt.Actuator`; small motions do not feel them.
+        torque_limit, rate_limit: of drives that are asked for torques, as in `flexopt.Actuator`; small motions do not
+            feel them.
         nullspace_damping: of the self-motion of an arm with more joints than task rows, N m s/rad or N s/m.
 
     Example:
@@ -132,6 +133,11 @@ def loop_faults(loop: Loop, machine: Any, prefix: str = "") -> list[Fault]:
         lacking = f"no speed of {', '.join(missing)}" if missing else "no effort of any joint"
         sentence = f'drive = "velocity" needs it: {machine.name} names {lacking}, from which it would follow'
         found.append(Fault("servo_gain", sentence))
+    if drive_of(loop, machine) == "velocity":
+        sentence = 'goes with drive = "torque": drives that serve rates give torques of their own, and a run tells '
+        sentence += "where these are more than the efforts of its joints"
+        limits = {name: getattr(loop, name) for name in ("torque_limit", "rate_limit")}
+        found += [Fault(name, sentence, str(list(each))) for name, each in limits.items() if each is not None]
     return [Fault(f"{prefix}{fault.field}", fault.sentence, fault.value) for fault in found]
 
 

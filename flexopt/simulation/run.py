@@ -251,7 +251,7 @@ def _trajectory(
     sentences += _warnings(s, plant, outputs, of, brake, left)
     saturating = "actuator.torque_limit" if settings is None else "loop.torque_limit"
     joints, rates, torques = (outputs[name][-plant.n_actuated :] for name in ("q", "v", "torque"))
-    saturating = "" if s.options.actuator.torque_limit is not None else saturating
+    saturating = "" if s.options.actuator.torque_limit is not None or s.loop.structure.served else saturating
     if of.finite_until[0] >= s.times[-1]:
         # What diverges has no extremes.
         sentences += beyond_the_machine(s.machine, joints, rates, torques, saturating)

@@ -43,6 +43,7 @@ from flexopt.study.place_loops import (
     PlaceLoops,
     Slowest,
     besides_driving,
+    broken_at,
     configurations_of,
     drive_to,
     problems_of,
@@ -179,6 +180,7 @@ def verdict(
     decision = decide(
         stay, rest, changed and changed[0], unconfirmed, tried=tried, refuted=refuted, gains=gains,
         alternates=_alternates(loops, slowest) if tried else "",
+        breaks=broken_at(chosen, [(e.base, e.posture) for e in stands[STAY]]) if STAY in stands else "",
     )  # fmt: skip
     places = tuple(
         _place(name, stands[name], loops[name], decays, slowest[name], drives[name], shown.get(name)) for name in told

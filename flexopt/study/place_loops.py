@@ -21,6 +21,8 @@ from flexopt.model import AnyMachine
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.continua import unwound
+from flexopt.selection.outcomes.result import OutcomeSelection
+from flexopt.selection.problem import broken
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.postures import reached_from
 from flexopt.study.confirmation import Runs, nonlinear_runs, of_all
@@ -92,6 +94,16 @@ class PlaceLoops:
 def problems_of(chosen: Chosen) -> tuple[SelectionProblem, ...]:
     """The problem of each target."""
     return (chosen.problem,) if isinstance(chosen, Selection) else chosen.problems
+
+
+def broken_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:
+    """Which limits and constraints a place breaks, (base, posture) at each target: "breaks …", empty where none."""
+    found = [broken(problem, np.concatenate(held)) for problem, held in zip(problems_of(chosen), stand, strict=True)]
+    if isinstance(chosen, OutcomeSelection) and chosen.present_broken:
+        found.append(f"breaks {', '.join(chosen.present_broken)}")
+    if len(stand) == 1:
+        return "; ".join(filter(None, found))
+    return "; ".join(f"{sentence} at target {k}" for k, sentence in enumerate(found, start=1) if sentence)
 
 
 def configurations_of(chosen: Chosen) -> dict[str, Configurations]:

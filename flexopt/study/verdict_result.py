@@ -19,11 +19,11 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
-from flexopt.selection.problem import broken, elsewhere, reached
+from flexopt.selection.problem import elsewhere, reached
 from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import FASTER, RULE, Word, gains_in_words, spoken
-from flexopt.study.place_loops import Chosen, found_in, problems_of
+from flexopt.study.place_loops import Chosen, broken_at, found_in, problems_of
 from flexopt.study.places import FIRST, MOVE, STAY, TOLD, allowed, told
 
 if TYPE_CHECKING:
@@ -120,6 +120,7 @@ class Verdict(Pictured, Result):
         present_end_point: where staying holds the end-point at each target, (K, n_task), m; None where no posture
             reaches them from there.  present_off: how far from its target, of several the farthest, m, or None: what
             is more than a centimetre off is told in words, too, and the numbers of staying are those beside the target.
+        present_breaks: which constraints staying does not keep, "breaks …"; empty where it keeps them.
 
     Example:
         >>> len(answer.places) == len(answer.table)
@@ -140,7 +141,8 @@ class Verdict(Pictured, Result):
     provenance: Document = field(repr=False)
 
     DOCUMENT = """
-    word sentence place reason drawbacks measure gains rule targets[m] present_end_point[m] present_off[m] places
+    word sentence place reason drawbacks measure gains rule targets[m] present_end_point[m] present_off[m]
+    present_breaks places
     settings uncertainty=_uncertainty members judged proven provenance
     """
 
@@ -199,11 +201,15 @@ class Verdict(Pictured, Result):
     @property
     def present_told(self) -> str:
         """Where the present posture of one target is off it, and which constraints it breaks; empty where neither."""
-        problem, several = self.problems[0], len(self.problems) > 1
-        if self._stay is None or several:
+        if self._stay is None:
             return ""
-        z = np.concatenate(self._stay.stands[0])
-        return "; ".join(filter(None, (elsewhere(problem, z), broken(problem, z))))
+        off = "" if len(self.problems) > 1 else elsewhere(self.problems[0], np.concatenate(self._stay.stands[0]))
+        return "; ".join(filter(None, (off, self.present_breaks)))
+
+    @property
+    def present_breaks(self) -> str:
+        """See the class."""
+        return "" if self._stay is None else broken_at(self.selection, self._stay.stands)
 
     @property
     def sentence(self) -> str:

@@ -32,6 +32,7 @@ from flexopt.foundation.documents import json_ready, package_version, provenance
 from flexopt.foundation.escapes import c_identifier
 from flexopt.foundation.results import Tabled
 from flexopt.foundation.writing import write_files
+from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.simulation import Sensor, SimulationKeywords, SimulationOptions, placement_of
@@ -39,7 +40,14 @@ from flexopt.model.simulation_faults import own_loop
 from flexopt.plant.machine_motion import full_structure, motion_of
 from flexopt.simulation.real_loop import note_loop, with_loop
 from flexopt.simulation.run import simulate_checked
-from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options, given_options, note_options
+from flexopt.simulation.scenario import (
+    SIMULATED,
+    Scenario,
+    build_scenario,
+    checked_options,
+    given_options,
+    note_options,
+)
 from flexopt.simulation.trajectory import Trajectory
 
 TOOL = "flexopt"
@@ -186,21 +194,21 @@ def export_fmu(
     target = Path(path)
     given: dict[str, Any] = {"posture": posture} | keywords
     real = cast("Loop | None", loop) or (own_loop(machine, given) if kind == "co-simulation" else None)
-    served, braking = cast("Served | None", None), 0.0
+    numbers: LoopSettings | None = None
+    served: Served | None = None
     if real is not None:
         own = machine
-        machine, given, loop_numbers, sentences = with_loop(machine, real, given, "export_fmu")
-        braking = loop_numbers.braking
-        if braking:
-            served = Served(loop_numbers, _changed(own, machine))
+        machine, given, numbers, sentences = with_loop(machine, real, given, "export_fmu")
+        if numbers.braking:
+            served = Served(numbers, _changed(own, machine))
         for sentence in sentences:
             warnings.warn(sentence, FlexoptWarning, stacklevel=3)
     checked = checked_options("export_fmu", machine, _loop_options(kind, given))
     _check_base_path(machine, checked)
     reference = target.with_name(f"{target.stem}_reference.csv")
     _check_replaceable(target, reference)
-    scenario = build_scenario(machine, checked, braking=braking)
-    model = FmuModel(scenario, kind, _quiet(machine, checked, braking), served)
+    scenario = _scenario(machine, checked, numbers)
+    model = FmuModel(scenario, kind, _quiet(machine, checked, numbers), served)
     try:
         content = body(model)
     except Unsupported as error:
@@ -268,11 +276,15 @@ def _check_replaceable(path: Path, reference: Path) -> None:
     raise_if_any(InputError, "export_fmu", [Fault("path", sentence, repr(str(path)))] if sentence else [])
 
 
-def _quiet(machine: AnyMachine, options: SimulationOptions, braking: float) -> Trajectory:
+def _scenario(machine: AnyMachine, options: SimulationOptions, numbers: LoopSettings | None) -> Scenario:
+    return build_scenario(machine, options, braking=0.0 if numbers is None else numbers.braking)
+
+
+def _quiet(machine: AnyMachine, options: SimulationOptions, numbers: LoopSettings | None) -> Trajectory:
     """The run that the FMU reproduces: without the noise, which a master gives."""
     sensor = Sensor(**options.sensor.model_dump(exclude={"noise", "rate_noise"}))
     quiet = options.model_copy(update={"sensor": sensor})
-    return simulate_checked(build_scenario(machine, quiet, braking=braking))
+    return simulate_checked(_scenario(machine, quiet, numbers), numbers)
 
 
 def _warnings(run: Trajectory) -> tuple[str, ...]:
