@@ -83,6 +83,10 @@ print(
 )
 
 # %% [markdown]
+# Where this is at the edge of the grid, as it is here, there may be better beyond it: a study ranks what it was asked for, `flexopt.select`
+# looks for the best.
+
+# %% [markdown]
 # ## Nothing is lost
 #
 # A chunk that was altered, by a disk or by hand, is found by its checksum and computed again; the others are kept.

@@ -76,7 +76,8 @@ if shutil.which("cc"):
 # %% [markdown]
 # ## Run it
 #
-# The example of the bundle, as its README says:
+# The example of the bundle, as its README says. It shows the calls: the plain law, closed around a stand-in for the machine, an arm
+# of equal inertias on rigid ground.
 
 # %%
 if shutil.which("cc") and shutil.which("make"):
@@ -84,9 +85,10 @@ if shutil.which("cc") and shutil.which("make"):
     print(done.stdout[-1500:], done.stderr[-500:])
 
 # %% [markdown]
-# ## The same numbers in a nonlinear run
+# ## The machine's own loop in a nonlinear run
 #
-# What the C does sample by sample is what `simulate` does; here the run that belongs to it.
+# `simulate` does sample by sample what the exported step of this loop does; here on the machine, whose base swings, with the gains
+# above. Its end-point settles as late as the outcome says.
 
 # %%
 run = flexopt.simulate(machine, best.posture, base=best.base, loop=loop, duration=20.0)

@@ -66,7 +66,8 @@ def _servo_gain(result: Reproduction) -> str:
     return (
         f"The servo gain kr is not printed. kr = {gain.kr:.5g} gives posture A ({gain.reading}) its ε_max of "
         f"{gain.printed}, and {gain.interval[0]:.4g} to {gain.interval[1]:.4g} round to it; A is thus no test of "
-        f"ε_max, but B is. kr = {gain.other:.4g} would suit A, too, but makes B {gain.other_epsilon_b:.4f}."
+        f"ε_max, but B is. kr = {gain.other:.4g} would suit A, too, but makes B, "
+        f"at the point of its measures, {gain.other_epsilon_b:.4f}."
     )
 
 

@@ -119,7 +119,8 @@ class ArticleTable(Result):
             "printed, of ε_max the difference",
             f"kr = {gain.kr:.4g} N m gives posture A ({gain.reading}) its printed ε_max = {gain.printed}; "
             f"{gain.interval[0]:.4g} to {gain.interval[1]:.4g} round to it. kr = {gain.other:.4g} would, too, "
-            f"but makes posture B {gain.other_epsilon_b:.4f}, printed {PRINTED_EPSILON['B']}.",
+            f"but makes posture B, at the point of its measures, {gain.other_epsilon_b:.4f}, "
+            f"printed {PRINTED_EPSILON['B']}.",
         ]
         for row in self.rows:
             e = row.evaluation

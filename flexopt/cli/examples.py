@@ -59,7 +59,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "select": ("flexopt select excavator --end-point 0,1.6 --base 0", "flexopt select article --plot choice.png"),
     "sensitivity": (
         "flexopt sensitivity excavator --posture 0.9929,-2.6306 --ranges payload.mass=0,500",
-        "flexopt sensitivity excavator --posture 0.9929,-2.6306 --loop kp=1e4 --plot what.png",
+        "flexopt sensitivity excavator --posture 0.9929,-2.6306 --ranges payload.mass=0,500 --loop kp=1e4 --plot a.png",
     ),
     "study": (
         "flexopt study run excavator-study --out soils --workers 2",

@@ -163,11 +163,12 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
     peaks, centres = _periods(times[begin:], judged, grounds.slowest_hz)
     peaks, elastic = peaks[:, :modes], peaks[:, modes:]
     bent = QUASI_STATIC * elastic if grounds.drifting else 0.0
-    rate, error, bend, first, last = _growth(peaks, centres, grounds.still, bent)
+    rate, error, bend, first, last, fallen = _growth(peaks, centres, grounds.still, bent)
     with np.errstate(invalid="ignore", divide="ignore"):
         growing = last >= GROWN * first
         if not grounds.noisy:
             growing |= (rate > 2 * error) | ((last >= first) & (rate > -2 * error))
+        growing &= ~fallen
         wavering = np.any((np.abs(rate) <= 2 * error) & (last < GROWN * first), axis=0)
         clearly = growing & (rate > 2 * error)
         times_larger = np.where(growing & (first > 0), last / first, 1.0)
@@ -240,21 +241,29 @@ def _periods(times: Vector, energy: Vector, slowest_hz: float) -> tuple[Vector, 
 
 def _growth(
     peaks: Vector, centres: Vector, still: Vector | float, bent: Vector | float
-) -> tuple[Vector, Vector, Vector, Vector, Vector]:
+) -> tuple[Vector, Vector, Vector, Vector, Vector, NDArray[np.bool_]]:
     """Growth rate, its standard error, by how much halves differ, amplitudes in the first and last period, each (m, N).
 
+    Last which modes are left with what they are bent by.
+
     Of the periods from where a mode first leaves rounding and what it is bent by, to where it falls back or to the end.
+    A slow swing of the whole arm bends it and lets it go: what it is bent by is left for good where it is so in most of
+    the periods that follow. A mode that falls back to that does not grow, whatever the swing made of it before.
     """
     largest = np.maximum.accumulate(np.max(peaks, axis=1), axis=0)[:, None]
+    count = len(peaks) - np.arange(len(peaks))[:, None, None]
     with np.errstate(invalid="ignore"):
-        above = (
-            np.isfinite(peaks) & (peaks > np.maximum(ROUNDING * largest, np.reshape(still, (-1, 1)))) & (peaks > bent)
-        )
-    begun = np.logical_or.accumulate(above, axis=0)
-    whole = begun & ~np.logical_or.accumulate(begun & ~above, axis=0)
+        there = np.isfinite(peaks) & (peaks > np.maximum(ROUNDING * largest, np.reshape(still, (-1, 1))))
+        moving = there & (peaks > bent)
+    begun = np.logical_or.accumulate(moving, axis=0)
+    mostly = 2 * np.cumsum(moving[::-1], axis=0)[::-1] >= count
+    whole = begun & ~np.logical_or.accumulate(begun & ~(there & (moving | mostly)), axis=0)
     begin, length = np.argmax(whole, axis=0), np.sum(whole, axis=0)
-    fitted = begin + np.minimum(length // 2, np.maximum(length - FEWEST_FITTED, 0))
-    used = whole & (np.arange(len(peaks))[:, None, None] >= fitted)
+    ended = begin + np.maximum(length - 1, 0)
+    after = np.minimum(ended + 1, len(peaks) - 1)
+    fallen = (ended < after) & np.take_along_axis(there, after[None], axis=0)[0]
+    fitted = begin + np.where(fallen, 0, np.minimum(length // 2, np.maximum(length - FEWEST_FITTED, 0)))
+    used = whole & moving & (np.arange(len(peaks))[:, None, None] >= fitted)
     n = np.sum(used, axis=0)
     rate, error, spread = _slope(peaks, centres, used)
     late = used & (np.arange(len(peaks))[:, None, None] >= fitted + n // 2)
@@ -271,12 +280,10 @@ def _growth(
         error = np.where(n < FEWEST_FITTED, np.abs(rate), error)
         # What sets in later is compared with where the fit begins: it may have been pushed.
         start = np.where(begin == 0, 0, fitted)
-        first, last = (
-            np.sqrt(np.take_along_axis(peaks, at[None], axis=0)[0]) for at in (start, begin + np.maximum(length - 1, 0))
-        )
-    unmoved = length < 2
+        first, last = (np.sqrt(np.take_along_axis(peaks, at[None], axis=0)[0]) for at in (start, ended))
+    unmoved = (length < 2) | (n < 2)
     return (np.where(unmoved, np.nan, rate), np.where(unmoved, np.nan, error), np.where(unmoved, 0.0, bend),
-            np.where(unmoved, 1.0, first), np.where(unmoved, 0.0, last))  # fmt: skip
+            np.where(unmoved, 1.0, first), np.where(unmoved, 0.0, last), fallen)  # fmt: skip
 
 
 def _slope(peaks: Vector, centres: Vector, used: NDArray[np.bool_]) -> tuple[Vector, Vector, Vector]:

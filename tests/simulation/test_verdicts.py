@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -222,3 +223,20 @@ def test_random_machines_are_never_contradicted():
     assert decided > 6
     assert found.verdicts["converges", "converges"] > 0 < found.verdicts["grows", "grows"]
     assert found.redundant > 1
+
+
+@pytest.mark.long("40.0")
+@pytest.mark.filterwarnings("ignore::flexopt.FlexoptWarning")
+@pytest.mark.parametrize("duration", [10.0, 40.0])
+def test_a_slow_swing_of_an_arm_that_drifts_is_no_growth(duration: float) -> None:
+    """At 0.13 Hz the arm bends its base and lets it go; the base's own swing dies away within a second.
+
+    Largest deflections over whole swings judge it, which get smaller throughout.
+    """
+    run = flexopt.simulate(flexopt.load("boom-stick-bucket"), (-0.8, -1.5, -0.5), duration=duration)
+    swing = round(1 / 0.134 * 200)
+    largest = [np.abs(run.deflection[k : k + swing]).max() for k in range(0, len(run.time) - swing, swing)]
+    assert all(later < sooner for sooner, later in pairwise(largest))
+    assert run.run.word == "converges"
+    assert run.growth_rate < 2 * run.growth_rate_error
+    assert run.verdict == "converges"
