@@ -4,6 +4,7 @@
 # (the stubs of matplotlib leave keyword arguments untyped)
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -29,6 +30,8 @@ EDGES = {
 MARGIN, NARROW = 0.04, 6.0
 # And beyond a whole turn, so that a curve along its end is seen beside the frame.
 SEAM = 0.012
+# Letters of a line over the left part.
+LETTERS = 48
 
 
 @picture("Atlas", size=lambda _: (10.5, 6.2))
@@ -136,8 +139,12 @@ def _frame(axes: Axes, atlas: Atlas) -> None:
     x, y = (f"{mathtext(name)}, {unit}" for name, unit in zip(atlas.varied, atlas.units, strict=True))
     axes.set_xlabel(x)
     axes.set_ylabel(y)
-    listed = ", ".join(f"{mathtext(name)} = {value:g} {unit}" for name, value, unit in atlas.held)
-    axes.set_title("robust postures" + (f", {mathtext(listed, TITLE_MAX)}" if listed else ""))
+    # Lines end between joints.
+    listed = ", ".join(
+        f"{name} = {value:g} {unit}".replace(" ", "\N{NO-BREAK SPACE}") for name, value, unit in atlas.held
+    )
+    title = "robust postures" + (f", {listed}" if listed else "")
+    axes.set_title("\n".join(mathtext(line, TITLE_MAX) for line in textwrap.wrap(title, LETTERS)))
 
 
 def _broken(atlas: Atlas, points: Vector) -> Vector:

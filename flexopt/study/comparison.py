@@ -16,6 +16,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.doubt import with_doubt
 from flexopt.foundation.plain import shown
 from flexopt.foundation.results import Result
 from flexopt.model.loop import GAINS
@@ -118,9 +119,6 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[SavedQuantity, ...]]] = {
 ROUNDING = 1e-12
 # Letters of a line in the table: longer words and sentences go on in the next.
 LETTERS = 40
-# A number with an error has two digits of it, unless it is below this share of the number; more decimals, or zeros
-# before the point, are written as a power of ten.
-BELOW, LONGEST = 5e-6, 8
 # What runs have by default whatever else they are asked; the servo gain follows from the machine.
 ALWAYS: dict[str, Any] = SimulationOptions.model_construct().model_dump(mode="json")
 ALWAYS["actuator"].pop("servo_gain")
@@ -405,12 +403,4 @@ def _text(value: float | str | None, error: float | None) -> str:
         return "–"
     if isinstance(value, str):
         return value
-    # An error that is less than what five digits leave out would claim more of them than it holds for.
-    if not error or not math.isfinite(value + error) or error < BELOW * abs(value):
-        return f"{value:.5g}"
-    decimals = 1 - math.floor(math.log10(error))
-    if not -LONGEST < decimals < LONGEST:
-        digits = max(1, math.floor(math.log10(abs(value) or error)) + decimals + 1)
-        return f"{value:#.{digits}g} ± {error:#.2g}"
-    told, doubt = (f"{round(number, decimals):z.{max(decimals, 0)}f}" for number in (value, error))
-    return f"{told} ± {doubt}"
+    return with_doubt(value, error)
