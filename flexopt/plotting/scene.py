@@ -73,16 +73,16 @@ def draw_scene(
     if view.upright:
         draw_ground(axes, ground)
         extent = np.hstack([extent, [[extent[0, 0]], [ground - room / 2]]])
+    whole = float(np.ptp(extent, axis=1).max()) + 2 * room
     if constraints is not None:
         holds = held(constraints, shape)
-        draw_scenery(axes, view, constraints, ground, holds)
+        draw_scenery(axes, view, constraints, ground, holds, marks, whole)
         if holds == "point" and (constraints.region or constraints.keep_out) and not view.upright:
             _draw_anchors(axes, view, actors)
     for actor in actors:
         draw_shape(axes, view, actor.shape, actor.color, ghost=actor.ghost, label=actor.label)
     side = SIDES[0]
     if name:
-        whole = float(np.ptp(extent, axis=1).max()) + 2 * room
         side = _free_side(marks[:, 0], whole, _written_on(view, actors, named_points(view, constraints), whole))
         corner = np.array(side) * (APART + np.array(NAME)) * whole
         extent = np.hstack([extent, marks[:, :1] + corner[:, None]])

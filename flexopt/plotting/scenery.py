@@ -29,6 +29,8 @@ MUST_NOT = {
 }
 # Below this share a plane's normal is seen end-on: it has no trace in the view.
 TRACE = 0.05
+# A name within such a share of the picture of a target stands so many points below it.
+NEAR, BELOW = 0.05, 16.0
 
 
 def held(constraints: Constraints, shape: Shape) -> str:
@@ -36,12 +38,17 @@ def held(constraints: Constraints, shape: Shape) -> str:
     return constraints.holds or ("point" if shape.support is None else "footprint")
 
 
-def draw_scenery(axes: Axes, view: View, constraints: Constraints, height: float, holds: str) -> None:
-    """Obstacles of the clearance, and the areas of the placement, on the ground at `height`, m, where seen upright."""
+def draw_scenery(
+    axes: Axes, view: View, constraints: Constraints, height: float, holds: str, crosses: Points, whole: float
+) -> None:
+    """Obstacles of the clearance, and the areas of the placement, on the ground at `height`, m, where seen upright.
+
+    `crosses`: targets (2, K) on which no name is written, in a picture of the size `whole`, m.
+    """
     inks = colors()
     clearance = constraints.clearance
     for obstacle in clearance.obstacles if clearance is not None else ():
-        _draw_obstacle(axes, view, obstacle)
+        _draw_obstacle(axes, view, obstacle, crosses, whole)
     for areas, color, label in (
         (constraints.region, inks.allowed, MAY[holds]),
         (constraints.keep_out, inks.forbidden, MUST_NOT[holds]),
@@ -74,7 +81,7 @@ def named_points(view: View, constraints: Constraints | None) -> Points:
     return np.array(found).reshape(-1, 2).T
 
 
-def _draw_obstacle(axes: Axes, view: View, obstacle: Obstacle) -> None:
+def _draw_obstacle(axes: Axes, view: View, obstacle: Obstacle, crosses: Points, whole: float) -> None:
     if isinstance(obstacle, Sphere):
         middle = view.of(np.array(obstacle.center))
         style = _style(view, np.array(obstacle.center)[:, None], obstacle.radius)
@@ -87,7 +94,9 @@ def _draw_obstacle(axes: Axes, view: View, obstacle: Obstacle) -> None:
         _draw_half_plane(axes, view, obstacle)
         return
     if obstacle.name:
-        _name(axes, mathtext(obstacle.name), middle)
+        near = np.hypot(*(crosses - middle[:, None])).min(initial=np.inf) < NEAR * whole
+        below: dict[str, Any] = {"xytext": (0.0, -BELOW), "textcoords": "offset points"} if near else {}
+        _name(axes, mathtext(obstacle.name), middle, **below)
 
 
 def _name(axes: Axes, text: str, at: Points, **placed: Any) -> None:

@@ -765,3 +765,15 @@ def test_the_command_line(tmp_path: Path) -> None:
         assert isinstance(refused.exception, InputError)
         assert all(name in str(refused.exception) for name in mixed[2::2])
         assert not Path("b").exists()
+
+
+def test_self_motion_that_servos_hold_is_no_alarm(tmp_path: Path) -> None:
+    """As `flexopt.simulate` of the same loop, which says nothing of it; where the drives give torques it does."""
+    machine, posture = flexopt.load("boom-stick-bucket"), [-1.354, -1.5032, -0.2305]
+    for drive, alarms in (("velocity", False), ("torque", True)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            report = flexopt.export_fmu(
+                machine, tmp_path / f"{drive}.fmu", posture, loop={"drive": drive}, duration=0.1
+            )
+        assert any("self-motion is not damped" in each for each in report.warnings) == alarms

@@ -296,3 +296,14 @@ def test_torques_account_for_the_energy(drive: str) -> None:
         gained = np.concatenate([[0.0], np.cumsum(np.diff(time) * (power[1:] + power[:-1]) / 2)])
         np.testing.assert_allclose(gained, energy - energy[0], atol=2e-3 * np.ptp(energy))
         assert np.ptp(energy) > 5.0
+
+
+@pytest.mark.parametrize("given", [{"drive": "velocity", "servo_gain": 2e5}, {"servo_gain": 2e5}])
+def test_limits_of_torques_go_with_drives_of_torques(given: dict[str, object]) -> None:
+    """A servo brakes by its torque, too: a limit of what its rates ask for alone would not be one of the drive."""
+    limits = {"torque_limit": 500.0, "rate_limit": 1e5, "bandwidth_hz": 10.0}
+    with pytest.raises(InputError) as error:
+        flexopt.simulate(flexopt.load("excavator"), POSTURE, loop=given | limits)
+    told = [fault.field.rpartition(".")[2] for fault in error.value.faults if 'drive = "torque"' in fault.sentence]
+    assert told == ["torque_limit", "rate_limit"]
+    flexopt.simulate(flexopt.load("excavator"), POSTURE, loop=limits, duration=0.1)
