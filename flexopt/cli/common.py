@@ -192,15 +192,19 @@ def warnings_to_stderr(as_json: bool) -> Generator[None]:
 
 @contextmanager
 def clock() -> Generator[None]:
-    """Seconds on standard error, where that is a terminal and nothing else tells that the command works."""
-    if VOICE.quiet or not sys.stderr.isatty():
+    """Seconds on standard error, where nothing else tells that the command works; seldom where that is a log."""
+    if VOICE.quiet:
         yield
         return
+    live = sys.stderr.isatty()
     word, done, shown = click.get_current_context().command_path.partition(" ")[2], threading.Event(), list[str]()
 
     def tick() -> None:
-        while not done.wait(TICK):
-            if not VOICE.telling:
+        begun = time.monotonic()
+        while not done.wait(TICK if live else SELDOM):
+            if not live and not VOICE.telling:
+                click.echo(f"{word}: {time.monotonic() - begun:.0f} s", err=True)
+            elif not VOICE.telling:
                 shown.append(f"\r{word}: {len(shown) + 1} s")
                 click.echo(shown[-1], nl=False, err=True)
 

@@ -49,7 +49,7 @@ def plot_trajectory(sheet: Sheet, trajectory: Trajectory) -> None:
     )
     more, of_energy = _prefix(t.energy)
     energy = Panel(f"energy, {more}J", (("energy", t.time, of_energy * t.energy),), logarithmic=True)
-    deflections = [deflection_panel({"deflection": t}, k, t.growth_rate) for k in range(t.n_passive)]
+    deflections = [deflection_panel({"deflection": t}, k, _known_rate(t)) for k in range(t.n_passive)]
     left, right = [error_panel(t), torques, energy], deflections
     drawn = _draw_columns(sheet.figure, left, right)
     if right and drawn[len(left)].lines[1:]:
@@ -121,6 +121,12 @@ def outcome(trajectory: Trajectory) -> str:
 def axis_names(trajectory: Trajectory) -> Sequence[str]:
     """Names of the task's rows."""
     return trajectory.model.task_rows
+
+
+def _known_rate(trajectory: Trajectory) -> float | None:
+    """The growth rate where at least its sign is known."""
+    rate, error = trajectory.growth_rate, trajectory.growth_rate_error
+    return rate if rate is None or error is None or abs(rate) > error else None
 
 
 def _torque_label(trajectory: Trajectory, prefix: str) -> str:
