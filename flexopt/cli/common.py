@@ -250,13 +250,13 @@ def progress_bar(what: str = "starts") -> Generator[Callable[[int, int], None]]:
     if VOICE.quiet:
         yield lambda _done, _total: None
         return
-    if not sys.stderr.isatty():
-        lines = _Lines(what)
-        yield lines.show
-        lines.end()
-        return
     VOICE.telling = True
     try:
+        if not sys.stderr.isatty():
+            lines = _Lines(what)
+            yield lines.show
+            lines.end()
+            return
         with click.progressbar(length=1, label=what, file=sys.stderr, show_pos=True) as bar:
 
             def show(done: int, total: int) -> None:
