@@ -145,6 +145,28 @@ def test_a_present_posture_beside_the_target_is_told_on_the_page_and_in_the_docu
     assert there.to_dict()["present_off"] == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.long
+def test_a_place_that_is_not_allowed_is_none_to_stay_at(tmp_path: Path) -> None:
+    """The excavator at its optimum, which nothing beats, and a trench dug below it: word, reason, document and page."""
+    machine, target = flexopt.load("excavator"), (0.0, 1.6)
+    best = flexopt.select(machine, target, base=0.0, starts=4).best.evaluation
+    there = {"base": best.base, "posture": best.posture, "starts": 4, "members": 4, "runs": 1, "duration": 5.0}
+    loop = {"kp": 1e4, "kv": 1e3}
+    free = flexopt.verdict(machine, target, loop=loop, **there)
+    assert (free.word, free.present_breaks) == ("stay", "")
+    trench = [float(best.base[0]) - 0.3, float(best.base[0]) + 0.4]
+    found = flexopt.verdict(machine, target, loop=loop, constraints={"keep_out": [trench]}, **there)
+    assert found.word == "move"
+    breaks = "breaks distance from keep_out[0]"
+    assert found.reason.startswith(f"the present place {breaks}; slowest decay ")
+    place = next(place for place in found.places if place.name == found.place)
+    assert not trench[0] < place.base[0] < trench[1]
+    assert found.to_dict()["present_breaks"] == breaks
+    found.to_html(tmp_path / "verdict.html")
+    words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
+    assert f"<p>Stay: {breaks}.</p>" in words
+
+
 def test_no_border_of_the_gain_is_one_above_the_highest_that_was_tried() -> None:
     assert allowed(math.inf, "N m", 1e8) == "above 1e+08 N m"
     assert allowed(5e4, "N m", 1e8) == "5e+04 N m"
