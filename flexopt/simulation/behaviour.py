@@ -168,7 +168,8 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
         growing = last >= GROWN * first
         if not grounds.noisy:
             growing |= (rate > 2 * error) | ((last >= first) & (rate > -2 * error))
-        growing &= ~fallen
+        # Left bent it does not grow, unless it is far more than bent again in the end.
+        growing = np.where(fallen, np.sqrt(peaks[-1]) >= GROWN * first, growing)
         wavering = np.any((np.abs(rate) <= 2 * error) & (last < GROWN * first), axis=0)
         clearly = growing & (rate > 2 * error)
         times_larger = np.where(growing & (first > 0), last / first, 1.0)
@@ -266,7 +267,7 @@ def _growth(
     used = whole & moving & (np.arange(len(peaks))[:, None, None] >= fitted)
     n = np.sum(used, axis=0)
     rate, error, spread = _slope(peaks, centres, used)
-    late = used & (np.arange(len(peaks))[:, None, None] >= fitted + n // 2)
+    late = used & (np.cumsum(used, axis=0) > n // 2)
     (late_rate, _, late_spread), (early_rate, _, early_spread) = (
         _slope(peaks, centres, half) for half in (late, used & ~late)
     )
