@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -23,6 +24,7 @@ from flexopt.selection.assumed import Assumption
 from flexopt.selection.cones import split_factors
 from flexopt.selection.configuration import Configuration, build_configuration
 from flexopt.selection.constraints import ConstraintSet
+from flexopt.selection.constraints.ground import NAME as GROUND
 from flexopt.selection.coupling import Coupling, alone
 from flexopt.selection.member_graph import ObjectiveForm, parameters_of
 from flexopt.selection.nlp import build_solver
@@ -455,15 +457,22 @@ def reached(problem: SelectionProblem, z: Vector) -> Vector:
     return problem.rows(z)[: problem.target.size]
 
 
-def broken(problem: SelectionProblem, z: Vector) -> str:
-    """Which limits and constraints a configuration breaks, the target aside, the worst first; empty where none."""
+# Names of what holds unasked: limits, the margin that every program has, what lies above the assumed ground.
+UNASKED = re.compile(f"^limits of |^singularity margin$| {re.escape(GROUND)}$")
+
+
+def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
+    """Which limits and constraints a configuration breaks, the target aside, the worst first; empty where none.
+
+    `asked`: of those alone that somebody asked for: no limits, no margin from singular postures, no assumed ground.
+    """
     outside: Vector = np.maximum(problem.lower - z, z - problem.upper) / problem.scale
     away = np.concatenate([outside, np.abs(beyond_bounds(problem, z))[problem.target.size :], beyond_own(problem, z)])
     names = [f"limits of {variable.name}" for variable in problem.variables]
     names += [row.name for row in problem.constraints[problem.target.size :]]
     names += [row.name for row in problem.own_constraints]
     order: list[int] = np.argsort(-away, kind="stable").tolist()
-    worst = [names[k] for k in order if away[k] > BROKEN]
+    worst = [names[k] for k in order if away[k] > BROKEN and not (asked and UNASKED.search(names[k]))]
     if not worst:
         return ""
     more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""

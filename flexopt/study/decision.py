@@ -29,9 +29,12 @@ RULE = (
     "tried do in a place what no move does with the present gains, or no place is stable on every ground and other "
     "gains make one so; runs confirm it. STAY: the present place is stable on every ground, runs confirm it, and no "
     f"other is better on more than {100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else. A present place that "
-    "breaks the problem's constraints is none to stay at: then MOVE needs a stable place that runs confirm, no better "
-    "one."
+    "breaks constraints that were asked for is none to stay at, and is not among the places."
 )  # fmt: skip
+
+
+# Why there is no staying, usually.
+UNREACHED = "from the present placement the arm does not reach the target within its limits"
 
 
 class Place(NamedTuple):
@@ -85,12 +88,12 @@ def decide(
     refuted: Place | None = None,
     gains: Mapping[str, Sequence[float]] | None = None,
     alternates: str = "",
-    breaks: str = "",
+    absent: str = UNREACHED,
 ) -> Decision:
     """The word by `RULE`.
 
     Args:
-        stay: the present configuration; None where it does not reach the target.
+        stay: the present configuration; None where there is no staying.
         others: to which one may move.
         changed: the best place with other gains, where runs confirm it.
         unconfirmed: names of places that nonlinear runs do not confirm.
@@ -98,17 +101,23 @@ def decide(
         refuted: the best place with other gains, where runs do not confirm it.
         gains: these other gains.
         alternates: why the loop changes its sign at every sample, where it grows so in every place.
-        breaks: "breaks …", which constraints the present place does not keep; empty where it keeps them.
+        absent: why there is no staying.
     """
     sound = [place for place in others if place.holds and place.name not in unconfirmed]
-    best = _best([place for place in sound if stay is None or breaks or _pays(place, stay)])
-    changed = None if breaks and changed is not None and changed.name == STAY else changed
+    best = _best([place for place in sound if stay is None or _pays(place, stay)])
     if changed is not None and changed.holds and _spares(changed, stay, best, sound):
         doubted = [place for place in others if place.holds and place.name in unconfirmed]
         return Decision("change gains", changed.name, _why_gains(changed, stay, best, sound, doubted))
     if best is not None:
-        return Decision("move", best.name, _why_move(best, stay, breaks))
-    if stay is not None and stay.holds and stay.name not in unconfirmed and not breaks:
+        reason = absent
+        if stay is not None:
+            reason = f"{BETTER} on {100 * best.better_than(stay):.0f} % of the grounds"
+            if not stay.holds:
+                reason = "stable on every ground, which the present place is not"
+            reason += f"; slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
+        takes = ", ".join(filter(None, [f"a drive of {best.drive:.3g} m", best.otherwise]))
+        return Decision("move", best.name, f"{reason}, for {takes}")
+    if stay is not None and stay.holds and stay.name not in unconfirmed:
         share, rival = max(
             ((place.better_than(stay), place) for place in others), key=lambda x: x[0], default=(0.0, stay)
         )
@@ -126,7 +135,7 @@ def decide(
             reason = "nonlinear runs do not confirm the present place, and "
             reason += f"{first.name}, which they confirm, {BETTER} {where}"
         return Decision("cannot tell", first.name, reason)
-    every = [*([] if stay is None or breaks else [stay]), *others]
+    every = [*([] if stay is None else [stay]), *others]
     doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
     if doubted:
         return Decision(
@@ -137,8 +146,6 @@ def decide(
         named = f" ({gains_in_words(gains)})" if gains else ""
         with_others = f"; with others{named} {spoken(refuted.name)} is, but nonlinear runs do not confirm that"
     reason = f"no place found is stable on every ground with the present gains{with_others}"
-    if stay is not None and breaks:
-        reason = f"the present place {breaks}, and of the others {reason}"
     return Decision("cannot tell", "", reason + (f"; it grows at {alternates}" if alternates else ""))
 
 
@@ -165,20 +172,6 @@ def deciding(decision: Decision, known: Mapping[str, Place], stay: Place | None)
     if stay is None or place.name == stay.name:
         return f"the decay at {spoken(place.name)}", place.decays
     return f"what is gained by moving to {place.name}", place.decays - stay.decays
-
-
-def _why_move(best: Place, stay: Place | None, breaks: str) -> str:
-    """Why to go there, and what it takes."""
-    reason = "from the present placement the arm does not reach the target within its limits"
-    if stay is not None:
-        reason = f"{BETTER} on {100 * best.better_than(stay):.0f} % of the grounds"
-        if not stay.holds:
-            reason = "stable on every ground, which the present place is not"
-        if breaks:
-            reason = f"the present place {breaks}"
-        reason += f"; slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
-    takes = ", ".join(filter(None, [f"a drive of {best.drive:.3g} m", best.otherwise]))
-    return f"{reason}, for {takes}"
 
 
 def _why_not(rival: Place, share: float, unconfirmed: Sequence[str]) -> str:

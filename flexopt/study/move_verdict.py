@@ -35,7 +35,7 @@ from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.study.asked import any_problem
 from flexopt.study.confirmation import Runs
-from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, deciding, faster, ranked
+from flexopt.study.decision import FASTER, MOST, UNREACHED, Decision, Place, decide, deciding, faster, ranked
 from flexopt.study.gain_search import best_gains, tried_gains
 from flexopt.study.place_loops import (
     Chosen,
@@ -167,9 +167,13 @@ def verdict(
         drive, turn = drives[name]
         otherwise = besides_driving(machine, turn, stands[name], solved.present_posture)
         known[name] = Place(name, decays[name], slowest[name].decay, drive, otherwise)
+    breaks = broken_at(chosen, [(e.base, e.posture) for e in stands[STAY]]) if STAY in stands else ""
+    absent = f"the present place {breaks}" if breaks else UNREACHED
+    if breaks:
+        del known[STAY]
     stay, rest = known.get(STAY), [known[name] for name in told if name != STAY]
     unconfirmed = [name for name, run in shown.items() if run.confirming < MOST]
-    tried = tried_gains(asked) if _tries(asked, known, unconfirmed) else ""
+    tried = tried_gains(asked) if known and _tries(asked, known, unconfirmed) else ""
     changed, gains = _changed(asked, known, loops, slowest, points) if tried else (None, {})
     refuted: Place | None = None
     if changed is not None and runs:
@@ -179,9 +183,10 @@ def verdict(
     stages.next()
     decision = decide(
         stay, rest, changed and changed[0], unconfirmed, tried=tried, refuted=refuted, gains=gains,
-        alternates=_alternates(loops, slowest) if tried else "",
-        breaks=broken_at(chosen, [(e.base, e.posture) for e in stands[STAY]]) if STAY in stands else "",
+        alternates=_alternates(loops, slowest) if tried else "", absent=absent,
     )  # fmt: skip
+    if breaks and decision.word != "move":
+        decision = replace(decision, reason=f"{absent}; apart from it {decision.reason}")
     places = tuple(
         _place(name, stands[name], loops[name], decays, slowest[name], drives[name], shown.get(name)) for name in told
     )
@@ -189,7 +194,7 @@ def verdict(
         word=decision.word,
         place=decision.place,
         reason=decision.reason,
-        measure=_measure(decision, box, points, known, stay) if decision.word == "cannot tell" else "",
+        measure=_measure(decision, box, points, known, stay) if decision.word == "cannot tell" and known else "",
         gains=gains if decision.word == "change gains" else {},
         places=places,
         settings=settings,

@@ -97,8 +97,9 @@ def problems_of(chosen: Chosen) -> tuple[SelectionProblem, ...]:
 
 
 def broken_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:
-    """Which limits and constraints a place breaks, (base, posture) at each target: "breaks …", empty where none."""
-    found = [broken(problem, np.concatenate(held)) for problem, held in zip(problems_of(chosen), stand, strict=True)]
+    """Which constraints that were asked for a place breaks, (base, posture) at each target: "breaks …", or nothing."""
+    pairs = zip(problems_of(chosen), map(np.concatenate, stand), strict=True)
+    found = [broken(problem, z, asked=True) for problem, z in pairs]
     if isinstance(chosen, OutcomeSelection) and chosen.present_broken:
         found.append(f"breaks {', '.join(chosen.present_broken)}")
     if len(stand) == 1:
@@ -140,9 +141,16 @@ def _same(base: Vector, present: Vector | None) -> bool:
 
 def _present(chosen: Chosen) -> Configurations | None:
     if isinstance(chosen, Selection):
-        return None if chosen.initial is None else (chosen.initial,)
+        return None if chosen.initial is None else (_held(chosen.problem, chosen.initial),)
     now = chosen.problems[0].present_base
     return None if now is None else held_from(chosen.problems, now, allowed=False)
+
+
+def _held(problem: SelectionProblem, now: Evaluation) -> Evaluation:
+    """How the arm is held now: where nobody said so, and one way breaks what is asked for, an allowed one if any."""
+    if problem.present_posture is not None or not broken(problem, np.concatenate([now.base, now.posture]), asked=True):
+        return now
+    return (held_from([problem], now.base) or (now,))[0]
 
 
 def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bool = True) -> Configurations | None:

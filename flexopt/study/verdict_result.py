@@ -120,7 +120,8 @@ class Verdict(Pictured, Result):
         present_end_point: where staying holds the end-point at each target, (K, n_task), m; None where no posture
             reaches them from there.  present_off: how far from its target, of several the farthest, m, or None: what
             is more than a centimetre off is told in words, too, and the numbers of staying are those beside the target.
-        present_breaks: which constraints staying does not keep, "breaks …"; empty where it keeps them.
+        present_breaks: which constraints that were asked for staying does not keep, "breaks …"; empty where it keeps
+            them. Of several targets what the loop must do at least is not among them.
 
     Example:
         >>> len(answer.places) == len(answer.table)
@@ -362,6 +363,8 @@ class Verdict(Pictured, Result):
             off = f" ({self.present_told})" if place.name == STAY and self.present_told else ""
             return f"{first}; {held}{why}{off}"
         lines = [f"{first}{why}"]
+        if place.name == STAY and self.present_breaks:
+            lines[0] += f" ({self.present_breaks})"
         for k, (placed, held) in enumerate(stands):
             moved = f"{placed}; " if k and placed != stands[k - 1][0] else ""
             slowest = " (the slowest)" if k == place.slowest_target else ""

@@ -178,15 +178,12 @@ def test_faster(one: float, other: float, is_faster: bool) -> None:
     assert bool(faster(np.array(one), np.array(other))) is is_faster
 
 
-def test_where_the_present_place_is_not_allowed_there_is_no_staying() -> None:
-    """A stable place that is allowed is enough, a slower one too; nothing is said of staying, with other gains either."""
-    slower, breaks = place("near", 0.5 * GROUNDS, 2.0), "breaks tip-over"
+def test_where_there_is_no_staying_a_stable_place_is_enough() -> None:
+    """A slower one, too; the reason is why there is none."""
+    slower, absent = place("near", 0.5 * GROUNDS, 2.0), "the present place breaks tip-over"
     assert decide(STAY, [slower]).word == "stay"
-    found = decide(STAY, [slower], breaks=breaks)
+    found = decide(None, [slower], absent=absent)
     assert (found.word, found.place) == ("move", "near")
-    assert found.reason.startswith("the present place breaks tip-over; slowest decay ")
-    nowhere = decide(STAY, [place("near", -GROUNDS)], breaks=breaks)
-    assert nowhere.word == "cannot tell"
-    assert nowhere.reason.startswith("the present place breaks tip-over, and of the others no place found is stable")
-    assert decide(STAY, [slower], place("stay", 3 * GROUNDS), breaks=breaks).word == "move"
-    assert decide(STAY, [slower], breaks=breaks, unconfirmed=["near"]).word == "cannot tell"
+    assert found.reason == f"{absent}, for a drive of 2 m"
+    assert decide(None, [slower], unconfirmed=["near"], absent=absent).word == "cannot tell"
+    assert decide(None, [place("near", -GROUNDS)], absent=absent).word == "cannot tell"
