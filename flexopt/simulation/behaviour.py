@@ -43,7 +43,7 @@ class Behaviour:
             with the most (N,); 1 where none does.
         growth_rate: of the mode that has the most energy in the end among those that clearly grow, or else of the one
             that decays slowest, 1/s: half the slope of the logarithm of the mode's energy, maxima over periods of the
-            slowest mode, least squares over the second half of the run, three at least (N,); NaN where the base never
+            slowest swing, least squares over the second half of the run, three at least (N,); NaN where the base never
             moved.
         growth_rate_error: what that slope may be off by (N,), squares added: its standard error, by how much its halves
             differ beyond what scatter makes of them, and where a louder mode decays, by how much that one's slope
@@ -53,7 +53,7 @@ class Behaviour:
             not (N,).
         peak_error, end_error: largest and last |e|, m (N,).
         peak_base_rotation: rad (N,); NaN for a base that cannot turn.
-        residual_oscillation: largest energy of each mode in the slowest one's last period (m, N), J.
+        residual_oscillation: largest energy of each mode in the slowest swing's last period (m, N), J.
         finite_until: time up to which every state was a finite number, s (N,).
         significant: whether the growth rate is more than twice its standard error away from 0, or the amplitude three
             times what it was, or nothing moved (N,).
@@ -129,6 +129,8 @@ class Grounds:
         undisturbed_from: time from which nothing is driven any more, s; growth is judged from there.
         noisy: whether noise keeps the modes moving. Their amplitudes then wander, which a fit takes for growth, so
             that only an amplitude three times as large as at first counts.
+        swing_hz: of the slowest swing of the loop, where the arm drifts: it bends the base and lets it go in turn, so
+            that a mode's energy rises and falls with it. None: no slower than the modes.
         drifting: whether the arm drifts along a self-motion, so that kinetic and elastic energies come apart, and a
             mode that is bent without moving counts as still.
     """
@@ -139,6 +141,7 @@ class Grounds:
     undisturbed_from: float = 0.0
     noisy: bool = False
     drifting: bool = False
+    swing_hz: float | None = None
 
 
 def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Grounds) -> Behaviour:
@@ -160,16 +163,14 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
     short = grounds.slowest_hz * float(times[-1] - times[min(begin, len(times) - 1)]) < FEWEST_WINDOWS
     begin = begin if len(energy) - begin >= FEWEST_WINDOWS else 0
     judged = np.where(alive[begin:, None], energy[begin:], np.nan)
-    peaks, centres = _periods(times[begin:], judged, grounds.slowest_hz)
+    peaks, centres = _periods(times[begin:], judged, grounds.swing_hz or grounds.slowest_hz)
     peaks, elastic = peaks[:, :modes], peaks[:, modes:]
     bent = QUASI_STATIC * elastic if grounds.drifting else 0.0
-    rate, error, bend, first, last, fallen = _growth(peaks, centres, grounds.still, bent)
+    rate, error, bend, first, last = _growth(peaks, centres, grounds.still, bent)
     with np.errstate(invalid="ignore", divide="ignore"):
         growing = last >= GROWN * first
         if not grounds.noisy:
             growing |= (rate > 2 * error) | ((last >= first) & (rate > -2 * error))
-        # Left bent it does not grow, unless it is far more than bent again in the end.
-        growing = np.where(fallen, np.sqrt(peaks[-1]) >= GROWN * first, growing)
         wavering = np.any((np.abs(rate) <= 2 * error) & (last < GROWN * first), axis=0)
         clearly = growing & (rate > 2 * error)
         times_larger = np.where(growing & (first > 0), last / first, 1.0)
@@ -226,7 +227,7 @@ def _doubt(
 
 
 def _periods(times: Vector, energy: Vector, slowest_hz: float) -> tuple[Vector, Vector]:
-    """Maxima over whole periods of the slowest mode (periods, m, N), and the periods' centres, s.
+    """Maxima over whole periods of the slowest swing (periods, m, N), and the periods' centres, s.
 
     Counted from the end: what is left over at the start is the transient's. A run shorter than four periods is cut in
     four.
@@ -242,32 +243,24 @@ def _periods(times: Vector, energy: Vector, slowest_hz: float) -> tuple[Vector, 
 
 def _growth(
     peaks: Vector, centres: Vector, still: Vector | float, bent: Vector | float
-) -> tuple[Vector, Vector, Vector, Vector, Vector, NDArray[np.bool_]]:
+) -> tuple[Vector, Vector, Vector, Vector, Vector]:
     """Growth rate, its standard error, by how much halves differ, amplitudes in the first and last period, each (m, N).
 
-    Last which modes are left with what they are bent by.
-
     Of the periods from where a mode first leaves rounding and what it is bent by, to where it falls back or to the end.
-    A slow swing of the whole arm bends it and lets it go: what it is bent by is left for good where it is so in most of
-    the periods that follow. A mode that falls back to that does not grow, whatever the swing made of it before.
     """
     largest = np.maximum.accumulate(np.max(peaks, axis=1), axis=0)[:, None]
-    count = len(peaks) - np.arange(len(peaks))[:, None, None]
     with np.errstate(invalid="ignore"):
-        there = np.isfinite(peaks) & (peaks > np.maximum(ROUNDING * largest, np.reshape(still, (-1, 1))))
-        moving = there & (peaks > bent)
-    begun = np.logical_or.accumulate(moving, axis=0)
-    mostly = 2 * np.cumsum(moving[::-1], axis=0)[::-1] >= count
-    whole = begun & ~np.logical_or.accumulate(begun & ~(there & (moving | mostly)), axis=0)
+        above = (
+            np.isfinite(peaks) & (peaks > np.maximum(ROUNDING * largest, np.reshape(still, (-1, 1)))) & (peaks > bent)
+        )
+    begun = np.logical_or.accumulate(above, axis=0)
+    whole = begun & ~np.logical_or.accumulate(begun & ~above, axis=0)
     begin, length = np.argmax(whole, axis=0), np.sum(whole, axis=0)
-    ended = begin + np.maximum(length - 1, 0)
-    after = np.minimum(ended + 1, len(peaks) - 1)
-    fallen = (ended < after) & np.take_along_axis(there, after[None], axis=0)[0]
-    fitted = begin + np.where(fallen, 0, np.minimum(length // 2, np.maximum(length - FEWEST_FITTED, 0)))
-    used = whole & moving & (np.arange(len(peaks))[:, None, None] >= fitted)
+    fitted = begin + np.minimum(length // 2, np.maximum(length - FEWEST_FITTED, 0))
+    used = whole & (np.arange(len(peaks))[:, None, None] >= fitted)
     n = np.sum(used, axis=0)
     rate, error, spread = _slope(peaks, centres, used)
-    late = used & (np.cumsum(used, axis=0) > n // 2)
+    late = used & (np.arange(len(peaks))[:, None, None] >= fitted + n // 2)
     (late_rate, _, late_spread), (early_rate, _, early_spread) = (
         _slope(peaks, centres, half) for half in (late, used & ~late)
     )
@@ -281,10 +274,12 @@ def _growth(
         error = np.where(n < FEWEST_FITTED, np.abs(rate), error)
         # What sets in later is compared with where the fit begins: it may have been pushed.
         start = np.where(begin == 0, 0, fitted)
-        first, last = (np.sqrt(np.take_along_axis(peaks, at[None], axis=0)[0]) for at in (start, ended))
-    unmoved = (length < 2) | (n < 2)
+        first, last = (
+            np.sqrt(np.take_along_axis(peaks, at[None], axis=0)[0]) for at in (start, begin + np.maximum(length - 1, 0))
+        )
+    unmoved = length < 2
     return (np.where(unmoved, np.nan, rate), np.where(unmoved, np.nan, error), np.where(unmoved, 0.0, bend),
-            np.where(unmoved, 1.0, first), np.where(unmoved, 0.0, last), fallen)  # fmt: skip
+            np.where(unmoved, 1.0, first), np.where(unmoved, 0.0, last))  # fmt: skip
 
 
 def _slope(peaks: Vector, centres: Vector, used: NDArray[np.bool_]) -> tuple[Vector, Vector, Vector]:

@@ -41,7 +41,7 @@ from flexopt.simulation.members import Keep, Plan, member_loops, motion_constant
 from flexopt.simulation.real_loop import in_shorter_steps, with_loop
 from flexopt.simulation.run import OUTGREW, check_residual, grew, moves, note_run, runners, unfollowed
 from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options
-from flexopt.simulation.verdict import LoopVerdict, judge
+from flexopt.simulation.verdict import LoopVerdict, grounds_of, judge
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -358,7 +358,7 @@ def _group(plan: Plan, rows: slice, runner: Recurrence, shown: Batch, threads: i
         watched = np.where(unknown[:, None], np.nan, watched)
         error, last = np.where(outgrown, np.nan, error), np.where(outgrown, np.nan, last)
     end_error = np.sqrt(np.sum(error**2, axis=0))
-    measures = behaviour(edges, watched, end_error, s.grounds)
+    measures = behaviour(edges, watched, end_error, grounds_of(s))
     measures = replace(measures, finite_until=np.where(outgrown, until * s.period, measures.finite_until))
     samples: dict[str, Vector] = {}
     if plan.keep == "trajectories":

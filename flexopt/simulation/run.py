@@ -34,7 +34,7 @@ from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.real_loop import in_shorter_steps, note_loop, with_loop
 from flexopt.simulation.scenario import SIMULATED, Scenario, build_scenario, checked_options, note_options
 from flexopt.simulation.trajectory import Trajectory
-from flexopt.simulation.verdict import Ended
+from flexopt.simulation.verdict import Ended, grounds_of
 
 # Largest relative change left by the implicit method's iterations.
 RESIDUAL_MAX = 1e-10
@@ -128,7 +128,7 @@ def simulate_checked(
     end_error = np.sqrt(np.sum(outputs["error"][:, -1:] ** 2, axis=0))
     # As in a watched loop, what is watched at a sample's start stands for the sample.
     watched = outputs["monitor"][:, :-1].T[:, :, None]
-    verdict = behaviour(s.times, watched, end_error, s.grounds)
+    verdict = behaviour(s.times, watched, end_error, grounds_of(s))
     if signals is not None and moves(s):
         ended = Ended(s.machine, s.options, x[:, -1].copy(), signals_at_end(s, signals)[0])
     return _trajectory(s, outputs, verdict, ended, settings, sentences, left)

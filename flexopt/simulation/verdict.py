@@ -20,11 +20,13 @@ from flexopt.loop.spectrum import from_sample_to_sample
 from flexopt.loop.tangent import at_rest
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import SimulationOptions
-from flexopt.simulation.behaviour import Shown
+from flexopt.simulation.behaviour import Grounds, Shown
 from flexopt.simulation.linear import SampledLoop, bare_scenario, exactly, linearised
 from flexopt.simulation.scenario import Scenario
 
 LoopVerdict = Literal["converges", "grows", "undecided"]
+# Damping ratio below which a loop's swing goes on for periods.
+LASTING = 0.1
 NO_REST = "near its end the loop rests nowhere"
 
 
@@ -73,6 +75,20 @@ class Ended:
             return linearised(bare_scenario(self.machine, self.options, exact=False)).growth_rate
         except FlexoptError:
             return None
+
+
+def grounds_of(scenario: Scenario) -> Grounds:
+    """What its runs are judged by: where the arm drifts also the slowest swing of its loop about the design.
+
+    A swing that is damped more is over within a period or two.
+    """
+    found = scenario.grounds
+    linear = Ended(scenario.machine, scenario.options).linear() if found.drifting else ""
+    if isinstance(linear, str):
+        return found
+    poles = linear.poles
+    swings = np.abs(poles.imag[(poles.imag > 0) & (-poles.real < LASTING * np.abs(poles))]) / (2 * math.pi)
+    return replace(found, swing_hz=min([found.slowest_hz, *swings.tolist()]))
 
 
 def _essential(options: SimulationOptions) -> SimulationOptions:
