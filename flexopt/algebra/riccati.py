@@ -51,13 +51,16 @@ def riccati_pair(size: int, doublings: int = DOUBLINGS, *, compact: bool = False
 
 
 @lru_cache(maxsize=8)
-def lyapunov(size: int, *, compact: bool = False, fixed: bool = False) -> ca.Function:
-    """(A, Q) -> P of A P + P Aᵀ = −Q for a stable A and symmetric Q, by Smith's doubling from the same transform."""
+def lyapunov(size: int, doublings: int = DOUBLINGS, *, compact: bool = False, fixed: bool = False) -> ca.Function:
+    """(A, Q) -> P of A P + P Aᵀ = −Q for a stable A and symmetric Q, by Smith's doubling from the same transform.
+
+    Few doublings leave out what is slower than 2^−doublings of the scaled time.
+    """
     step, product = _smith(size) if compact else _smith(size).expand(), _product(size)
     a, q = ca.MX.sym("A", size, size), ca.MX.sym("Q", size, size)
     resolvent = _inverse(size)(GAMMA * ca.MX.eye(size) - a)
     start = _symmetric(2 * GAMMA * product(product(resolvent, q), resolvent.T))
-    state = _repeated(step, [product(GAMMA * ca.MX.eye(size) + a, resolvent), start], DOUBLINGS, fixed=fixed)
+    state = _repeated(step, [product(GAMMA * ca.MX.eye(size) + a, resolvent), start], doublings, fixed=fixed)
     return ca.Function("lyapunov", [a, q], [state[1]], ["A", "Q"], ["P"])
 
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 import casadi as ca
 
 from flexopt.algebra import apply_pseudo_inverse
-from flexopt.algebra.riccati import riccati_pair, top_eigenpairs
+from flexopt.algebra.riccati import lyapunov, riccati_pair, top_eigenpairs
 from flexopt.export.context import Context, unit_list
 from flexopt.export.control import GAIN_MAX
 from flexopt.export.modal_kernels import ModalKernels
 from flexopt.export.operations import TOLERANCES, Field, Guard, Operation
 from flexopt.model.choices import WEIGHT
-from flexopt.robustness.margin import Margin, build_margin
+from flexopt.robustness.margin import Margin, build_margin, riccati_residual
 from flexopt.robustness.residues import MIXED, residue_unit
 
 SERVO_GAIN_RANGE = (1e-6, 1e15)
@@ -32,6 +32,9 @@ TERMS_SHARE, GAP_MIN = {False: 1e-2, True: 1.6e-2}, 1e-6
 # multiplies rounding errors.
 LEFT_OVER = {True: 1e-3, False: 1e-6}
 CONDITION = {True: 1e3, False: 1e8}
+# In single precision fast poles of large servo gains take digits that neither of these shows; so many doublings of the
+# Lyapunov equations see them.
+FAST_DOUBLINGS = 6
 
 
 def measures(at: Context) -> tuple[Operation, ...]:
@@ -101,12 +104,15 @@ def margin(at: Context) -> tuple[Operation, ...]:
     posture, kr, p = ca.MX.sym("posture", plant.n_actuated), ca.MX.sym("servo_gain"), ca.MX.sym("p", g.p.shape[0])
     base = ca.MX.sym("base", plant.n_base) if at.placement_matters else ca.MX.zeros(plant.n_base, 1)
     values: ca.MX = ca.MX(plant.parameter_values) if at.baked else p
-    epsilon, *measured = _margin_with_condition(margin).call([base, posture, values, kr])
+    epsilon, *measured = _margin_with_condition(margin, rounding=at.single).call([base, posture, values, kr])
     guards = [
         Guard("left_over", "what the doublings left", "NOT_ACCURATE", maximum=LEFT_OVER[at.single]),
         Guard("condition", "largest X_ii Z_ii of both Riccati solutions, by which rounding errors grow", "NOT_ACCURATE",
               maximum=CONDITION[at.single]),
     ]  # fmt: skip
+    if at.single:
+        text = "error of epsilon_max by rounding, estimated from the residuals of both Riccati equations"
+        guards.append(Guard("rounding", text, "NOT_ACCURATE", maximum=TOLERANCES["float"]))
     sine = plant.singularity_sine_squared.call([base, posture, values])[0]
     low, high = SERVO_GAIN_RANGE
     gain = field("servo_gain", "", "", "k_r, which multiplies the plant's input", low=low, high=high,
@@ -132,8 +138,11 @@ def margin(at: Context) -> tuple[Operation, ...]:
     )
 
 
-def _margin_with_condition(margin: Margin) -> ca.Function:
-    """(base, posture, p, kr) -> epsilon (2, 1), what the doublings left, condition: the largest X_ii Z_ii."""
+def _margin_with_condition(margin: Margin, *, rounding: bool) -> ca.Function:
+    """(base, posture, p, kr) -> epsilon (2, 1), what the doublings left, condition, and the error of ε_max by rounding.
+
+    The condition is the largest X_ii Z_ii. The last one is given where it is asked for.
+    """
     n, g = margin.n_states, margin.plant.graph
     x, z = (ca.SX.sym(name, n, n) for name in ("X", "Z"))
     condition = ca.Function("condition", [x, z], [ca.mmax(ca.diag(x) * ca.diag(z))])
@@ -141,11 +150,26 @@ def _margin_with_condition(margin: Margin) -> ca.Function:
     weights = ca.Function("weights", [b, c], [ca.densify(b @ b.T), ca.densify(c.T @ c)], {"cse": True})
     symbols = [ca.MX.sym("base", g.base.shape[0]), ca.MX.sym("posture", g.posture.shape[0]),
                ca.MX.sym("p", g.p.shape[0]), ca.MX.sym("kr")]  # fmt: skip
-    plant_a, *others = margin.scaled_plant.call([*symbols, *margin.hold.call(symbols)])
-    solution = riccati_pair(n, margin.doublings, compact=True, fixed=True).call([plant_a, *weights.call(others)])
-    values = top_eigenpairs(n, margin.plant.n_task).call(solution[:2])[0]
+    plant = margin.scaled_plant.call([*symbols, *margin.hold.call(symbols)])
+    solution = riccati_pair(n, margin.doublings, compact=True, fixed=True).call([plant[0], *weights.call(plant[1:])])
+    values, vectors = top_eigenpairs(n, margin.plant.n_task).call(solution[:2])[:2]
     outputs = [1 / ca.sqrt(1 + values), solution[2], *condition.call(solution[:2])]
+    if rounding:
+        outputs.append(_rounding(plant, solution[:2], values[0], vectors[:, 0]))
     return ca.Function("margin", symbols, outputs)
+
+
+def _rounding(plant: list[ca.MX], solution: list[ca.MX], value: ca.MX, vector: ca.MX) -> ca.MX:
+    """What the residuals of both Riccati equations are worth in ε_max, to first order: see `flexopt.robustness.margin`.
+
+    The two shares are not set off against each other: of a wrong solution they may cancel by chance.
+    """
+    (a, b, c), (x, z) = plant, solution
+    solve, dual = lyapunov(x.shape[0], FAST_DOUBLINGS, compact=True, fixed=True), z @ vector
+    p_x = solve.call([a - b @ (b.T @ x), dual @ dual.T])[0]
+    p_z = solve.call([a.T - c.T @ (c @ z), value * (vector @ vector.T)])[0]
+    shares = (ca.dot(p_x, riccati_residual(a, b, c, x)[0]), ca.dot(p_z, riccati_residual(a.T, c.T, b.T, z)[0]))
+    return (ca.fabs(shares[0]) + ca.fabs(shares[1])) / (2 * ca.sqrt(1 + value) * (1 + value))
 
 
 def _choice_units(at: Context) -> tuple[str, ...]:

@@ -215,7 +215,7 @@ class Margin:
         """
         symbols, (a, b, c), x, z, rest = self._solved()
         values, _, away = top_eigenpairs(self.n_states, self.plant.n_task, compact=self.compact).call([x, z])
-        residuals = [_relative(*_residual(a, b, c, x)), _relative(*_residual(a.T, c.T, b.T, z))]
+        residuals = [_relative(*riccati_residual(a, b, c, x)), _relative(*riccati_residual(a.T, c.T, b.T, z))]
         residual = ca.fmax(ca.fmax(*residuals), away)
         return self._function(
             "margin", symbols, [1 / ca.sqrt(1 + values), rest, residual], ["epsilon", "rest", "residual"]
@@ -247,7 +247,7 @@ class Margin:
         values, vectors = top_eigenpairs(n, self.plant.n_task, compact=self.compact).call([x, z])[:2]
         solve, sweep, held = lyapunov(n, compact=self.compact), self._reverse_sweep, self.hold.call(symbols)[0]
         loop_x, loop_z = a - b @ (b.T @ x), a.T - c.T @ (c @ z)
-        left = _residual(a, b, c, x)[0], _residual(a.T, c.T, b.T, z)[0]
+        left = riccati_residual(a, b, c, x)[0], riccati_residual(a.T, c.T, b.T, z)[0]
         rows: list[ca.MX] = []
         lost: list[ca.MX] = []
         for i, j in ((0, 0), (1, 1), (0, 1)):
@@ -312,7 +312,7 @@ def build_margin(
     return Margin(plant, control, gravity, redundant and machine.damped_joints, doublings, compact)
 
 
-def _residual(a: ca.MX, b: ca.MX, c: ca.MX, x: ca.MX) -> tuple[ca.MX, list[ca.MX]]:
+def riccati_residual(a: ca.MX, b: ca.MX, c: ca.MX, x: ca.MX) -> tuple[ca.MX, list[ca.MX]]:
     """AᵀX + XA − XBBᵀX + CᵀC and its terms; BBᵀ, whose rounding counts, is not formed."""
     linear, quadratic, constant = a.T @ x, (x @ b) @ (x @ b).T, c.T @ c
     return linear + linear.T - quadratic + constant, [linear, quadratic, constant]

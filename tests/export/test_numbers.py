@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 import flexopt
 from flexopt.export import export_c
@@ -117,6 +118,45 @@ def test_end_point_states_do_not_change_the_margin() -> None:
     for row, value in zip(samples.inputs, samples.outputs[:, 0], strict=True):
         epsilon = original.values.call([0, row[:n], row[n + 1 :], row[n]])[0]
         assert value == pytest.approx(float(epsilon[0]), abs=1e-8)
+
+
+def epsilon_by_scipy(a: np.ndarray, b: np.ndarray, c: np.ndarray, kr: float) -> float:
+    """ε_max of (A, k_r B, C) by SciPy's Riccati solver, in a time in which the gain at high frequencies is near one."""
+    rate, unit = np.sqrt(kr * np.linalg.norm(c @ a @ b)), np.eye(b.shape[1])
+    # Half of the states are positions: those count in the unit of time, too.
+    half = a.shape[0] // 2
+    size = np.repeat([rate, 1.0], [half, a.shape[0] - half])
+    a, b = a / size[:, None] * size / rate, kr * b / size[:, None] / rate
+    balance = np.sqrt(np.linalg.norm(b) / np.linalg.norm(c))
+    b, c = b / balance, c * balance
+    x = scipy.linalg.solve_continuous_are(a, b, c.T @ c, unit)
+    z = scipy.linalg.solve_continuous_are(a.T, c.T, b @ b.T, unit)
+    return float((1 + np.linalg.eigvals(x @ z).real.max()) ** -0.5)
+
+
+@pytest.mark.long
+def test_single_precision_tells_where_a_large_servo_gain_takes_its_digits(tmp_path: Path) -> None:
+    machine = flexopt.load("mobile-manipulator")
+    library = BundleLibrary(export_c(machine, tmp_path / "b", real="float", prefix="m", parts=["margin"]), tmp_path)
+    plant, rng = flexopt.build_plant(machine), np.random.default_rng(2)
+    p, still = plant.parameter_values, np.zeros(plant.n_base)
+    physical, postures = build_margin(machine).physical_plant, list[np.ndarray]()
+    while len(postures) < 12:
+        posture = np.float32(rng.uniform(-1.5, 1.5, plant.n_actuated)).astype(float)
+        if float(plant.singularity_sine_squared(still, posture, p)) > 0.1:
+            postures.append(posture)
+    answered: dict[float, int] = {}
+    for kr in (1e0, 1e4, 5e5, 1e7, 1e9, 1e11, 1e13, 1e15):
+        gain = float(np.float32(kr))
+        for posture in postures:
+            status, out = library("robust_margin", joint_angles=posture, servo_gain=gain, placement=still)
+            assert status in ("OK", "NOT_ACCURATE")
+            if status == "OK":
+                answered[kr] = answered.get(kr, 0) + 1
+                a, b, c = (x.full() for x in physical.call([still, posture, p]))
+                assert out["epsilon_max"] == pytest.approx(epsilon_by_scipy(a, b, c, gain), abs=1e-4)
+    # Nothing is refused where all digits that are promised are there.
+    assert all(answered[kr] == len(postures) for kr in (1e0, 1e4, 5e5, 1e7))
 
 
 def test_parameters_at_run_time_and_refusals(tmp_path: Path) -> None:
