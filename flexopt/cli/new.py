@@ -238,7 +238,14 @@ def answers(questions: list[Question], options: Mapping[str, Any], *, ask: bool)
             except ValueError as error:
                 raise click.BadParameter(str(error)) from None
 
-        known[question.name] = click.prompt(question.text, default=proposal, value_proc=read, err=True)[0]
+        try:
+            known[question.name] = click.prompt(question.text, default=proposal, value_proc=read, err=True)[0]
+        except click.Abort as abort:
+            # Ctrl-C ends the command; where no more can be typed it is told what to do instead.
+            if not isinstance(abort.__context__, EOFError):
+                raise
+            asked = f"{question.text!r} has no answer, for the input ended"
+            raise InputError(f"new: {asked}; {_spelt(question.name)} gives it, --yes takes what is proposed") from None
     raise_if_any(InputError, "new", faults)
     return known
 

@@ -385,11 +385,20 @@ class _Text:
         return one_line(f"{why} joints are left out: {', '.join(hand[:HAND_SHOWN])}{more}")
 
     def _root(self) -> str:
-        """Name and mass of the link that stands on the springs, where the file tells them."""
+        """The link that stands on the springs, and the mass of it and all that does not move on it, as far as told."""
         links = {link.name: link for link in self.chain.robot.links}
-        root = links.get(self.chain.root or _way(links, self.chain.end)[0].name)
-        mass = root.inertial.mass if root is not None and root.inertial is not None else 0.0
-        return one_line(f", {root.name}, {mass:.4g} kg") if root is not None and mass > 0 else ""
+        root = links[self.chain.root or _way(links, self.chain.end)[0].name]
+        carried = [root]
+        for link in links.values():
+            if link.parent in {each.name for each in carried} and not any(map(self._moves, link.joints)):
+                carried.append(link)
+        mass = sum(map(_mass, carried))
+        rest = " and what does not move on it," if mass > _mass(root) else ""
+        return one_line(f", {root.name},{rest} {mass:.4g} kg") if mass > 0 else ""
+
+    def _moves(self, joint: Joint) -> bool:
+        """Whether the machine moves in a joint; others are locked."""
+        return joint.name in self.chain.actuated or joint.stiffness > 0 or joint.kind == "free"
 
     @staticmethod
     def _told(joint: Joint, link: RobotLink) -> str:

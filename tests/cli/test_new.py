@@ -10,6 +10,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import pinocchio
 import pytest
 from scipy.linalg import eigh
 
@@ -179,6 +180,31 @@ def test_a_grippers_finger_is_no_end_point(command: Command) -> None:
     assert tomllib.loads(text)["actuated"] == ["slew", "boom", "extend"]
     assert tomllib.loads(text)["end_point"]["link"] not in {"left", "right"}
     assert "The springs carry the root link, chassis, 900 kg." in text
+
+
+def test_what_the_springs_carry_is_all_that_does_not_move_on_them(command: Command) -> None:
+    """By Pinocchio, which holds the joints that are not driven."""
+    inertial = "<inertial><mass value='{}'/><inertia ixx='9' ixy='0' ixz='0' iyy='9' iyz='0' izz='9'/></inertial>"
+    parts = "<link name='footprint'/>"
+    for name, kind, parent, mass in (
+        ("below", "fixed", "footprint", None), ("ballast", "fixed", "chassis", 120), ("mast", "revolute", "ballast", 30),
+        ("lamp", "fixed", "mast", 4),
+    ):  # fmt: skip
+        child = "chassis" if mass is None else name
+        limits = "<axis xyz='0 0 1'/><limit lower='-1' upper='1' effort='1' velocity='1'/>" if kind != "fixed" else ""
+        parts += (
+            f"<joint name='to_{name}' type='{kind}'><parent link='{parent}'/><child link='{child}'/>{limits}</joint>"
+        )
+        parts += "" if mass is None else f"<link name='{name}'>{inertial.format(mass)}</link>"
+    text = URDF.replace("</robot>", f"{parts}</robot>")
+    command.write("arm.urdf", text)
+    assert command("new", "own.toml", "--from", "arm.urdf", "--yes").code == 0
+    written = Path("own.toml").read_text(encoding="utf-8")
+    whole = pinocchio.buildModelFromXML(text)
+    held = [whole.getJointId(x) for x in whole.names[1:] if x not in tomllib.loads(written)["actuated"]]
+    carried = pinocchio.buildReducedModel(whole, held, pinocchio.neutral(whole)).inertias[0].mass
+    assert carried == pytest.approx(900 + 120 + 30 + 4)
+    assert f"The springs carry the root link, footprint, and what does not move on it, {carried:g} kg." in written
 
 
 @pytest.mark.long
@@ -433,8 +459,27 @@ def test_questions_are_asked_again_until_the_answer_can_be_used(
     assert swing == (pytest.approx(3.0, rel=1e-5), pytest.approx(0.05, rel=1e-4))
 
 
-def test_without_answers_nothing_is_written(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO("digger\n"))
+@pytest.mark.parametrize("arguments", [(), ("--from", "arm.urdf", "--out", "own.toml")])
+def test_where_input_ends_it_is_told_what_answers(
+    command: Command, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
+) -> None:
+    command.write("arm.urdf", URDF)
+    for typed, question, option in (("", "'Name of the machine'", "--name"), ("digger\n", "", "--")):
+        monkeypatch.setattr("sys.stdin", io.StringIO(typed))
+        outcome = command("new", *arguments)
+        assert outcome.code == 2
+        (told,) = [line for line in outcome.stderr.splitlines() if "has no answer" in line]
+        assert question in told
+        assert f"; {option}" in told
+        assert "--yes" in told
+        assert [path.name for path in command.folder.iterdir()] == ["arm.urdf"]
+
+
+def test_questions_can_be_left(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> str:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("click.termui.visible_prompt_func", interrupted)
     assert command("new").code == 130
     assert not list(command.folder.iterdir())
 
