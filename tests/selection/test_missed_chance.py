@@ -1,4 +1,4 @@
-"""The estimated chance of another value, beside the chance itself of starts that are drawn independently."""
+"""The estimated chance of another value and its bound, beside the chance itself of draws that are independent."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.selection.result import Attempt
+from flexopt.selection.result import Attempt, chance_at_most
 from tests.oracles.spatial import grounded
 
 
@@ -22,9 +22,12 @@ def found() -> flexopt.Selection:
     return flexopt.select(tree, point, objective="w1", starts=2, workers=1)
 
 
+def after(selection: flexopt.Selection, values: list[float | None]) -> flexopt.Selection:
+    return replace(selection, attempts=tuple(Attempt((0.0,), "", value) for value in values))
+
+
 def with_values(selection: flexopt.Selection, values: list[float | None]) -> float | None:
-    attempts = tuple(Attempt((0.0,), "", value) for value in values)
-    return replace(selection, attempts=attempts).missed_chance
+    return after(selection, values).missed_chance
 
 
 @pytest.mark.long
@@ -51,9 +54,51 @@ def test_on_average_it_is_the_chance_itself(found: flexopt.Selection) -> None:
     assert np.mean(true) < np.mean(told) < np.mean(true) + 0.05
 
 
+def distributions() -> list[np.ndarray]:
+    """Chances of values: equal, falling fast and slowly, one large beside few or many small, drawn from Dirichlet's."""
+    rng = np.random.default_rng(1)
+    chances = [np.ones(k) for k in (1, 2, 3, 4, 6, 10, 20, 100)]
+    chances += [ratio ** np.arange(200) for ratio in (0.5, 0.7, 0.85, 0.95)]
+    chances += [1.0 / np.arange(1, 300) ** power for power in (0.7, 1.0, 1.5, 2.0)]
+    chances += [np.r_[1 - rest, np.full(k, rest / k)] for rest in (0.1, 0.3, 0.5, 0.7) for k in (3, 10, 300)]
+    chances += [rng.dirichlet(np.full(rng.integers(3, 60), spread)) for spread in (0.1, 0.3, 1.0) for _ in range(5)]
+    return [each / each.sum() for each in chances]
+
+
+@pytest.mark.parametrize("draws", [3, 8, 16, 32, 64])
+def test_the_bound_holds_as_often_as_it_says(draws: int) -> None:
+    rng, held = np.random.default_rng(draws), list[float]()
+    for chances in distributions():
+        counts = rng.multinomial(draws, chances, size=1500)
+        missed = (counts == 0) @ chances
+        held.append(float(np.mean([rest <= chance_at_most(c) + 1e-12 for rest, c in zip(missed, counts, strict=True)])))
+    # 1500 draws tell a share of 95 % to 0.6 %, and the bound is a large-number one.
+    assert min(held) > 0.93
+    assert np.mean(held) > 0.95
+
+
+def test_few_draws_are_not_sure() -> None:
+    """Of n draws that all gave one value, what has a chance of 3 in n stays unseen once in twenty times."""
+    assert chance_at_most(np.array([30])) == pytest.approx(1 - 0.05 ** (1 / 30), rel=0.1)
+    assert chance_at_most(np.array([2, 2, 2, 2])) > 0.5
+    assert chance_at_most(np.array([1])) == 1.0
+
+
+@pytest.mark.long
+def test_estimate_and_bound_are_told_together(found: flexopt.Selection) -> None:
+    size = found.problem.objective_scale
+    pairs = after(found, [-size * (1 + k) for k in (0, 0, 1, 1, 2, 2, 3, 3)])
+    assert pairs.missed_chance == pairs.to_dict()["missed_chance"] == 0.0
+    assert pairs.missed_chance_at_most == pairs.to_dict()["missed_chance_at_most"] == pytest.approx(0.775, abs=1e-3)
+    pairs = replace(pairs, best=replace(pairs.best, unsurpassed=False))
+    assert "up to 78 % of further ones drawn alike may end at a value not found yet (estimate 0 %" in repr(pairs)
+    assert after(found, [None]).missed_chance_at_most is None
+
+
 def test_a_redundancy_that_was_seen_whole_has_none() -> None:
     selection = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), workers=1)
     assert selection.missed_chance is None
+    assert selection.missed_chance_at_most is None
     assert selection.to_dict()["missed_chance"] is None
 
 

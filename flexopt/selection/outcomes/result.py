@@ -96,6 +96,11 @@ class OutcomeSelection(Selection):
         return
 
     @property
+    def missed_chance_at_most(self) -> None:
+        """None, as the estimate."""
+        return
+
+    @property
     def edges(self) -> tuple[str, ...]:
         """None: the loop knows no numbers of modes."""
         return ()
