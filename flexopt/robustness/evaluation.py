@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings as python_warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, cast
@@ -19,6 +18,7 @@ from flexopt.foundation.control import Control, gain_units
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.later import later
 from flexopt.foundation.results import Result
+from flexopt.foundation.warned import warn_user
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.plant.hydraulics import CylinderState, build_hydraulics
@@ -319,7 +319,9 @@ def evaluate(
     real = cast("Loop | None", machine.loop if loop is None else loop)
     chosen = control or (real and real.control) or "inverse"
     where = cast(Vector, posture)
-    found = evaluate_checked(machine, where, placement, control=chosen, gain=gain, damped=damped, gravity=gravity)
+    found = evaluate_checked(
+        machine, where, placement, control=chosen, gain=gain, damped=damped, gravity=gravity, gradient_shown=True
+    )
     return found if real is None else _with_loop(machine, real, found, gravity=gravity)
 
 
@@ -342,9 +344,20 @@ def prepare(machine: AnyMachine, control: Control, *, gravity: bool) -> None:
 
 
 def evaluate_checked(
-    machine: AnyMachine, posture: Vector, base: Vector, *, control: Control, gain: float, damped: bool, gravity: bool
+    machine: AnyMachine,
+    posture: Vector,
+    base: Vector,
+    *,
+    control: Control,
+    gain: float,
+    damped: bool,
+    gravity: bool,
+    gradient_shown: bool = False,
 ) -> Evaluation:
-    """`evaluate` for arguments that are known to be good."""
+    """`evaluate` for arguments that are known to be good.
+
+    It warns of gradients where they are shown; the answer's own `warnings` tell of them in any case.
+    """
     measures = build_measures(machine, control, gravity)
     plant = measures.plant
     p = plant.parameter_values
@@ -379,10 +392,17 @@ def evaluate_checked(
     margin = evaluate_margin(build_margin(machine, control, gravity), base, posture, gain)
     alone = [i for i in range(m) if not any(i in c for c in clusters)]
     untold = tuple(i for i in alone if detail is not None and not np.all(np.isfinite(w_z[i])))
-    sentences = _warnings(clusters, frequencies, damped) + ((margin.warning,) if margin.warning else ())
-    sentences += tuple(f"the gradient of w{i + 1} could not be computed to 1e-7: two poles nearly meet" for i in untold)
-    for sentence in sentences:
-        python_warnings.warn(sentence, FlexoptWarning, stacklevel=4)
+    sentences, of_margin = _warnings(clusters, frequencies, damped), ((margin.warning,) if margin.warning else ())
+    of_gradient = tuple(
+        f"the gradient of w{i + 1} could not be computed to 1e-7: two poles nearly meet" for i in untold
+    )
+    if margin.epsilon_max is None:
+        sentences += of_margin
+    else:
+        of_gradient = of_margin + of_gradient
+    for sentence in sentences + (of_gradient if gradient_shown else ()):
+        warn_user(sentence, FlexoptWarning)
+    sentences += of_gradient
     _check_finite(w, w_z[[i for i in alone if i not in untold]], frequencies, ratios, traces)
     options = {"gain": gain, "damped": damped, "gravity": gravity}
     return Evaluation(

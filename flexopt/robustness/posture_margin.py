@@ -39,8 +39,10 @@ from flexopt.coprime.system import Matrix
 from flexopt.foundation.arrays import Vector
 from flexopt.robustness.margin import Margin
 
-# Eigenvalues this close, in ε, are at a kink: on its two sides the gradient belongs to different branches.
-KINK_TOLERANCE = 1e-7
+# Eigenvalues this close, relative in ε, may be at a kink: on its two sides the gradient belongs to different branches.
+# They are where the branches meet within this distance, m or rad, by their slopes, or are equal to rounding: where the
+# rigid part rules, both come close to its own ε_max and never meet.
+KINK_TOLERANCE, KINK_DISTANCE, EQUAL = 1e-7, 1e-4, 1e-13
 # A gradient whose bound is beyond this share of its largest element is not told.
 GRADIENT_TOLERANCE = 1e-7
 DIGITS = (50, 100)
@@ -279,8 +281,10 @@ def _told(
     if gradient:
         rows, errors = _row(plant, pair, top, found, by_input, top.values[0])
         if second - epsilon <= KINK_TOLERANCE * epsilon:
+            branches = np.vstack([rows, *_others(plant, pair, top)])[:, :n_z]
+            kink = branches if _meet(second - epsilon, epsilon, branches) else None
+        if kink is not None:
             sentence = "ε_max has a kink here: the two largest eigenvalues of XZ meet, and each has its own gradient"
-            kink = np.vstack([rows, *_others(plant, pair, top)])[:, :n_z]
         elif not _good(rows[:n_z], errors[:n_z], 1.0) or not _good(
             rows[n_z:], errors[n_z:], np.append(margin.plant.parameter_values.full().ravel(), float(plant.kr))
         ):
@@ -293,6 +297,13 @@ def _told(
     return PostureMargin(
         epsilon, error, False, second, z, p, by_kr, z_error, p_error, kr_error, kink, pair.residual, sentence
     )
+
+
+def _meet(gap: float, epsilon: float, branches: Vector) -> bool:
+    """Whether two values so far apart meet nearby: g_11 − g_22 and 2 g_12 close the gap."""
+    first, second, mixed = branches
+    slope = float(np.hypot(np.linalg.norm(first - second), 2 * np.linalg.norm(mixed)))
+    return gap <= max(KINK_DISTANCE * slope, EQUAL * epsilon)
 
 
 def _good(rows: Vector, errors: Vector, by: Vector | float) -> bool:

@@ -2,6 +2,8 @@
 
 import re
 import warnings
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -252,6 +254,39 @@ def test_at_a_kink_both_directional_derivatives_are_right(excavator):
         slopes = (moved - evaluation.epsilon_max) / h
         # The step's own curvature and the rounding over it.
         np.testing.assert_allclose(slopes, evaluation.gradient.epsilon_max_along(direction), atol=3e-6)
+
+
+def test_where_the_rigid_part_rules_values_that_never_meet_are_no_kink(excavator):
+    """At large gains both values come close to sin(π/8), and ε_max is smooth: its two one-sided differences agree."""
+    direction, h = np.array([0.6, 0.8]), 1e-3
+    for posture in ([0.5, -1.1], [0.9, -1.6], [1.2, -2.1]):
+        at, high, low = (flexopt.evaluate(excavator, posture + s * h * direction, gain=1e14) for s in (0, 1, -1))
+        margin = build_margin(excavator, "inverse")
+        first, second = margin.values.call([0, posture, margin.plant.parameter_values, 1e14])[0].full().ravel()
+        assert 0 <= second - first < 1e-7
+        assert (at.warnings, at.gradient.epsilon_max_kink) == ((), None)
+        slopes = [(high.epsilon_max - at.epsilon_max) / h, (at.epsilon_max - low.epsilon_max) / h]
+        told = at.gradient.epsilon_max_along(np.array([0.0, *direction]))
+        np.testing.assert_allclose(slopes, told, rtol=3e-2, atol=1e-11)
+
+
+def test_a_table_without_gradients_does_not_warn_of_them(excavator):
+    """At a kink: what is told of the gradient stands in the evaluation."""
+    problem = flexopt.select(excavator, (0.0, 1.6), workers=1)
+    margin = build_margin(excavator, "inverse")
+
+    def gap(x):
+        low, high = margin.values.call([0, x, margin.plant.parameter_values, GAIN])[0].full().ravel()
+        return high - low
+
+    meeting = minimize(gap, [-0.588, -1.245], method="Nelder-Mead", options={"xatol": 1e-12, "fatol": 1e-16}).x
+    z = np.array([0.0, *meeting])
+    evaluate = partial(problem.problem.quantities.evaluated, z)
+    candidate = replace(problem.best, z=z, evaluate=evaluate)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        repr(replace(problem, best=candidate, candidates=(candidate,)))
+    assert any("kink" in sentence for sentence in candidate.evaluation.warnings)
 
 
 def test_the_two_vector_step_is_right_where_one_vector_is_not(excavator):
