@@ -5,7 +5,7 @@ In: a plant, a target and a placement for each cell, and a reference posture. Ou
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -24,51 +24,67 @@ ITERATIONS = 60
 STEP, TOLERANCE, STILL = 0.3, 1e-11, 1e-9
 # Singular values below this share of the largest count as lost directions.
 LOST = 1e-10
-# How many of the cells nearest to the reference are tried as the first.
+# How many of the cells nearest to the start are tried at once as the first, then twice as many, and so on.
 SEEDS = 64
 
 
 @dataclass(frozen=True)
 class MapPoints:
-    """Where the end-point and the base are in each cell of n_y rows and n_x columns.
+    """Where the end-point and the base are at the start and in each cell of n_y rows and n_x columns.
 
     Attributes:
+        start: target (n_task,), m, and placement (n_b,), m or rad, from which cells are followed.
         target: (n_task, n_y, n_x), m.
         base: (n_b, n_y, n_x), m or rad.
-        distance: from the reference, by which the first cell is chosen (n_y, n_x).
+        distance: from the start, by which the first cell is chosen (n_y, n_x).
     """
 
+    start: tuple[Vector, Vector]
     target: Vector
     base: Vector
     distance: Vector
 
 
-def follow(
-    plant: Plant, cells: MapPoints, reference: Vector, told: Callable[[int], None] = lambda _: None
-) -> tuple[Vector, Mask, float]:
+@dataclass(frozen=True)
+class Followed:
+    """What was found.
+
+    Attributes:
+        posture: (n, n_y, n_x), rad or m; NaN where none was found.
+        reached: where one was (n_y, n_x).
+        start_reached: whether the start's target is reached from its placement.
+        miss: at the start, largest row of r − target, m.
+    """
+
+    posture: Vector
+    reached: Mask
+    start_reached: bool
+    miss: float
+
+
+def follow(plant: Plant, cells: MapPoints, reference: Vector, told: Callable[[int], None] = lambda _: None) -> Followed:
     """The posture of each cell: on its target, inside the joint limits, at rest.
 
-    The first cell is the one nearest to the reference; every other starts from a neighbour that is done. An arm
-    without redundancy stays in the reference's branch: the sign of det Jv is kept. A redundant arm takes the posture
-    nearest to the reference, |q_a − q_ref|² least over the postures on the target (rad and m alike), at least locally:
-    each step is Jv⁺ (r_d − r) + α (I − Jv⁺ Jv)(q_ref − q_a), joints that rest against their limits left out. `told` is
-    called with how many cells are done.
-
-    Returns:
-        postures (n, n_y, n_x), NaN where none was found; a mask of those found; the least error in m of the first cell
-        where it was not reached, else 0.
+    The reference leads to the start, that to the nearest cell that is reached; every other starts from a neighbour
+    that is done. An arm without redundancy stays in the reference's branch: the sign of det Jv is kept. A redundant arm
+    takes the posture nearest to the reference, |q_a − q_ref|² least over the postures on the target (rad and m alike),
+    at least locally: each step is Jv⁺ (r_d − r) + α (I − Jv⁺ Jv)(q_ref − q_a), joints that rest against their limits
+    left out. `told` is called with how many cells are done.
     """
     shape = cells.distance.shape
     solver = _Solver(plant, reference)
     posture, done = np.full((reference.size, *shape), np.nan), np.zeros(shape, dtype=bool)
-    nearest = np.unravel_index(np.argsort(cells.distance, axis=None, kind="stable")[:SEEDS], shape)
-    starts = np.repeat(reference[:, None], nearest[0].size, axis=1)
-    found, reached, error = solver.solve(cells.target[:, *nearest], cells.base[:, *nearest], starts)
-    if not reached.any():
-        return posture, done, float(error.min())
-    first = int(np.argmax(reached))
-    at = nearest[0][first : first + 1], nearest[1][first : first + 1]
-    posture[:, *at], done[at] = found[:, first : first + 1], True
+    target, base = (part[:, None] for part in cells.start)
+    held, held_there, miss = solver.solve(target, base, reference[:, None])
+    start = held if held_there[0] else reference[:, None]
+    for nearest in _nearest_first(cells.distance):
+        starts = np.repeat(start, nearest[0].size, axis=1)
+        found, reached, _ = solver.solve(cells.target[:, *nearest], cells.base[:, *nearest], starts)
+        if reached.any():
+            first = int(np.argmax(reached))
+            at = nearest[0][first : first + 1], nearest[1][first : first + 1]
+            posture[:, *at], done[at] = found[:, first : first + 1], True
+            break
     fresh = done.copy()
     while fresh.any():
         rows, columns, starts = _beside(fresh, done, posture)
@@ -80,7 +96,16 @@ def follow(
         posture[:, rows[reached], columns[reached]] = found[:, reached]
         done |= fresh
         told(int(done.sum()))
-    return posture, done, 0.0
+    return Followed(posture, done, bool(held_there[0]), float(miss[0]))
+
+
+def _nearest_first(distance: Vector) -> Iterator[tuple[NDArray[np.int64], ...]]:
+    """Rows and columns of all cells, the nearest first: `SEEDS` of them, then twice as many, and so on."""
+    order = np.argsort(distance, axis=None, kind="stable")
+    done, size = 0, SEEDS
+    while done < order.size:
+        yield np.unravel_index(order[done : done + size], distance.shape)
+        done, size = done + size, 2 * size
 
 
 def _beside(fresh: Mask, done: Mask, posture: Vector) -> tuple[NDArray[np.int64], NDArray[np.int64], Vector]:

@@ -13,13 +13,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.errors import Fault, InputError, UnreachableTarget, raise_if_any
 from flexopt.foundation.arrays import Interval, Vector
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, inside_limits, low_discrepancy
 from flexopt.plant.reach import arm_length, missed, outer_reach, reach, sampled_ranges
-from flexopt.study.follow import MapPoints, follow
+from flexopt.robustness.evaluation import in_words
+from flexopt.study.follow import Followed, MapPoints, follow
 
 Over = Literal["end_point", "posture", "base"]
 AxisPair = tuple[int, int]
@@ -92,16 +94,22 @@ def task_ranges(plant: Plant, base: Vector) -> list[Interval]:
     return [(end(row, 1.0), end(row, -1.0)) for row in range(plant.n_task)]
 
 
-def placement_ranges(plant: Plant, end_point: Vector, base: Vector) -> list[Interval]:
-    """Placements around those from which an end-point may be reached: as far from it as the arm is long; a turn."""
+def placement_ranges(plant: Plant, end_point: Vector, base: Vector, varies: AxisPair) -> list[Interval]:
+    """Placements around those from which an end-point may be reached, where the indices `varies` vary.
+
+    Not turned, as far from it as the arm reaches either way; turned, or along no row of the task, as far as it is long;
+    a whole turn.
+    """
     machine = plant.machine
     names, rows = machine.base_coordinates, machine.task_rows
     center, radius = outer_reach(plant)
     radius += float(np.linalg.norm(center[:2]))
+    reached = {} if "yaw" in (names[k] for k in varies) else dict(zip(rows, task_ranges(plant, base), strict=True))
     ranges: list[Interval] = []
     for name, place in zip(names, base.tolist(), strict=True):
         middle = float(end_point[rows.index(name)]) if name in rows else place
-        ranges.append((-math.pi, math.pi) if name == "yaw" else (middle - radius, middle + radius))
+        low, high = reached.get(name, (place - radius, place + radius))
+        ranges.append((-math.pi, math.pi) if name == "yaw" else (middle + place - high, middle + place - low))
     return ranges
 
 
@@ -169,12 +177,12 @@ def task_grid(
     bases = np.broadcast_to(base[:, None, None], (base.size, *shape))
     here = end_point_at(plant, base, reference)
     distance = np.hypot(*(target[k] - here[k] for k in rows))
-    posture, done, _ = follow(plant, MapPoints(target, bases, distance), reference, told)
+    found = follow(plant, MapPoints((here, base), target, bases, distance), reference, told)
     column, row = (
         Axis(names[k], values, "m", f"{names[k]} of the end-point at rest, inertial frame")
         for k, values in zip(rows, (x, y), strict=True)
     )
-    return Grid(row, column, posture, done, bases)
+    return Grid(row, column, found.posture, found.reached, bases)
 
 
 def placement_grid(
@@ -184,7 +192,8 @@ def placement_grid(
     """Postures followed over placements with the end-point held: two coordinates vary, the others are `base`'s.
 
     Raises:
-        UnreachableTarget: no placement of the grid near to `base` reaches the end-point.
+        InputError: the end-point is reached from `base`, but from no placement of the grid.
+        UnreachableTarget: from none of both.
     """
     plant, names = build_plant(machine), machine.base_coordinates
     x, y = (np.linspace(*span, count) for span, count in zip(ranges, points, strict=True))
@@ -193,14 +202,36 @@ def placement_grid(
     bases[coordinates[0]], bases[coordinates[1]] = np.meshgrid(x, y)
     target = np.broadcast_to(end_point[:, None, None], (end_point.size, *shape))
     distance = np.hypot(*(bases[k] - base[k] for k in coordinates))
-    posture, done, miss = follow(plant, MapPoints(target, bases, distance), reference, told)
-    if not done.any():
-        raise missed(plant, end_point, base, miss)
+    found = follow(plant, MapPoints((end_point, base), target, bases, distance), reference, told)
+    _expect_reached(plant, end_point, base, found, (x, y), coordinates)
     column, row = (
         Axis(f"base_{names[k]}", values, machine.base_units[k], f"{names[k]} of the placement")
         for k, values in zip(coordinates, (x, y), strict=True)
     )
-    return Grid(row, column, posture, done, bases)
+    return Grid(row, column, found.posture, found.reached, bases)
+
+
+def _expect_reached(
+    plant: Plant, end_point: Vector, base: Vector, found: Followed, axes: tuple[Vector, Vector], varies: AxisPair
+) -> None:
+    """Say what to do where no placement of the grid reaches the end-point."""
+    if found.reached.any():
+        return
+    if not found.start_reached:
+        off = missed(plant, end_point, base, found.miss)
+        sentence = "nor is it reached from any point of the map: ask for another end-point, or for other ranges"
+        raise UnreachableTarget(f"{off}; {sentence}", miss=off.miss)
+    names, units = plant.machine.base_coordinates, plant.machine.base_units
+    apart = " and ".join(
+        f"{(values[-1] - values[0]) / (values.size - 1):.3g} {units[k]} along {names[k]}"
+        for k, values in zip(varies, axes, strict=True)
+    )
+    sentence = (
+        f"from none of these placements, {apart} apart, is the end-point reached, though it is with the base at "
+        f"{in_words(names, base, units)}: ask for more points, or for ranges closer about it"
+    )
+    number = ", ".join(str(values.size) for values in axes)
+    raise_if_any(InputError, "map_workspace", [Fault("points", sentence, f"({number})")])
 
 
 def end_point_at(plant: Plant, base: Vector, posture: Vector) -> Vector:

@@ -263,5 +263,5 @@ def _default_ranges(machine: AnyMachine, plane: Plane) -> tuple[Interval, Interv
     elif plane.over == "end_point":
         every = task_ranges(build_plant(machine), plane.base)
     else:
-        every = placement_ranges(build_plant(machine), plane.end_point, plane.base)
+        every = placement_ranges(build_plant(machine), plane.end_point, plane.base, plane.varies)
     return every[plane.varies[0]], every[plane.varies[1]]

@@ -114,7 +114,8 @@ def map_workspace(
         base: placement (n_b,), m or rad: of the coordinates that do not vary, and where following starts; 0 by default.
         x_range, y_range: (low, high), in the axis' unit. By default the square around the arm's reach (closed form);
             what the task rows take over all postures; the joint limits, or without a whole turn or 1 m either way; as
-            far from the end-point as the arm is long, or a whole turn.
+            far from the end-point as the arm reaches (where the base turns, or along no row of the task, as it is
+            long), or a whole turn.
         points: numbers of points (along x, along y); (400, 400), of machines in space, and with more than three
             passive coordinates, (60, 60).
         elbow: which posture reaches an end-point, in closed form.
@@ -127,8 +128,9 @@ def map_workspace(
         progress: called with the number of postures done and of all; where they are followed each counts twice.
 
     Raises:
-        InputError: every unusable argument, in one message.
-        UnreachableTarget: over the base, the end-point is not reached from the placements next to `base`.
+        InputError: every unusable argument, in one message; over the base, so few points that the end-point is reached
+            from `base` and from none of them.
+        UnreachableTarget: over the base, the end-point is reached from `base` no more than from any point.
 
     Example:
         >>> machine = flexopt.load("excavator")

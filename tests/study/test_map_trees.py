@@ -15,7 +15,7 @@ from flexopt.study.grid import task_ranges
 from flexopt.study.points import _measure_function
 from tests.cli.command import Command
 from tests.oracles.spatial import grounded, in_space, random_tree
-from tests.study.machines import three_links
+from tests.study.machines import gantry, three_links
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
 REFERENCE = [0.3, -0.9, 1.3]
@@ -218,6 +218,57 @@ def test_where_to_stand(slewing, coordinates):
     marks = json.loads(result.dataset.attrs["marks"])
     assert marks["reference"] == [held[name] for name in coordinates]
     assert ("end-point" in marks) == ("yaw" not in coordinates)
+
+
+HELD = {"over": "base", "posture": [1.45, 0.17, 0.2837941], "base": [0.5, 0.16, 0.0], "end_point": [2.4, 0.3, 1.5]}
+
+
+def test_a_map_of_few_points_shows_where_a_short_arm_may_stand():
+    """Against its geometry: x and y of the end-point from reach and swivel."""
+    result = flexopt.map_workspace(tree_from_dict(gantry()), points=(12, 12), epsilon_max=False, measures=False, **HELD)
+    # In the row x from 1.25 m + 0.1 m, the head turned back as far as it goes, to all of it; in y the head's 0.5 m.
+    ends = 2.4 - 1.25 - 1.7 - 0.5, 2.4 - 1.25 - 0.1 - 0.5 * np.cos(2.2)
+    np.testing.assert_allclose(result.options["x_range"], ends, atol=1e-6)
+    np.testing.assert_allclose(result.options["y_range"], (-0.2, 0.8), atol=1e-6)
+    x, y = np.meshgrid(result.array("base_x"), result.array("base_y"))
+    inside = np.abs(y - 0.3) < 0.5 - 1e-6
+    swivel = np.arcsin(np.where(inside, (0.3 - y) / 0.5, 0.0))
+    reach = 2.4 - x - 1.25 - 0.5 * np.cos(swivel)
+    possible = (reach >= 0.1) & (reach <= 1.7)
+    assert 0.4 < possible[inside].mean() < 0.9
+    np.testing.assert_array_equal((result.array("reachable") == 1)[inside], possible[inside])
+    wanted = np.array([np.full_like(x, 1.45), reach, swivel])[:, inside & possible]
+    np.testing.assert_allclose(result.array("posture")[:, inside & possible], wanted, atol=1e-8)
+
+
+def test_a_base_between_points_that_do_not_reach_is_told_as_such():
+    machine = tree_from_dict(gantry())
+    wide = {"x_range": (-3.9, 8.7), "y_range": (-6.0, 6.6), "epsilon_max": False, "measures": False}
+    with pytest.raises(
+        flexopt.InputError, match=r"1\.15 m along x and 1.15 m along y apart, is the end-point"
+    ) as caught:
+        flexopt.map_workspace(machine, points=(12, 12), **HELD, **wide)
+    (fault,) = caught.value.faults
+    assert (fault.field, fault.value) == ("points", "(12, 12)")
+    assert "it is with the base at x 0.5000, y 0.1600 m, yaw 0.0000 rad: ask for more points" in fault.sentence
+    assert flexopt.map_workspace(machine, points=(13, 13), **HELD, **wide).array("reachable").sum() == 2
+
+
+def test_points_that_reach_are_found_however_far_the_base_stands():
+    machine = tree_from_dict(gantry())
+    held = HELD | {"points": (48, 48), "epsilon_max": False, "measures": False}
+    near, far = (
+        flexopt.map_workspace(machine, **held | {"base": base}).array("reachable")[1:-1]
+        for base in ([0.5, 0.16, 0.0], [9.0, 9.0, 0.0])
+    )
+    assert near.any()
+    np.testing.assert_array_equal(far, near)
+    held |= {"end_point": [2.4, 0.3, 9.0]}
+    with pytest.raises(
+        flexopt.UnreachableTarget, match=r"stays 6\.35 m off .*; nor is it reached from any point"
+    ) as caught:
+        flexopt.map_workspace(machine, **held)
+    assert caught.value.miss == pytest.approx(9.0 - 2.65, abs=1e-6)
 
 
 def test_margins_of_six_passive_coordinates(slewing):
