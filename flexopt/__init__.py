@@ -76,8 +76,6 @@ if TYPE_CHECKING:
     from flexopt.robustness import evaluate as evaluate
     from flexopt.robustness import evaluate_w as evaluate_w
     from flexopt.robustness.atlas import Atlas as Atlas
-    from flexopt.robustness.checking import Check as Check
-    from flexopt.robustness.checking import check as check
     from flexopt.selection import BasePlan as BasePlan
     from flexopt.selection import BaseTrajectory as BaseTrajectory
     from flexopt.selection import Candidate as Candidate
@@ -93,6 +91,8 @@ if TYPE_CHECKING:
     from flexopt.selection import select_stand as select_stand
     from flexopt.selection import solve_problem as solve_problem
     from flexopt.selection import solve_selection as solve_selection
+    from flexopt.selection.checking import Check as Check
+    from flexopt.selection.checking import check as check
     from flexopt.simulation import Actuator as Actuator
     from flexopt.simulation import Ensemble as Ensemble
     from flexopt.simulation import Path as Path
@@ -251,11 +251,11 @@ _LATER = {
     "plant": "Hydraulics Plant build_hydraulics build_plant inverse_kinematics",
     "robustness": "Evaluation Measures build_measures evaluate evaluate_w",
     "robustness.atlas": "Atlas",
-    "robustness.checking": "Check check",
     "selection": (
         "BasePlan BaseTrajectory Candidate Certificate Selection SelectionProblem Stand build_selection "
         "certify nullspace_trajectory plan_base select select_stand solve_problem solve_selection"
     ),
+    "selection.checking": "Check check",
     "simulation": (
         "Actuator Ensemble Path Sensor Trajectory run_experiment sampled_loop simulate simulate_ensemble "
         "stability_border"

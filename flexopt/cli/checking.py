@@ -8,7 +8,7 @@ import click
 
 from flexopt.cli.common import BAD_INPUT, JSON, print_json, say
 from flexopt.cli.completing import argument
-from flexopt.robustness.checking import check
+from flexopt.selection.checking import check
 
 
 @click.command("check", short_help="Faults of a file, and numbers that are hardly meant.")

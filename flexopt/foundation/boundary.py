@@ -328,8 +328,7 @@ def public(
         table = {**({} if keywords is None else keywords.checks), **(checks or {}), **own}
         each = {name: table[name] if name in table else TABLE[name] for name in parameters}
 
-        @wraps(function)
-        def checked(*args: P.args, **kwargs: P.kwargs) -> T:
+        def examined(*args: P.args, **kwargs: P.kwargs) -> tuple[Arguments, inspect.BoundArguments]:
             try:
                 bound = signature.bind(*args, **kwargs)
             except TypeError as miscall:
@@ -355,14 +354,28 @@ def public(
                         arguments.sizes = sizes(values[name])
             if together is not None:
                 together(arguments, values | ({"self": given["self"]} if owner is not None else {}))
+            return arguments, bound
+
+        @wraps(function)
+        def checked(*args: P.args, **kwargs: P.kwargs) -> T:
+            arguments, bound = examined(*args, **kwargs)
             arguments.done()
             return function(*bound.args, **bound.kwargs)
 
+        def faults(*args: P.args, **kwargs: P.kwargs) -> list[Fault]:
+            return examined(*args, **kwargs)[0].faults
+
         known = in_turn(checked) if turn else checked
         cast(Any, known).__signature__ = signature
+        cast(Any, known).faults = in_turn(faults)
         return known
 
     return decorate
+
+
+def faults_of(call: Callable[P, Any], *args: P.args, **kwargs: P.kwargs) -> list[Fault]:
+    """What a public function would refuse of these arguments, without running it."""
+    return cast(Any, call).faults(*args, **kwargs)
 
 
 def public_class(**own: ArgumentCheck) -> Callable[[C], C]:

@@ -1,13 +1,23 @@
-"""A problem file's problem, solved by what its target asks for."""
+"""A problem file's problem, solved by what its target asks for, and what stands in the way of that."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
+from typing import Any
+
+from flexopt.errors import Fault
 from flexopt.foundation.arrays import Progress
-from flexopt.foundation.boundary import public
+from flexopt.foundation.boundary import faults_of, public
 from flexopt.model import Problem
+from flexopt.model.problem import TARGET_ARGUMENTS
+from flexopt.model.targets import PathMotion, TargetKind
 from flexopt.selection.result import Selection
 from flexopt.selection.several import BasePlan, Stand, plan_base, select_stand
 from flexopt.selection.solve import select
+
+# By what its target asks for.
+CALLS: dict[TargetKind, Callable[..., Any]] = {"end_point": select, "end_points": select_stand, "path": plan_base}
 
 
 @public()
@@ -29,5 +39,18 @@ def solve_problem(
         >>> flexopt.solve_problem(flexopt.load_problem("article")).status
         '8 distinct local optima verified from 8 starts'
     """
-    calls = {"end_point": select, "end_points": select_stand, "path": plan_base}
-    return calls[problem.target.kind](**problem.select_arguments(), workers=workers, progress=progress)
+    return CALLS[problem.target.kind](**problem.select_arguments(), workers=workers, progress=progress)
+
+
+def problem_refusals(problem: Problem) -> list[Fault]:
+    """What solving a problem file's problem refuses before it computes anything; fields are those of the file."""
+    kind = problem.target.kind
+    tables = {name: name for name in ("machine", "constraints", "loop")}
+    tables |= {"ranges": "uncertainty", TARGET_ARGUMENTS[kind]: f"target.{kind}"}
+    tables |= {key: f"motion.{key}" for key in PathMotion.model_fields}
+    found: list[Fault] = []
+    for fault in faults_of(CALLS[kind], **problem.select_arguments()):
+        argument, *rest = re.split(r"\b", fault.field, maxsplit=2)[1:]
+        place = tables.get(argument, f"selection.{argument}")
+        found.append(Fault("".join((place, *rest)), fault.sentence, fault.value))
+    return found

@@ -475,7 +475,7 @@ def test_what_travel_counts_from_is_told_before_a_selection(tmp_path: Path) -> N
     path.write_text(text + stands, encoding="utf-8")
     (sentence,) = flexopt.check(path).warnings
     assert "constraints.travel" in sentence
-    assert "give posture in [constraints.travel] or [selection]" in sentence
+    assert "give it here, or as posture of the call or of [selection]" in sentence
     with pytest.raises(InputError, match=r"travel\.posture.*\[selection\]"):
         flexopt.solve_problem(flexopt.load_problem(path))
     path.write_text(f"{text}{stands}posture = [0.9929, -2.6302]\n", encoding="utf-8")

@@ -467,7 +467,8 @@ def test_weights_that_a_selection_refuses_are_told(tmp_path: Path) -> None:
     text = 'name = "p"\nmachine = "excavator"\n[target]\nend_point = [0, 1.6]\n[selection]\nobjective = "V"\nweights = {}\n'
     (tmp_path / "p.toml").write_text(text.format([1] * 5))
     [fault] = flexopt.check(tmp_path / "p.toml").faults
-    assert str(fault).startswith("selection.weights: 5 of them, but excavator has 3 modes")
+    assert fault.field == "selection.weights"
+    assert fault.sentence == "excavator has 3 modes, so 3 weights are needed, or 4 with the last for ε_max"
     for allowed in (3, 4):
         (tmp_path / "p.toml").write_text(text.format([1] * allowed))
         assert flexopt.check(tmp_path / "p.toml").status == "good"
@@ -478,7 +479,7 @@ def test_what_a_cost_of_travel_wants_is_told_of_one_target_and_of_several(target
     text = f'name = "p"\nmachine = "excavator"\n[target]\n{target}\n[constraints.travel]\ncost = 0.1\nbase = 0.0\n'
     (tmp_path / "p.toml").write_text(text)
     (sentence,) = flexopt.check(tmp_path / "p.toml").warnings
-    assert "the present posture, from which it counts: give posture in [constraints.travel]" in sentence
+    assert sentence.startswith("constraints.travel.posture: is required: the cost of travel counts from the present")
     (tmp_path / "p.toml").write_text(text + "posture = [0.0448, -2.0499]\n")
     assert flexopt.check(tmp_path / "p.toml").warnings == ()
 
@@ -497,11 +498,59 @@ def test_a_clearance_of_a_machine_without_volumes_is_told(tmp_path: Path) -> Non
         "[constraints.clearance]\ndistance = 0.1\nground = 0.0\n"
     )
     (tmp_path / "job.toml").write_text(text, encoding="utf-8")
-    assert "constraints.clearance: excavator has no [[capsules]]" in repr(flexopt.check(tmp_path / "job.toml"))
+    told = repr(flexopt.check(tmp_path / "job.toml"))
+    assert "constraints.clearance: needs the volumes of bodies, and excavator has none: add tables [[capsules]]" in told
     with pytest.raises(flexopt.InputError, match="needs the volumes of bodies"):
         flexopt.solve_problem(flexopt.load_problem(tmp_path / "job.toml"))
     (tmp_path / "job.toml").write_text(text.replace("excavator", "boom-stick-bucket"), encoding="utf-8")
     assert "capsules" not in repr(flexopt.check(tmp_path / "job.toml"))
+
+
+IN_THE_PLANE, IN_SPACE = "boom-stick-bucket", "slewing-excavator"
+BOX = "clearance = {{ distance = 0.1, obstacles = [{{ kind = 'box', center = {}, size = {} }}] }}"
+REFUSED: dict[str, tuple[str, str, set[str]]] = {
+    "box in space": (
+        IN_THE_PLANE, BOX.format("[9.0, 2.0, 0.0]", "[1.0, 4.0, 1.0]"),
+        {"constraints.clearance.obstacles[0].center", "constraints.clearance.obstacles[0].size"},
+    ),
+    "box in the plane": (
+        IN_SPACE, BOX.format("[9.0, 2.0]", "[1.0, 4.0, 1.0]"), {"constraints.clearance.obstacles[0].center"},
+    ),
+    "intervals in space": (
+        IN_SPACE, "region = [[0, 1]]\nkeep_out = [[[0, 0], [1, 0], [0, 1]], [1.6, 3.0]]",
+        {"constraints.region[0]", "constraints.keep_out[1]"},
+    ),
+    "a polygon in the plane": (IN_THE_PLANE, "region = [[[0, 0], [1, 0], [0, 1]]]", {"constraints.region[0]"}),
+    "a body that there is not": (
+        IN_THE_PLANE, "clearance = { distance = 0.1, ground = 0.0, bodies = ['boum'] }", {"constraints.clearance.bodies"},
+    ),
+    "no support": ("excavator", "tip_over_margin = 0.1", {"constraints.tip_over_margin"}),
+    "no efforts": ("excavator", "holding = 0.5", {"constraints.holding"}),
+    "a margin beyond the limits": (IN_THE_PLANE, "joint_margin = 3.1", {"constraints.joint_margin"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("several", [False, True])
+@pytest.mark.parametrize("case", REFUSED)
+def test_all_that_a_selection_refuses_of_constraints_is_told(case: str, several: bool, tmp_path: Path) -> None:
+    machine, constraints, fields = REFUSED[case]
+    point = "[5.0, 0.5, 1.0]" if machine == IN_SPACE else "[5.0, 1.0]"
+    target = f"end_points = [{point}, {point}]" if several else f"end_point = {point}"
+    text = f'name = "p"\nmachine = "{machine}"\n[target]\n{target}\n[constraints]\n{constraints}\n'
+    (tmp_path / "p.toml").write_text(text, encoding="utf-8")
+    found = flexopt.check(tmp_path / "p.toml").faults
+    assert {fault.field for fault in found} == fields
+    with pytest.raises(flexopt.InputError) as caught:
+        flexopt.solve_problem(flexopt.load_problem(tmp_path / "p.toml"))
+    assert caught.value.faults == found
+
+
+def test_a_posture_that_a_selection_refuses_is_told_by_its_table(tmp_path: Path) -> None:
+    text = 'name = "p"\nmachine = "boom-stick-bucket"\n[target]\nend_points = [[5.0, 1.0, 2.0]]\n'
+    (tmp_path / "p.toml").write_text(text + "[selection]\nbase = 0\nposture = [5.0, 0.0, 0.0]\n", encoding="utf-8")
+    told = [fault.field for fault in flexopt.check(tmp_path / "p.toml").faults]
+    assert any(field.startswith("selection.posture (boom)") for field in told)
+    assert any(field.startswith("target.end_points") for field in told)
 
 
 @pytest.mark.parametrize("name", ["excavator", "boom-stick-bucket"])

@@ -23,6 +23,7 @@ from flexopt.model.simulation import Experiment
 from flexopt.model.study import Study
 from flexopt.model.study_file import study_from
 from flexopt.robustness.plausibility import implausibilities, slow_rate
+from flexopt.selection.problem_file import problem_refusals
 
 # A start displacement beyond this, rad, is a quarter turn: hardly a disturbance.
 OFFSET_MAX = math.pi / 2
@@ -97,7 +98,8 @@ def check(machine_or_path: AnyMachine | Problem | Experiment | Study | str | os.
     radius of gyration is compared with its length, springs and drives with the weight that they carry, the total mass
     with the square of the reach, the first mode with 0.1 to 100 Hz and with the loop's rate, modal damping with the
     critical one, the reach with 100 m, ranges of what is uncertain with the file's own number. Three or more bodies of
-    an arm that have the same mass and inertia though one is longer than another have placeholders for them.
+    an arm that have the same mass and inertia though one is longer than another have placeholders for them. Faults of a
+    problem are also those that a selection of it refuses.
 
     Args:
         machine_or_path: a machine, problem, experiment or study, or the name or path of one; a URDF or MJCF file, too.
@@ -148,49 +150,17 @@ def _checked(loaded: AnyMachine | Problem | Experiment | Study, sentences: tuple
     found += slow_rate(machine, loop) if loop is not None else ()
     if isinstance(loaded, Problem):
         found += [*_targets(loaded), *distant_ranges(machine, loaded.uncertainty)]
-        faults, sentences = (*_volumes(loaded), *_weights(loaded)), (*sentences, *_left(loaded))
+        refused = problem_refusals(loaded)
+        faults = tuple(fault for fault in refused if not _of_the_present(fault))
+        sentences = (*sentences, *(str(fault) for fault in refused if _of_the_present(fault)))
     elif isinstance(loaded, Experiment):
         found += _offsets(loaded)
     return Check(loaded.name, kind, machine.name, faults, tuple(found), sentences, provenance(machine))
 
 
-def _volumes(problem: Problem) -> Iterator[Fault]:
-    """What of a problem a selection will refuse, as the machine has no volumes, or nothing that it stands on."""
-    machine, kept = problem.loaded_machine, problem.constraints
-    for table, there, names in (
-        ("[[capsules]]", machine.capsules, ("clearance", "self_clearance")),
-        ("[support]", machine.support_points, ("tip_over_margin",)),
-    ):
-        asked = [f"constraints.{name}" for name in names if getattr(kept, name, None) is not None]
-        if asked and not there:
-            yield Fault(" and ".join(asked), f"{machine.name} has no {table}, without which a selection refuses this")
-
-
-def _weights(problem: Problem) -> Iterator[Fault]:
-    """Weights that are not as many as the modes, which a selection will refuse."""
-    machine, weights = problem.loaded_machine, problem.selection.weights
-    modes = len(machine.coordinates) - len(machine.joints)
-    if weights is not None and len(weights) not in (modes, modes + 1):
-        sentence = (
-            f"{len(weights)} of them, but {machine.name} has {modes} modes: a selection needs {modes}, or {modes + 1} "
-            "with the last for ε_max"
-        )
-        yield Fault("selection.weights", sentence)
-
-
-def _left(problem: Problem) -> Iterator[str]:
-    """What travel counts from and the file does not tell, without which a selection refuses it."""
-    travel, machine = problem.constraints and problem.constraints.travel, problem.loaded_machine
-    if travel is None:
-        return
-    needed = ["base"] * bool(machine.base_coordinates) + ["posture"]
-    open_ = [name for name in needed if getattr(travel, name) is None and getattr(problem.selection, name) is None]
-    if open_:
-        words = " and ".join(open_)
-        yield (
-            f"constraints.travel: a selection refuses its cost without the present {words}, from which it counts: "
-            f"give {words} in [constraints.travel] or [selection]"
-        )
+def _of_the_present(fault: Fault) -> bool:
+    """Whether it tells what travel counts from and the file does not say, which a call may."""
+    return fault.field in ("constraints.travel.base", "constraints.travel.posture") and not fault.value
 
 
 def _targets(problem: Problem) -> Iterator[ImplausibleNumber]:
