@@ -15,34 +15,38 @@ Three words (`SelectionOptions.assume`), each named in the result with its numbe
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.model import AnyMachine
 from flexopt.model.choices import assumes
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
 from flexopt.plant.reach import outer_reach
 from flexopt.selection.constraints.ground import above_ground, kept_above
+from flexopt.selection.constraints.holding import without_effort
 from flexopt.selection.constraints.self_clearance import meeting_pairs, overlapping_pairs, overlapping_told
 
 # What is in nobody's way.
-ALWAYS = ("limits", "clearance", "self_clearance", "capsules")
+ALWAYS = ("limits", "clearance", "holding", "self_clearance", "capsules")
 
 
 @dataclass(frozen=True)
 class Assumption:
     """One of `flexopt.model.choices.ASSUMPTIONS` that was made; or what no word switches off.
 
-    That is of bodies in each other's way: `clearance` of some without a volume, where it is asked for, `capsules` of
-    all without one, `self_clearance` where nobody asks for it, or of pairs that overlap in every posture.
+    That is `holding` of joints without an effort, where it is asked for; and of bodies in each other's way: `clearance`
+    of some without a volume, where it is asked for, `capsules` of all without one, `self_clearance` where nobody asks
+    for it, or of pairs that overlap in every posture.
 
     Attributes:
         name: the word that switches it;  sentence: what was assumed.
-        value: its number, in `unit`: the ground's height, m; how many joints keep limits; how far to drive, m; how many
-            bodies, or pairs of capsules.
+        value: its number, in `unit`: the ground's height, m; how many joints keep limits, or are not held; how far to
+            drive, m; how many bodies, or pairs of capsules.
     """
 
     name: str
@@ -110,12 +114,7 @@ def assumed(
             f"{'where it stands' if given else 'zeros'}: as far as the arm reaches, or the target lies"
         )
         named.append(Assumption("reach", sentence, drive, "m"))
-    if constraints.clearance is not None and constraints.clearance.bodies is None:
-        filled = {capsule.body for capsule in machine.capsules}
-        bare = [body.name for body in machine.kinematic_tree.bodies if not body.massless and body.name not in filled]
-        if bare and filled:
-            sentence = f"kept clear is what has [[capsules]] alone, so nothing of {', '.join(bare)}"
-            named.append(Assumption("clearance", sentence, float(len(bare)), "bodies"))
+    named += left_out(machine, constraints)
     if not machine.capsules:
         bodies = sum(not body.massless for body in machine.kinematic_tree.bodies)
         sentence = "bodies may pass through each other, for the machine has no [[capsules]]"
@@ -129,6 +128,20 @@ def assumed(
             Assumption("self_clearance", sentence, float(len(overlapping_pairs(machine))), "pairs of capsules")
         )
     return Assumed(ground if above else None, limits, drive, tuple(named))
+
+
+def left_out(machine: AnyMachine, constraints: Constraints) -> Iterator[Assumption]:
+    """What is asked for and the machine's file says too little of: of these bodies and joints nothing is kept."""
+    if constraints.clearance is not None and constraints.clearance.bodies is None:
+        filled = {capsule.body for capsule in machine.capsules}
+        bare = [body.name for body in machine.kinematic_tree.bodies if not body.massless and body.name not in filled]
+        if bare and filled:
+            sentence = f"kept clear is what has [[capsules]] alone, so nothing of {', '.join(bare)}"
+            yield Assumption("clearance", sentence, float(len(bare)), "bodies")
+    free = without_effort(machine)
+    if constraints.holding is not None and 0 < len(free) < len(machine.joints):
+        sentence = f"held is what has an effort, or a cylinder with a force, alone, so not {', '.join(free)}"
+        yield Assumption("holding", sentence, float(len(free)), "joints")
 
 
 def standing(plant: Plant, given: Vector | None) -> Vector | None:

@@ -17,12 +17,14 @@ from flexopt.foundation.boundary import TABLE, instance, path, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine, Problem, load_file
+from flexopt.model.constraints import Constraints
 from flexopt.model.files import KINDS, ROBOT_SUFFIXES, read_source
 from flexopt.model.plausibility import REACH_MAX, ImplausibleNumber, distant_ranges
 from flexopt.model.simulation import Experiment
 from flexopt.model.study import Study
 from flexopt.model.study_file import study_from
 from flexopt.robustness.plausibility import implausibilities, slow_rate
+from flexopt.selection.assumed import left_out
 from flexopt.selection.problem_file import problem_refusals
 
 # A start displacement beyond this, rad, is a quarter turn: hardly a disturbance.
@@ -153,6 +155,8 @@ def _checked(loaded: AnyMachine | Problem | Experiment | Study, sentences: tuple
         refused = problem_refusals(loaded)
         faults = tuple(fault for fault in refused if not _of_the_present(fault))
         sentences = (*sentences, *(str(fault) for fault in refused if _of_the_present(fault)))
+        left = left_out(machine, loaded.constraints or Constraints())
+        sentences = (*sentences, *(f"constraints.{each.name}: {each.sentence}" for each in left))
     elif isinstance(loaded, Experiment):
         found += _offsets(loaded)
     return Check(loaded.name, kind, machine.name, faults, tuple(found), sentences, provenance(machine))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from flexopt.plant.reach import outer_reach
 from flexopt.selection.assumed import assumed
 from flexopt.selection.constraints import build_constraints
 from flexopt.selection.constraints.ground import _joints
+from tests.oracles.cylinders import digger
 from tests.oracles.spatial import grounded, random_tree
 from tests.selection.constraints.scenes import at_rest, mujoco_scene, random_capsules
 
@@ -155,6 +157,42 @@ def test_bodies_without_a_volume_are_named_where_a_clearance_is_asked_for():
         of(whole, [(7.0, 1.0, 1.0)], constraints=everywhere),
     ):
         assert "clearance" not in [each.name for each in found.named]
+
+
+@pytest.mark.parametrize("without", [(), ("stick",), ("boom", "bucket"), ("boom", "stick", "bucket")])
+def test_joints_that_nothing_is_known_to_hold_are_named_where_holding_is_asked_for(without):
+    """All joints that have no row, where some have one; a cylinder's force holds, too."""
+    data = digger()
+    data["cylinders"] = [cylinder for cylinder in data["cylinders"] if cylinder["joint"] not in without]
+    data["links"][2] = {name: value for name, value in data["links"][2].items() if name != "effort"}
+    if "bucket" not in without:
+        data["links"][2]["effort"] = 2e3
+    machine = flexopt.machine_from_dict(data)
+    kept = Constraints(holding=0.8)
+    named = [each for each in of(machine, [(2.0, 1.0)], constraints=kept).named if each.name == "holding"]
+    if not without or len(without) == 3:
+        assert named == []
+        return
+    labels = build_constraints(build_plant(machine), kept).labels
+    missing = [joint for joint in machine.joints if not any(joint in label.split() for label in labels)]
+    assert missing == list(without)
+    assert named[0].sentence.endswith(f"alone, so not {', '.join(missing)}")
+    assert (named[0].value, named[0].unit) == (len(missing), "joints")
+    assert "holding" not in [each.name for each in of(machine, [(2.0, 1.0)]).named]
+
+
+@pytest.mark.parametrize("target", ["end_point = [7.0, 1.0]", "end_points = [[7.0, 1.0], [7.2, 1.0]]"])
+def test_what_holding_leaves_out_is_told_in_text_document_and_check(target, tmp_path):
+    text = (ROBOTS.parent / "boom-stick-bucket.toml").read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if not line.startswith(("effort = 4.0e5", "force = [2.64e5"))]
+    (tmp_path / "machine.toml").write_text("\n".join(lines), encoding="utf-8")
+    asked = f"[target]\n{target}\n[selection]\nstarts = 1\n[constraints]\nholding = 0.8\n"
+    (tmp_path / "p.toml").write_text(f'name = "p"\nmachine = "machine.toml"\n{asked}', encoding="utf-8")
+    said = "held is what has an effort, or a cylinder with a force, alone, so not stick"
+    found = flexopt.solve_problem(flexopt.load_problem(tmp_path / "p.toml"), workers=1)
+    assert f"assumed (holding): {said}" in repr(found)
+    assert said in json.dumps(found.to_dict(), ensure_ascii=False)
+    assert flexopt.check(tmp_path / "p.toml").warnings == (f"constraints.holding: {said}",)
 
 
 def test_that_nothing_has_a_volume_is_named():

@@ -31,6 +31,12 @@ def _faults(plant: Plant, constraints: Constraints) -> list[Fault]:
     return [Fault("holding", sentence, f"{constraints.holding:g}")]
 
 
+def without_effort(machine: AnyMachine) -> tuple[str, ...]:
+    """Actuated joints without a row: the file does not say what they can hold."""
+    held = _held(machine)
+    return tuple(name for k, name in enumerate(machine.joints) if k not in held)
+
+
 def _held(machine: AnyMachine) -> dict[int, int | None]:
     """Joints with a row, and of each the cylinder whose force it is, if any."""
     held: dict[int, int | None] = {k: None for k, effort in enumerate(machine.efforts) if math.isfinite(effort)}
