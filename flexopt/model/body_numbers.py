@@ -31,7 +31,8 @@ class BodyNumbers:
             largest across it (0 in the plane).
         path: from its parent's joint to its own at most.
         link: whether it is a link between joints, whose mass lies along it.
-        moments: principal ones of its inertia; in the plane the one.
+        moments: principal ones of its inertia; in the plane the one;  about_centre: the largest that it has about its
+            centre if the given ones are about its joint.
         hinge: whether its joint turns;  spring: its stiffness;  drive: effort and speed (infinite: none);  limits: of
             the joint, and its rest value;  end: whether `length` is that to the end-point of a tree.
     """
@@ -49,6 +50,7 @@ class BodyNumbers:
     path: float
     link: bool
     moments: tuple[float, ...] = ()
+    about_centre: float = 0.0
     hinge: bool = True
     springs: dict[str, tuple[bool, float]] = field(default_factory=dict[str, tuple[bool, float]])
     effort: float = math.inf
@@ -116,6 +118,7 @@ def _planar(machine: Machine) -> tuple[list[BodyNumbers], float]:
             springs={f"{where}.stiffness": (True, link.stiffness)} if link.passive and link.stiffness else {},
             effort=link.effort or math.inf, speed=link.speed or math.inf, limits=link.limits,
             rest=(f"{where}.rest", link.rest) if link.passive else None, joint=where, moments=(link.inertia,),
+            about_centre=link.inertia - link.mass * (link.com**2 + link.com_offset**2),
         )  # fmt: skip
         parts[-1].children.append(inner)
         parts.append(inner)
@@ -190,6 +193,7 @@ def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: fl
     along: Array = far / length if length > 0 else np.linalg.eigh(spread)[1][:, -1]
     aside = com - (com @ along) * along
     projector = np.eye(3) - np.outer(along, along)
+    shifted = tensor - body.mass * (com @ com * np.eye(3) - np.outer(com, com))
     joint = body.joint
     hinge = joint.kind == "hinge"
     travel = 0.0 if hinge or joint.limits is None else max(map(abs, joint.limits))
@@ -197,6 +201,7 @@ def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: fl
     return BodyNumbers(
         where=where, length=length, size=_capsules(machine, body.name), com=float(np.linalg.norm(com)),
         along=float(com @ along), aside=float(np.linalg.norm(aside)), mass=body.mass,
+        about_centre=float(np.linalg.eigvalsh(shifted)[-1]),
         inertia=float(moments[-1]), moments=tuple(moments.tolist()), variance=max(float(along @ spread @ along), 0.0),
         across=max(float(np.linalg.eigvalsh(projector @ spread @ projector)[-1]), 0.0),
         path=float(np.linalg.norm(body.position)) + travel, link=False, hinge=hinge,

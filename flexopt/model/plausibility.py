@@ -204,15 +204,17 @@ def _inertia(part: BodyNumbers, reach: float, planar: bool) -> Iterator[Implausi
     size = max(part.length, part.size, 2 * part.com)
     if not part.link:
         size = max(size, 0.25 * reach)
-    if part.link and part.length > 0 and part.across < part.variance / 3 and part.variance > _most_variance(part):
+    # A slide has no pivot, and where its axis passes says nothing of where its mass is.
+    spans = part.link and part.hinge and part.length > 0
+    if spans and part.across < part.variance / 3 and part.variance > _most_variance(part):
         words = (
             f"the radius of gyration, {radius:.3g} m, is beyond what a link of {part.length:.3g} m has, unless it is "
             "wider than it is long"
         )
         pivot = part.variance - part.along**2 - (part.aside**2 if part.across == 0 else 0.0)
         if pivot > (0.02 * part.length) ** 2 and radius < WIDE * size:
-            about_centre = part.inertia * pivot / part.variance
-            meant = f"probably about the pivot, not the centre of mass, about which it is some {about_centre:.3g} kg m²"
+            about_centre = f"about which it is some {part.about_centre:.3g} kg m²"
+            meant = f"probably about the pivot, not the centre of mass, {about_centre}"
             yield ImplausibleNumber(f"{part.where}.inertia", given, words, meant)
             return
         yield ImplausibleNumber(f"{part.where}.inertia", given, words, _unit_of_inertia(part, radius, size))
@@ -242,7 +244,7 @@ def _unit_of_inertia(part: BodyNumbers, radius: float, size: float) -> str:
         (1e4, f"the inertia in kg cm², {part.inertia / 1e4:g} kg m²"),
         (1e6, f"the inertia in kg mm², {part.inertia / 1e6:g} kg m²"),
     )
-    share = 0.6 if part.link else 1.0
+    share = 1.0 if not part.link else 0.6 if part.hinge else WIDE
     fit = [words for factor, words in slips if CONCENTRATED * size < radius / math.sqrt(factor) < share * size]
     return ", or ".join(fit) if fit else "mass and inertia are probably in different units"
 

@@ -21,6 +21,7 @@ from flexopt.cli.commands import cli
 from flexopt.model import AnyMachine
 from tests.model.robots.files import URDF, URDF_MACHINE, changed_text, read
 from tests.oracles.spatial import grounded, in_space, matrix_of, six
+from tests.study.machines import gantry
 
 SHIPPED = ["excavator", "boom-stick-bucket", "slewing-excavator", "truck-crane", "mobile-manipulator"]
 DEGREES = 180 / math.pi
@@ -309,6 +310,43 @@ def spoiled() -> AnyMachine:
     data = shipped("excavator")
     kilonewtons(data, np.random.default_rng(0))
     return built(data)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_an_inertia_about_the_pivot_is_told_with_the_one_about_the_centre(name: str) -> None:
+    """By the parallel axis theorem: what the file had before it was shifted."""
+    data = shipped(name)
+    given = {body["name"]: body.get("inertia") for body in arm(data)}
+    about_the_pivots(data, np.random.default_rng(0))
+    sentences = [sentence for sentence in told(data) if "about the pivot" in sentence]
+    assert sentences
+    for sentence in sentences:
+        inertia = next(value for called, value in given.items() if called in sentence.split("=")[0])
+        largest = inertia if np.isscalar(inertia) else float(np.linalg.eigvalsh(matrix_of(inertia))[-1])
+        assert sentence.endswith(f"about which it is some {largest:.3g} kg m²")
+
+
+RAM = 420.0 * np.array([0.03, 1.8**2 / 12, 1.8**2 / 12])  # a bar of 1.8 m, kg m²
+
+
+@pytest.mark.parametrize("centre", [-0.4, 0.0, 0.25])
+@pytest.mark.parametrize("end", [None, 0.4])
+def test_a_ram_is_not_judged_as_a_link_between_pivots(centre: float, end: float | None) -> None:
+    """It slides through its joint, behind which it reaches far; what is off by a thousand is told all the same."""
+    data = gantry()
+    if end is not None:
+        data["capsules"] = [{"body": "ram", "start": [centre - 0.8, 0, 0], "end": [end, 0, 0], "radius": 0.2}]
+    ram = next(body for body in data["bodies"] if body["name"] == "ram")
+    ram |= {"com": [centre, 0.0, 0.0], "inertia": [*RAM.tolist(), 0.0, 0.0, 0.0]}
+    assert told(data) == []
+    for key, factor, meant in (
+        ("mass", 1e-3, "the mass may be in tonnes, 420 kg"),
+        ("inertia", 1e6, "the inertia in kg mm², 113.4 kg m²"),
+    ):
+        wrong = copy.deepcopy(data)
+        next(body for body in wrong["bodies"] if body["name"] == "ram")[key] = scaled(ram[key], factor)
+        (sentence,) = (sentence for sentence in told(wrong) if sentence.startswith("body 'ram'.inertia"))
+        assert meant in sentence
 
 
 def test_results_warn_once_each() -> None:
