@@ -16,6 +16,7 @@ from flexopt.explorer.graphs import CLUSTER_TOLERANCE, moving_placement
 from flexopt.explorer.meshes import Meshes
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import control_damping
+from flexopt.foundation.rounding import ROUNDING
 from flexopt.loop.outcome import DEAD_TIME
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.spectrum import INVARIANT, OWN, neutral_directions
@@ -27,7 +28,7 @@ from flexopt.plant import build_plant
 from flexopt.plant.plant import STATIC_ITERATIONS
 from flexopt.robustness.evaluation import UNREACHED
 from flexopt.robustness.measures import SOLVE_TOLERANCE
-from flexopt.robustness.residues import ROUNDING, residue_unit
+from flexopt.robustness.residues import residue_unit
 
 # A joint without limits is shown over a whole turn or this way, m, about zero.
 TURN, SLIDE = math.pi, 1.0

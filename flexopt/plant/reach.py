@@ -11,6 +11,7 @@ import numpy as np
 
 from flexopt.errors import UnreachableTarget
 from flexopt.foundation.arrays import Interval, Vector
+from flexopt.foundation.rounding import without_rounding
 from flexopt.model import AnyMachine
 from flexopt.plant.plant import Plant, build_plant
 from flexopt.plant.tree_task import points
@@ -83,7 +84,7 @@ def unreachable(
     annulus = reach(plant, margin)
     intervals = annulus.base_intervals(target)
     where = f"the end-point cannot reach ({target[0]:g}, {target[1]:g}) m (inertial frame)"
-    where += "" if base is None else f" with the base at {base[0]:g} m"
+    where += "" if base is None else f" with the base at {without_rounding(base, 1.0)[0]:g} m"
     if base is not None:
         miss = annulus.miss(target, base)
     else:
@@ -183,7 +184,9 @@ def missed(plant: Plant, target: Vector, base: Vector | None, left: float, why: 
     if base is not None and base.size:
         placed = (
             f"{name} {value:g} {unit}"
-            for name, value, unit in zip(machine.base_coordinates, base, machine.base_units, strict=True)
+            for name, value, unit in zip(
+                machine.base_coordinates, without_rounding(base, 1.0), machine.base_units, strict=True
+            )
         )
         sentence += f" with the base at {', '.join(placed)}"
     by = why or f"the nearest posture found inside the joint limits stays {left:.4g} m off in one of the task's rows"

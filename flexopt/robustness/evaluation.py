@@ -18,6 +18,7 @@ from flexopt.foundation.control import Control, gain_units
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.later import later
 from flexopt.foundation.results import Result
+from flexopt.foundation.rounding import ROUNDING, without_rounding
 from flexopt.foundation.warned import warn_user
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike, under_control
@@ -28,7 +29,7 @@ from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.robustness.posture_margin import evaluate_margin, prepare_margin
-from flexopt.robustness.residues import MIXED, ROUNDING, residue_unit, unit_in_words
+from flexopt.robustness.residues import MIXED, residue_unit, unit_in_words
 
 if TYPE_CHECKING:
     from flexopt.robustness.damped import DampedModes
@@ -248,12 +249,6 @@ def unreached(scale: Vector) -> NDArray[np.bool_]:
     Their w_i/|a_i||b_i| and phase have no meaning, and are not shown.
     """
     return np.asarray(scale <= UNREACHED * scale.max())
-
-
-def without_rounding(w: Vector, scale: Vector) -> Vector:
-    """The w_i (m,) as they are shown, 0 where they are rounding of |a_i||b_i| (m,)."""
-    shown: Vector = np.where(np.abs(w) > ROUNDING * scale, w, 0.0)
-    return shown
 
 
 def in_words(names: tuple[str, ...], values: Vector, units: tuple[str, ...]) -> str:

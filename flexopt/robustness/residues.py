@@ -14,8 +14,6 @@ from flexopt.robustness.modes import ReducedPencil
 # 1/kg where the force acts on the end-point; with the inverse Jacobian, torque stands for velocity.
 MIXED = "mixed"
 RESIDUE_UNITS = {"transpose": "1/kg", "inverse": "1/(kg m2)"}
-# Below this share of |a_i||b_i| w_i and elements of R_i are 0: their terms cancel.
-ROUNDING = 1e-13
 
 
 def residue_factors(at: OperatingPoint, pencil: ReducedPencil, control: Control) -> ca.SX:

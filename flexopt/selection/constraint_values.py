@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+from flexopt.foundation.rounding import without_rounding
 from flexopt.model.constraints import Constraints
 from flexopt.selection.constraints import KINDS
 
@@ -22,6 +23,12 @@ class ConstraintValue:
     lower: float
     upper: float
     unit: str
+
+    @property
+    def shown(self) -> float:
+        """The value in texts: 0 where it is rounding, of its bounds or of one unit."""
+        bounds = [abs(bound) for bound in (self.lower, self.upper) if math.isfinite(bound)]
+        return float(without_rounding(self.value, max([1.0, *bounds])))
 
     @property
     def room(self) -> float:
@@ -46,7 +53,7 @@ class ConstraintValue:
         return f"at {'least' if low else 'most'} {number(self.lower if low else self.upper)} {unit}".rstrip()
 
     def __str__(self) -> str:
-        return f"{f'{self.value:z.4g} {self.unit}'.rstrip()} ({self.allowed('{:z.4g}'.format, self.unit)})"
+        return f"{f'{self.shown:z.4g} {self.unit}'.rstrip()} ({self.allowed('{:z.4g}'.format, self.unit)})"
 
 
 def by_kind(names: Iterable[str]) -> dict[str, list[str]]:

@@ -18,8 +18,9 @@ from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Result, Tabled
+from flexopt.foundation.rounding import without_rounding
 from flexopt.foundation.turns import TURN
-from flexopt.robustness.evaluation import Evaluation, without_rounding
+from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.residues import residue_unit, unit_in_words
 from flexopt.selection.constraint_values import ConstraintValue, nearest_told
 from flexopt.selection.continua import way_to

@@ -19,6 +19,7 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.doubt import with_doubt
 from flexopt.foundation.plain import shown
 from flexopt.foundation.results import Result
+from flexopt.foundation.rounding import without_rounding
 from flexopt.model.loop import GAINS
 from flexopt.model.simulation import SimulationOptions
 from flexopt.robustness.residues import residue_unit
@@ -115,8 +116,6 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[SavedQuantity, ...]]] = {
     "run": (("growth_rate", "settling_time"), RUN),
     "evaluation": (("w", "epsilon_max"), POSTURE),
 }
-# Below this share of its scale a number says nothing.
-ROUNDING = 1e-12
 # Letters of a line in the table: longer words and sentences go on in the next.
 LETTERS = 40
 # What runs have by default whatever else they are asked; the servo gain follows from the machine.
@@ -320,7 +319,7 @@ def _value(value: Any, scale: Any = None) -> float | str | None:
     number, size = _number(value), _number(scale)
     if number is None:
         return None if value is None else str(value)
-    return 0.0 if size is not None and abs(number) <= ROUNDING * size else number
+    return number if size is None else float(without_rounding(number, size))
 
 
 def _number(value: Any) -> float | None:
@@ -330,10 +329,11 @@ def _number(value: Any) -> float | None:
 def _differences(documents: Sequence[Any]) -> list[tuple[str, tuple[str, ...]]]:
     """Machine, versions, options, and of verdicts the loop and what is uncertain, that are not the same in all."""
     flat = list[dict[str, str]]()
+    placed = max(1, *(len(_listed(document, "provenance.options.base")) for document in documents))
     for document in documents:
         asked: Any = document.get("provenance") or {}
         if _kind(document) == "run" and isinstance(asked, dict):
-            asked = cast(dict[str, Any], asked) | {"options": _options_of_run(document)}
+            asked = cast(dict[str, Any], asked) | {"options": _options_of_run(document, placed)}
         flat.append(dict(_leaves(asked, "")))
     for each, document in zip(flat, documents, strict=True):
         of = document.get("verdict") if isinstance(document.get("verdict"), dict) else document
@@ -350,10 +350,11 @@ def _differences(documents: Sequence[Any]) -> list[tuple[str, tuple[str, ...]]]:
     return found
 
 
-def _options_of_run(document: Any) -> dict[str, Any]:
+def _options_of_run(document: Any, placed: int) -> dict[str, Any]:
     """What a run was asked, and what it then had by default.
 
-    One number stands for equal ones. Gains are those of the run's own loop, with their unit where they ask for rates.
+    One number stands for equal gains, and for a placement of one coordinate; `placed`: how many it has. Gains are those
+    of the run's own loop, with their unit where they ask for rates.
     """
     found = _completed(ALWAYS, _at(document, "provenance.options"))
     if "end_point" in found:
@@ -363,7 +364,8 @@ def _options_of_run(document: Any) -> dict[str, Any]:
         value = _single(_at(document, f"loop.{gain}") if served else found.get(gain))
         unit = units[k] if served and k < len(units) and value else ""
         found[gain] = f"{json.dumps(value)} {unit}" if unit else value
-    found["base"] = _single(found.get("base") or 0.0)
+    base = found.get("base") or [0.0] * placed
+    found["base"] = base if placed > 1 else _single(base)
     return found
 
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.doubt import with_doubt
 from flexopt.foundation.rendering import OfNumbers, render
+from flexopt.foundation.rounding import without_rounding
 from flexopt.robustness import Evaluation
-from flexopt.robustness.evaluation import without_rounding
 from flexopt.selection import Selection
 from flexopt.selection.result import shown_measures
 from flexopt.selection.several import BasePlan, Stand

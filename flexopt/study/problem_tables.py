@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from flexopt.foundation.rendering import OfNumbers
+from flexopt.foundation.rounding import without_rounding
 from flexopt.plant import build_plant
-from flexopt.robustness.evaluation import Evaluation, unreached, without_rounding
+from flexopt.robustness.evaluation import Evaluation, unreached
 from flexopt.robustness.residues import residue_unit, written_unit
 from flexopt.selection import Selection
 from flexopt.selection.constraint_values import by_kind
@@ -80,7 +81,7 @@ def constraints(report: Report) -> ConstraintTables | None:
                 [
                     with_minus(name),
                     values[0].allowed(number, written_unit(values[0].unit)),
-                    *(number(value.value, 4) for value in values),
+                    *(number(value.shown, 4) for value in values),
                 ]
             )
         return (header, rows) if rows else None

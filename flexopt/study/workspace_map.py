@@ -23,9 +23,10 @@ from flexopt.foundation.pictures import Size, drawn
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import whole_number
 from flexopt.foundation.results import Tabled
+from flexopt.foundation.rounding import ROUNDING
 from flexopt.loop.many import Decays
 from flexopt.model import AnyMachine
-from flexopt.robustness.residues import ROUNDING, posture_unit, residue_unit
+from flexopt.robustness.residues import posture_unit, residue_unit
 from flexopt.study.grid import Grid
 from flexopt.study.points import PointValues
 

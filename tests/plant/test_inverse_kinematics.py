@@ -280,3 +280,9 @@ def test_passive_arm_joints_stay_at_rest_in_the_chain(drawn, seed):
         q = plant.rest(0.0, posture, plant.parameter_values).full().ravel()
         tip = lagrange(data).dynamics(q, np.zeros(len(q)), 0.0)[3].full().ravel()
         assert np.abs(tip - target).max() < 1e-12
+
+
+def test_rounding_of_a_placement_is_told_as_zero() -> None:
+    with pytest.raises(UnreachableTarget, match=r"with the base at x 0\.5 m, y -0\.25 m, yaw 0 rad: ") as caught:
+        inverse_kinematics(load("slewing-excavator"), (50.0, 0.0, 1.0), base=(0.5, -0.25, 1.31836e-28))
+    assert caught.value.miss > 30

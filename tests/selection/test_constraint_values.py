@@ -33,6 +33,23 @@ def test_of_each_kind_the_nearest_is_told(values: list[list[float]]) -> None:
         assert (found[2] is not None) == (len(values) > 1)
 
 
+@pytest.mark.parametrize(
+    ("value", "bounds", "unit", "text"),
+    [
+        (-2.220446049250313e-16, (0.0, np.inf), "m", "0 m (at least 0 m)"),
+        (1.31836e-28, (-0.5, 0.5), "rad", "0 rad (-0.5 to 0.5 rad)"),
+        (-2e-10, (-3e4, 3e4), "N", "0 N (-3e+04 to 3e+04 N)"),
+        (-2e-10, (0.0, np.inf), "m", "-2e-10 m (at least 0 m)"),
+        (2e-7, (-3e4, 3e4), "N", "2e-07 N (-3e+04 to 3e+04 N)"),
+        (np.nan, (0.0, np.inf), "m", "nan m (at least 0 m)"),
+        (-np.inf, (0.0, np.inf), "", "-inf (at least 0)"),
+    ],
+)
+def test_rounding_is_told_as_zero(value: float, bounds: tuple[float, float], unit: str, text: str) -> None:
+    """Doubles have 16 digits: three are left to what cancels in a distance of metres, or in a load of its bounds' size."""
+    assert str(ConstraintValue(value, *bounds, unit)) == text
+
+
 def test_nothing_is_told_where_nothing_was_asked() -> None:
     places = [{"singularity margin": ConstraintValue(0.5, 0.03, np.inf, "sin²")}]
     for asked in ({}, {"joint_margin": 0.1}, {"travel": {"cost": 0.1}}):

@@ -99,6 +99,28 @@ def test_runs_that_are_the_same_show_no_difference(command: Command, tmp_path: P
     assert document["differences"] == [["sensor.delay", ["0.0", "0.01"]]]
 
 
+def test_a_placement_at_zeros_is_told_as_the_others_are(command: Command, tmp_path: Path) -> None:
+    machine, options = flexopt.load("mobile-manipulator"), {"kp": 1e3, "kv": 1e2, "duration": 0.2}
+    bases = {"unsaid": None, "zeros": (0.0, 0.0, 0.0), "away": (0.5, 0.16, 0.0)}
+    files = {
+        name: save(tmp_path, name, flexopt.simulate(machine, (0.0, -1.0, 1.5, -0.5, -1.57, 0.0), base=base, **options))
+        for name, base in bases.items()
+    }
+    for first, second, differences in (
+        ("zeros", "away", [["base", ["[0.0, 0.0, 0.0]", "[0.5, 0.16, 0.0]"]]]),
+        ("unsaid", "away", [["base", ["[0.0, 0.0, 0.0]", "[0.5, 0.16, 0.0]"]]]),
+        ("unsaid", "zeros", []),
+    ):
+        document = command("compare", files[first], files[second], "--json").document
+        assert document["differences"] == differences
+    # In the plane a placement is a number.
+    machine, posture = flexopt.load("excavator"), POSTURES["chosen"]
+    planar = [
+        save(tmp_path, f"x{x}", flexopt.simulate(machine, posture, base=x or None, **options)) for x in (0.0, 0.5)
+    ]
+    assert command("compare", *planar, "--json").document["differences"] == [["base", ["0.0", "0.5"]]]
+
+
 def test_gains_of_velocity_served_runs_are_the_loop_s(command: Command, tmp_path: Path) -> None:
     machine, posture = flexopt.load("mobile-manipulator"), (0.0, -1.0, 1.5, -0.5, -1.57, 0.0)
     files = [

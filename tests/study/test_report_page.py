@@ -476,3 +476,18 @@ def test_the_edge_that_a_margin_is_from_has_a_minus_sign() -> None:
     found = flexopt.select(digger, target, base=0.0, constraints={"tip_over_margin": 0.1}, starts=1, workers=1)
     report: Any = SimpleNamespace(selection=found)
     assert "tip-over margin from x = −" in str(problem_tables.constraints(report))
+
+
+def test_rounding_of_a_constraint_is_no_number_of_the_page() -> None:
+    """One that a candidate rests on is at its bound but for 2⁻⁵²; the document keeps it."""
+    found = flexopt.select(flexopt.load("boom-stick-bucket"), (7.0, 1.0), base=0.0, starts=1, workers=1)
+    value = next(iter(found.best.constraints.values()))
+    noisy = dataclasses.replace(value, value=-(2.0**-52), lower=0.0, upper=float("inf"), unit="m")
+    best = dataclasses.replace(found.best, constraints={"distance from keep_out[0]": noisy})
+    report: Any = SimpleNamespace(selection=dataclasses.replace(found, candidates=(best,)))
+    told = problem_tables.constraints(report)
+    assert told is not None
+    assert told.near[1] == [["distance from keep_out[0]", "at least 0 m", "0"]]
+    assert report.selection.to_dict()["candidates"][0]["constraints"]["distance from keep_out[0]"]["value"] == -(
+        2.0**-52
+    )

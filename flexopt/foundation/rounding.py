@@ -1,0 +1,17 @@
+"""What of a number is rounding, and is shown as 0. Files and documents keep it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from flexopt.foundation.arrays import Vector
+
+# Below this share of what its terms are like a number is 0: they cancel.
+ROUNDING = 1e-13
+
+
+def without_rounding(values: ArrayLike, scale: ArrayLike) -> Vector:
+    """Numbers as they are shown, 0 where they are rounding of `scale`: for w_i |a_i||b_i|, for places 1 m or rad."""
+    given = np.asarray(values, dtype=float)
+    return np.where(np.abs(given) <= ROUNDING * np.asarray(scale, dtype=float), 0.0, given)
