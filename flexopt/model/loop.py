@@ -133,12 +133,21 @@ def loop_faults(loop: Loop, machine: Any, prefix: str = "") -> list[Fault]:
         lacking = f"no speed of {', '.join(missing)}" if missing else "no effort of any joint"
         sentence = f'drive = "velocity" needs it: {machine.name} names {lacking}, from which it would follow'
         found.append(Fault("servo_gain", sentence))
-    if drive_of(loop, machine) == "velocity":
-        sentence = 'goes with drive = "torque": drives that serve rates give torques of their own, and a run tells '
-        sentence += "where these are more than the efforts of its joints"
-        limits = {name: getattr(loop, name) for name in ("torque_limit", "rate_limit")}
-        found += [Fault(name, sentence, str(list(each))) for name, each in limits.items() if each is not None]
+    if _says_rates(loop):
+        found += _limit_faults(loop, "")
     return [Fault(f"{prefix}{fault.field}", fault.sentence, fault.value) for fault in found]
+
+
+def _says_rates(loop: Loop) -> bool:
+    return loop.drive == "velocity" or loop.servo_gain is not None
+
+
+def _limit_faults(loop: Loop, why: str) -> list[Fault]:
+    """Limits of torques, of drives that serve rates."""
+    sentence = f'goes with drive = "torque"{why}: drives that serve rates give torques of their own, and a run tells '
+    sentence += "where these are more than the efforts of its joints"
+    limits = {name: getattr(loop, name) for name in ("torque_limit", "rate_limit")}
+    return [Fault(name, sentence, str(list(each))) for name, each in limits.items() if each is not None]
 
 
 def under_control(loop: Loop, machine: Any, control: Control, call: str) -> Loop:
@@ -151,7 +160,11 @@ def under_control(loop: Loop, machine: Any, control: Control, call: str) -> Loop
         fault = Fault("loop.control", f"is not the control that is asked for, {control}", repr(loop.control))
         raise_if_any(InputError, call, [fault])
     own = loop.model_copy(update={"control": control})
-    raise_if_any(InputError, call, loop_faults(own, machine, "loop."))
+    faults = loop_faults(own, machine, "loop.")
+    if not _says_rates(own) and drive_of(own, machine) == "velocity":
+        why = ", which is to be said, as efforts and speeds in the file make it velocity"
+        faults += [Fault(f"loop.{each.field}", each.sentence, each.value) for each in _limit_faults(own, why)]
+    raise_if_any(InputError, call, faults)
     return own
 
 

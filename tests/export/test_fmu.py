@@ -252,7 +252,8 @@ def test_another_servo_gain_is_set_as_the_page_says(tmp_path: Path, name: str) -
     assert texts["controller.kp.x"].endswith("axis x; servo gain times Kp of the velocity-served loop")
     dampings = [f"machine.{joint}.joint_damping" for joint in machine.joints]
     for damping in dampings:
-        assert texts[damping].endswith("; 30000 N m s/rad of it is the servo's braking")
+        told = "; 50 of it is the joint's own, whatever is set, and the rest the servo's braking: 30000 N m s/rad"
+        assert texts[damping].endswith(told)
         assert f"<code>{damping}</code>" in page
     assert ("actuator.servo_gain" in texts) == levers
     assert ("No levers limit the command" in page) != levers

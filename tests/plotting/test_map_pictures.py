@@ -11,7 +11,7 @@ import flexopt
 from flexopt.article import curve, sweep_gaps
 from flexopt.article import pictures as article
 from flexopt.foundation.palette import LIGHT
-from flexopt.plotting.fields import FieldPlane, draw_field, draw_signed
+from flexopt.plotting.fields import FieldPlane, draw_field, draw_signed, label_plane
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
 
@@ -211,3 +211,21 @@ def test_the_border_of_stability_runs_between_the_cells_that_it_separates(turned
     across, along = (drawn[..., 1], drawn[..., 0]) if turned else (drawn[..., 0], drawn[..., 1])
     np.testing.assert_allclose(across, np.mean(settles), atol=1e-12)
     np.testing.assert_allclose(along, [[-0.5, 0.5], [0.5, 1.5], [2.5, 3.5], [3.5, 4.5]], atol=1e-12)
+
+
+NARROW = [(1.1e4, 1.9e4), (2.1e4, 4.9e4), (550.0, 900.0), (0.2, 5.0), (3e3, 9e3), (1e3, 1e6), (0.5, 60.0)]
+
+
+@pytest.mark.parametrize("ends", NARROW)
+def test_a_logarithmic_axis_has_numbers_to_read_it_by(ends):
+    """Two at least, as they are where there are no powers of ten enough."""
+    values = np.geomspace(*ends, 12)
+    axes = Figure().add_subplot()
+    plane = FieldPlane(values, values, "x", "y", (True, True))
+    draw_field(axes, plane, np.outer(values, values), label="z, m")
+    label_plane(axes, plane, "")
+    low, high = axes.get_xlim()
+    told = [axes.xaxis.get_major_formatter()(t, 0) for t in axes.get_xticks() if low <= t <= high]
+    assert len(told) >= 2
+    if ends[1] < 100 * ends[0]:
+        assert all(ends[0] * 0.999 <= float(number) <= ends[1] * 1.001 for number in told)

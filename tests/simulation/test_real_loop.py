@@ -307,3 +307,18 @@ def test_limits_of_torques_go_with_drives_of_torques(given: dict[str, object]) -
     told = [fault.field.rpartition(".")[2] for fault in error.value.faults if 'drive = "torque"' in fault.sentence]
     assert told == ["torque_limit", "rate_limit"]
     flexopt.simulate(flexopt.load("excavator"), POSTURE, loop=limits, duration=0.1)
+
+
+def test_limits_go_with_what_the_control_makes_of_the_drive() -> None:
+    """A machine that names efforts and speeds has drives of rates unless it is told otherwise; a transpose wants torques."""
+    machine, posture = flexopt.load("boom-stick-bucket"), [-1.354, -1.5032, -0.2305]
+    limits = {"torque_limit": 1e5}
+    with pytest.raises(InputError, match="efforts and speeds in the file make it velocity"):
+        flexopt.simulate(machine, posture, loop=limits, duration=0.05)
+    for given in ({"control": "transpose"}, {"loop": {"drive": "torque"}}):
+        asked = {"loop": limits | given.get("loop", {})} | {k: v for k, v in given.items() if k != "loop"}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            run = flexopt.simulate(machine, posture, duration=0.05, **asked)
+        assert np.abs(run.torque).max() <= 1e5
+    flexopt.machine_from_dict(machine.to_dict() | {"loop": limits})

@@ -74,7 +74,7 @@ class FmuModel(Interface):
         if loop.structure.served:
             # What a master sets is both; the joints' own is what the machine came with.
             braked = list(damping_entries(machine))
-            parts["braking"] = p[braked] - (plant.parameter_values[braked] - ca.DM(s.parts["braking"]))
+            parts["braking"] = ca.fmax(p[braked] - (plant.parameter_values[braked] - ca.DM(s.parts["braking"])), 0)
         if "filter_hz" in of:
             parts["filter"] = 2 * math.pi * of["filter_hz"]
         if "bandwidth_hz" in of:

@@ -238,10 +238,10 @@ def export_fmu(
     )
 
 
-def _changed(machine: AnyMachine, other: AnyMachine) -> tuple[str, ...]:
-    """Names of the parameters that differ."""
+def _changed(machine: AnyMachine, other: AnyMachine) -> dict[str, float]:
+    """The machine's own values of the parameters that differ, by name."""
     pairs = zip(machine.parameters, other.parameters, strict=True)
-    return tuple(mine.name for mine, theirs in pairs if mine.value != theirs.value)
+    return {mine.name: mine.value for mine, theirs in pairs if mine.value != theirs.value}
 
 
 def _check_base_path(machine: AnyMachine, options: SimulationOptions) -> None:

@@ -6,7 +6,7 @@ constants where they become such.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,11 +28,11 @@ class Served:
 
     Attributes:
         settings: the loop.
-        braked: names of the parameters that hold the servos' braking besides the joints' own damping.
+        braked: parameters that hold the servos' braking besides the joints' own damping, by name the latter.
     """
 
     settings: LoopSettings
-    braked: tuple[str, ...]
+    braked: Mapping[str, float]
 
     @property
     def servo_gain(self) -> str:
@@ -57,7 +57,10 @@ class Served:
 
     def of_parameter(self, name: str) -> str:
         """What the description of a machine's parameter adds."""
-        return f"; {self.servo_gain} of it is the servo's braking" if name in self.braked else ""
+        if name not in self.braked:
+            return ""
+        own = f"{self.braked[name]:g} of it is the joint's own, whatever is set, and the rest the servo's braking"
+        return f"; {own}: {self.servo_gain}"
 
 
 def settings(scenario: Scenario, structure: LoopStructure, served: Served | None = None) -> Groups:
