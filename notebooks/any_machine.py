@@ -254,7 +254,8 @@ figure
 
 # %% [markdown]
 # At twice the speed the stick's lever would have to go beyond its end. `lever_map("uniform")` then slows all joints alike, so that
-# the teeth keep their direction (rates by one factor; levers by that of what they are beyond their dead band); `simulate` does so with `actuator={"levers": "uniform", "servo_gain": …}`.
+# the teeth keep their direction: the rates change by one factor, the levers by one of what they are beyond their dead band. `simulate`
+# does so with `actuator={"levers": "uniform", "servo_gain": …}`.
 
 # %%
 jacobian = plant.rigid_jacobian(q=plant.rest(base=best.base, posture=best.posture, p=p)["q"], base=best.base, p=p)["Jv"]

@@ -46,8 +46,8 @@ for name, posture in (("A", posture_a), ("B", posture_b)):
 flexopt.simulate(machine, posture_a, **gains).plot()
 
 # %% [markdown]
-# `growth_rate` is that of the largest mode that grows, or else of the one that decays slowest: half the slope of the logarithm of its energy. The verdict is made
-# from it and from the eigenvalues of the linear loop, not from how the picture looks; where the two differ, because the run
+# `growth_rate` is that of the largest mode that grows, or else of the one that decays slowest: half the slope of the logarithm of
+# its energy. The verdict is made from it and from the eigenvalues of the linear loop, not from how the picture looks; where the two differ, because the run
 # is too short or its integrator damps a mode by itself, it is "undecided", and `verdict_reason` says why.
 #
 # ## How much gain a posture allows

@@ -67,8 +67,8 @@ figure = Figure(figsize=(8.0, 3.4), layout="constrained")
 for axes, (name, posture) in zip(figure.subplots(1, 2), (("A", posture_a), ("B", posture_b)), strict=True):
     found = flexopt.explain(machine, posture)
     for vector, color, label in (
-        (found.a[:, 0], "#3b6ea5", "a: how it moves"),
-        (found.b[:, 0], "#d95f02", "b: what excites it"),
+        (found.a[:, 0], "#aa4164", "a: how it moves"),
+        (found.b[:, 0], "#899d25", "b: what excites it"),
     ):
         x, y = vector / np.linalg.norm(vector)
         axes.annotate("", xy=(x, y), xytext=(0, 0), arrowprops={"color": color, "width": 2, "headwidth": 9})
