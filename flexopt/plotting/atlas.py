@@ -32,6 +32,7 @@ MARGIN, NARROW = 0.04, 6.0
 SEAM = 0.012
 # Letters of a line over the left part.
 LETTERS = 48
+WHOLE: dict[str, bool] = {"break_long_words": False, "break_on_hyphens": False}
 
 
 @picture("Atlas", size=lambda _: (10.5, 6.2))
@@ -144,7 +145,7 @@ def _frame(axes: Axes, atlas: Atlas) -> None:
         f"{name} = {value:g} {unit}".replace(" ", "\N{NO-BREAK SPACE}") for name, value, unit in atlas.held
     )
     title = "robust postures" + (f", {listed}" if listed else "")
-    axes.set_title("\n".join(mathtext(line, TITLE_MAX) for line in textwrap.wrap(title, LETTERS)))
+    axes.set_title("\n".join(mathtext(line, TITLE_MAX) for line in textwrap.wrap(title, LETTERS, **WHOLE)))
 
 
 def _broken(atlas: Atlas, points: Vector) -> Vector:

@@ -198,7 +198,8 @@ def build_scenario(
         InputError: the springs do not hold the machine; the step is too long for an explicit method.
         NoSolutionFound: the static deflection did not converge.
     """
-    warn_weightless(machine, asked=options.gravity)
+    # Members of an ensemble may have gravity of their own.
+    warn_weightless(machine, asked=options.gravity and zeros is None)
     design = _design(machine, *design_configuration(machine, options), options.gravity, options.control)
     options = with_servo_gain(machine, options, design.posture)
     period = 1 / options.rate

@@ -52,7 +52,7 @@ class Trajectory(Pictured, Result):
         q, v: coordinates and rates (K, n_q), passive first.
         end_point, error: r and r_d − r (K, n_task), m, inertial frame.
         torque: by which the drives act on the joints from each sample on (K, n), N m, or N on slides; of drives that
-            serve rates the servo's, servo_gain · (rate asked for − rate).
+            serve rates with the servo's braking, servo_gain · rate, taken off.
         energy: kinetic, of the springs and, where it acts, of the weight (K,), J.
         deflection: passive coordinates less their values at equilibrium (K, m).
         base: placement, the anchor of the springs (K, n_b), m or rad.

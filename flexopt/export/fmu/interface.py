@@ -238,8 +238,11 @@ class Interface:
         u, w = (np.linalg.solve(loop.to_q, rows) for rows in (run.q.T, run.v.T))
         for name, (entry, sign) in motion.absorbed.items():
             u[entry] += sign * self._driven[:, motion.placement.index(name)]
+        # Of the servo's state the run shows what is left beside its braking.
+        braking = np.broadcast_to(self.scenario.parts["braking"], len(self.scenario.machine.joints))
+        torque = run.torque.T + braking[:, None] * run.v.T[-len(braking) :]
         largest = np.ones(loop.states.total)
-        for name, rows in (("u", u), ("w", w), ("torque", run.torque.T)):
+        for name, rows in (("u", u), ("w", w), ("torque", torque)):
             if loop.states.sizes[name]:
                 largest[loop.states.slices[name]] = np.max(np.abs(rows), axis=1, initial=0.0, where=np.isfinite(rows))
         largest[motion.n_translations : motion.n] = 1.0
