@@ -30,9 +30,8 @@ EDGES = {
 MARGIN, NARROW = 0.04, 6.0
 # And beyond a whole turn, so that a curve along its end is seen beside the frame.
 SEAM = 0.012
-# Letters of a line over the left part.
-LETTERS = 48
-WHOLE: dict[str, bool] = {"break_long_words": False, "break_on_hyphens": False}
+# Lines over the left part.
+WRAPPED = textwrap.TextWrapper(48, break_long_words=False, break_on_hyphens=False)
 
 
 @picture("Atlas", size=lambda _: (10.5, 6.2))
@@ -145,7 +144,7 @@ def _frame(axes: Axes, atlas: Atlas) -> None:
         f"{name} = {value:g} {unit}".replace(" ", "\N{NO-BREAK SPACE}") for name, value, unit in atlas.held
     )
     title = "robust postures" + (f", {listed}" if listed else "")
-    axes.set_title("\n".join(mathtext(line, TITLE_MAX) for line in textwrap.wrap(title, LETTERS, **WHOLE)))
+    axes.set_title("\n".join(mathtext(line, TITLE_MAX) for line in WRAPPED.wrap(title)))
 
 
 def _broken(atlas: Atlas, points: Vector) -> Vector:

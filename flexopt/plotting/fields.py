@@ -191,7 +191,11 @@ def label_plane(axes: Axes, plane: FieldPlane, title: str, *, left: bool = True,
             shown = [step for step in steps if values.min() <= step * (1 + SAME) and step <= values.max() * (1 + SAME)]
             if len(shown) < 2:
                 ends = float(values.min()), float(values.max())
-                shown = [step for step in MaxNLocator(4).tick_values(*ends).tolist() if ends[0] <= step <= ends[1]]
+                shown = [
+                    step
+                    for step in np.asarray(MaxNLocator(4).tick_values(*ends)).tolist()
+                    if ends[0] <= step <= ends[1]
+                ]
             axis.set_major_locator(FixedLocator(np.log10(shown).tolist()))
             axis.set_major_formatter(lambda value, _: f"{10**value:.3g}")
         elif log:

@@ -204,7 +204,8 @@ class Verdict(Pictured, Result):
         """Where the present posture of one target is off it, and which constraints it breaks; empty where neither."""
         if self._stay is None:
             return ""
-        off = "" if len(self.problems) > 1 else elsewhere(self.problems[0], np.concatenate(self._stay.stands[0]))
+        (first, *more), (now, *_) = self.problems, self._stay.stands
+        off = "" if more else elsewhere(first, np.concatenate(now))
         return "; ".join(filter(None, (off, self.present_breaks)))
 
     @property

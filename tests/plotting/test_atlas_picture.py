@@ -44,7 +44,7 @@ def test_curves_and_points(atlas: flexopt.Atlas, tmp_path: Path) -> None:
 
 def test_joints_that_are_held_have_their_unit() -> None:
     atlas = flexopt.atlas(flexopt.load("boom-stick-bucket"), posture=[-0.5], cells=(8, 8))
-    assert atlas.plot().axes[0].get_title() == "robust postures, bucket = -0.5 rad"
+    assert atlas.plot().axes[0].get_title().replace("\N{NO-BREAK SPACE}", " ") == "robust postures, bucket = -0.5 rad"
     assert "bucket -0.5 rad held" in repr(atlas)
 
 
