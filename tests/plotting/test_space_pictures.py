@@ -170,7 +170,7 @@ def test_scenery_in_both_views(selection):
                               "keep_out": [[[0, 0], [1, 0], [0, 1]]]})  # fmt: skip
     for view in views(chosen):
         axes = Figure().add_subplot()
-        draw_scenery(axes, view, asked, 0.0, "footprint")
+        draw_scenery(axes, view, asked, 0.0, "footprint", np.zeros((2, 0)), 10.0)
         circles = [patch for patch in axes.patches if patch.__class__.__name__ == "Circle"]
         np.testing.assert_allclose(circles[0].center, view.of(np.array(tank["center"])))
         # The arm works in the plane y = 0: the tank stands beside it.
@@ -181,6 +181,18 @@ def test_scenery_in_both_views(selection):
         assert len(edges) == 2
         if view.upright:
             np.testing.assert_allclose(edges[1][:2, 1], 5.0)
+
+
+@pytest.mark.parametrize(("away", "aside"), [(0.1, True), (2.0, False)])
+def test_a_name_of_an_obstacle_does_not_lie_on_a_target(selection, away, aside):
+    tank = {"kind": "sphere", "center": [1.0, 2.0, 3.0], "radius": 0.5, "name": "tank"}
+    asked = read_constraints({"clearance": {"distance": 0.1, "obstacles": [tank]}})
+    for view in views(shape_of(selection.problem.machine, selection.best.evaluation)):
+        axes = Figure().add_subplot()
+        middle = view.of(np.array(tank["center"]))
+        draw_scenery(axes, view, asked, 0.0, "footprint", (middle + [away, 0.0])[:, None], 10.0)
+        (name,) = axes.texts
+        assert (name.xyann != tuple(middle)) == aside
 
 
 @pytest.mark.long
