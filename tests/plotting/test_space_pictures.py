@@ -190,7 +190,7 @@ def test_a_name_of_an_obstacle_does_not_lie_on_a_target(selection, away, aside):
     for view in views(shape_of(selection.problem.machine, selection.best.evaluation)):
         axes = Figure().add_subplot()
         middle = view.of(np.array(tank["center"]))
-        draw_scenery(axes, view, asked, 0.0, "footprint", (middle + [away, 0.0])[:, None], 10.0)
+        draw_scenery(axes, view, asked, 0.0, "footprint", np.add(middle, [away, 0.0])[:, None], 10.0)
         (name,) = axes.texts
         assert (name.xyann != tuple(middle)) == aside
 
