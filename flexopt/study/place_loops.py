@@ -100,8 +100,8 @@ def broken_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:
     """Which constraints that were asked for a place breaks, (base, posture) at each target: "breaks …", or nothing."""
     pairs = zip(problems_of(chosen), map(np.concatenate, stand), strict=True)
     found = [broken(problem, z, asked=True) for problem, z in pairs]
-    if isinstance(chosen, OutcomeSelection) and chosen.present_broken:
-        found.append(f"breaks {', '.join(chosen.present_broken)}")
+    if isinstance(chosen, OutcomeSelection):
+        found.append(chosen.present_broken_told)
     if len(stand) == 1:
         return "; ".join(filter(None, found))
     return "; ".join(f"{sentence} at target {k}" for k, sentence in enumerate(found, start=1) if sentence)

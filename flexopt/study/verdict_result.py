@@ -19,7 +19,8 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
-from flexopt.selection.problem import elsewhere, reached
+from flexopt.selection.outcomes.result import OutcomeSelection
+from flexopt.selection.problem import broken, elsewhere, reached
 from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import FASTER, RULE, Word, gains_in_words, spoken
@@ -201,12 +202,13 @@ class Verdict(Pictured, Result):
 
     @property
     def present_told(self) -> str:
-        """Where the present posture of one target is off it, and which constraints it breaks; empty where neither."""
-        if self._stay is None:
-            return ""
-        (first, *more), (now, *_) = self.problems, self._stay.stands
-        off = "" if more else elsewhere(first, np.concatenate(now))
-        return "; ".join(filter(None, (off, self.present_breaks)))
+        """Where the present posture of one target is off it, and what it breaks, unasked, too; empty where neither."""
+        problem, several = self.problems[0], len(self.problems) > 1
+        if self._stay is None or several:
+            return self.present_breaks
+        z = np.concatenate(next(iter(self._stay.stands)))
+        of_loop = self.selection.present_broken_told if isinstance(self.selection, OutcomeSelection) else ""
+        return "; ".join(filter(None, (elsewhere(problem, z), broken(problem, z), of_loop)))
 
     @property
     def present_breaks(self) -> str:

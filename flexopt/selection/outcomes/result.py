@@ -124,8 +124,12 @@ class OutcomeSelection(Selection):
     @property
     def present_told(self) -> str:
         """As of `Selection`, and what its loop breaks of the constraint `outcome`."""
-        broken = f"breaks {', '.join(self.present_broken)}" if self.present_broken else ""
-        return "; ".join(filter(None, (super().present_told, broken)))
+        return "; ".join(filter(None, (super().present_told, self.present_broken_told)))
+
+    @property
+    def present_broken_told(self) -> str:
+        """`present_broken` in words: "breaks …", or nothing."""
+        return f"breaks {', '.join(self.present_broken)}" if self.present_broken else ""
 
     @property
     def remarks(self) -> tuple[str, ...]:
