@@ -54,7 +54,9 @@ def test_c_asks_for_what_the_simulation_does(name: str, tmp_path: Path) -> None:
         assert status == "OK"
         states = {key.removeprefix("next_"): value for key, value in out.items() if key.startswith("next_")} or states
         served = settings.drive == "velocity"
-        asked.append(settings.servo_gain * out["joint_rate_command"] if served else out["torque"])
+        # What a servo makes of the rate asked for: its torque acts on what the joint lacks of it.
+        away = out["joint_rate_command"] - run.v[k, run.n_passive :] if served else None
+        asked.append(out["torque"] if away is None else settings.servo_gain * away)
     # The last sample's torque acts on nothing any more.
     size = np.abs(run.torque).max()
     np.testing.assert_allclose(np.array(asked)[:-1], run.torque[:-1], rtol=0, atol=1e-9 * size)
