@@ -29,6 +29,7 @@ from flexopt.foundation.plain import shown
 from flexopt.foundation.results import Tabled
 from flexopt.foundation.turns import available_cores
 from flexopt.foundation.warned import warn_user
+from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.parameter_ranges import parameter_range
@@ -251,11 +252,11 @@ def simulate_ensemble(
     """
     given: dict[str, Any] = {"posture": posture} | keywords
     asked = dict(cast(Mapping[str, Vector], vary))
-    varied, real, braking = asked, cast("Loop | None", loop) or own_loop(machine, given | asked), 0.0
+    varied, real = asked, cast("Loop | None", loop) or own_loop(machine, given | asked)
+    settings: LoopSettings | None = None
     if real is not None:
         own = machine
         machine, given, settings, sentences = with_loop(machine, real, given, "simulate_ensemble")
-        braking = settings.braking
         for sentence in sentences:
             warn_user(sentence, FlexoptWarning)
         # What drives brake is brake in every member, on top of its own damping.
@@ -270,7 +271,7 @@ def simulate_ensemble(
         n = len(next(iter(varied.values())))
         names = [parameter.name for parameter in machine.parameters]
         zeros, motion = motion_constants(machine, {k: v for k, v in varied.items() if k in names}, n)
-        s = build_scenario(machine, checked, zeros, watched=True, braking=braking)
+        s = build_scenario(machine, checked, zeros, watched=True, settings=settings)
         plan = Plan(s, zeros, varied, motion, n, keep)
         _check_room(plan)
         shares = _run(plan, threads or available_cores(), progress)

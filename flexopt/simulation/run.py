@@ -100,8 +100,7 @@ def simulate(
         machine, given, settings, sentences = with_loop(machine, real, given, "simulate")
 
     def run(given: dict[str, Any]) -> Trajectory:
-        braking = 0.0 if settings is None else settings.braking
-        scenario = build_scenario(machine, checked_options("simulate", machine, given), braking=braking)
+        scenario = build_scenario(machine, checked_options("simulate", machine, given), settings=settings)
         return simulate_checked(scenario, settings, sentences)
 
     return in_shorter_steps(run, given, real)

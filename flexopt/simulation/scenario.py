@@ -23,6 +23,7 @@ from flexopt.loop.closed import ClosedLoop, closed_loop
 from flexopt.loop.levers import with_servo_gain
 from flexopt.loop.rest import design_constants, placed, state_at_rest
 from flexopt.loop.robust import robust_law
+from flexopt.loop.settings import LoopSettings
 from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
 from flexopt.model import AnyMachine
 from flexopt.model.file_model import read_table, validated
@@ -179,7 +180,7 @@ def build_scenario(
     *,
     watched: bool = False,
     exact: bool = False,
-    braking: float = 0.0,
+    settings: LoopSettings | None = None,
 ) -> Scenario:
     """The scenario of checked options.
 
@@ -190,7 +191,7 @@ def build_scenario(
             numbers; None for this machine alone.
         watched: whether steps give what is judged.
         exact: whether it is there to be linearised and advanced exactly: no step is then too long.
-        braking: of each joint by its drive, within the machine's damping, N m s/rad or N s/m.
+        settings: of a real loop, whose drives may brake their joints, within the machine's damping.
 
     Raises:
         SingularPosture: Jv loses rank in the design posture.
@@ -199,6 +200,7 @@ def build_scenario(
         NoSolutionFound: the static deflection did not converge.
     """
     # Members of an ensemble may have gravity of their own.
+    braking = 0.0 if settings is None else settings.braking
     warn_weightless(machine, asked=options.gravity and zeros is None)
     design = _design(machine, *design_configuration(machine, options), options.gravity, options.control)
     options = with_servo_gain(machine, options, design.posture)

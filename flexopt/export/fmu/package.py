@@ -40,14 +40,7 @@ from flexopt.model.simulation_faults import own_loop
 from flexopt.plant.machine_motion import full_structure, motion_of
 from flexopt.simulation.real_loop import note_loop, with_loop
 from flexopt.simulation.run import simulate_checked
-from flexopt.simulation.scenario import (
-    SIMULATED,
-    Scenario,
-    build_scenario,
-    checked_options,
-    given_options,
-    note_options,
-)
+from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options, given_options, note_options
 from flexopt.simulation.trajectory import Trajectory
 
 TOOL = "flexopt"
@@ -207,7 +200,7 @@ def export_fmu(
     _check_base_path(machine, checked)
     reference = target.with_name(f"{target.stem}_reference.csv")
     _check_replaceable(target, reference)
-    scenario = _scenario(machine, checked, numbers)
+    scenario = build_scenario(machine, checked, settings=numbers)
     model = FmuModel(scenario, kind, _quiet(machine, checked, numbers), served)
     try:
         content = body(model)
@@ -276,15 +269,11 @@ def _check_replaceable(path: Path, reference: Path) -> None:
     raise_if_any(InputError, "export_fmu", [Fault("path", sentence, repr(str(path)))] if sentence else [])
 
 
-def _scenario(machine: AnyMachine, options: SimulationOptions, numbers: LoopSettings | None) -> Scenario:
-    return build_scenario(machine, options, braking=0.0 if numbers is None else numbers.braking)
-
-
 def _quiet(machine: AnyMachine, options: SimulationOptions, numbers: LoopSettings | None) -> Trajectory:
     """The run that the FMU reproduces: without the noise, which a master gives."""
     sensor = Sensor(**options.sensor.model_dump(exclude={"noise", "rate_noise"}))
     quiet = options.model_copy(update={"sensor": sensor})
-    return simulate_checked(_scenario(machine, quiet, numbers), numbers)
+    return simulate_checked(build_scenario(machine, quiet, settings=numbers), numbers)
 
 
 def _warnings(run: Trajectory) -> tuple[str, ...]:
