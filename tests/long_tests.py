@@ -3,12 +3,16 @@
 `@pytest.mark.long` says it of a test, `@pytest.mark.long("report", "tutorial")` of these of its cases. They search by
 another method, or do what others do for one machine more; each takes some seconds. Without options pytest leaves them
 out; `--tests long` runs them alone, `--tests all` every test, as does a test's own address (`test_file.py::test_name`).
-`.ci/run` runs both halves.
+With `--part 2/4` only the second of four parts of the long ones is run, parted by what their addresses hash to. `.ci/run`
+runs one part, which follows from the commit: all of them take longer than a check of every change may.
 """
 
 from __future__ import annotations
 
+import argparse
+import re
 from collections import defaultdict
+from zlib import crc32
 
 import pytest
 
@@ -17,20 +21,35 @@ ASTRAY = pytest.StashKey[dict[str, set[str]]]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """The option."""
+    """The options."""
     text = "quick: all but the long ones (default); long: those alone; all: both"
     parser.addoption("--tests", choices=("quick", "long", "all"), default="quick", help=text)
+    parser.addoption(
+        "--part", type=part, default=(1, 1), metavar="K/N", help="of the long ones only the K-th of N parts"
+    )
+
+
+def part(text: str) -> tuple[int, int]:
+    """Which part, of how many."""
+    if (found := re.fullmatch(r"(\d+)/(\d+)", text)) and 1 <= int(found[1]) <= int(found[2]):
+        return int(found[1]), int(found[2])
+    raise argparse.ArgumentTypeError(f"{text!r} is not K/N with 1 ≤ K ≤ N")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out the half that is not asked for."""
     asked, by_address = config.getoption("tests"), any("::" in arg for arg in config.args)
     config.stash[ASTRAY] = {} if by_address else astray(items)
-    if asked == "all" or (asked == "quick" and by_address):
+    if asked == "quick" and by_address:
         return
+    this, parts = config.getoption("part")
     kept, left_out = list[pytest.Item](), list[pytest.Item]()
     for item in items:
-        (kept if is_long(item) == (asked == "long") else left_out).append(item)
+        # An address is the same on every machine; Python's own hash is another in every process.
+        runs = (
+            asked != "quick" and crc32(item.nodeid.encode()) % parts == this - 1 if is_long(item) else asked != "long"
+        )
+        (kept if runs else left_out).append(item)
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = kept

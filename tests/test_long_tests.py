@@ -6,12 +6,13 @@ import os
 import re
 import subprocess
 import sys
+from argparse import ArgumentTypeError
 from pathlib import Path
 
 import pytest
 
 from tests.conftest import ROOT
-from tests.long_tests import ASTRAY
+from tests.long_tests import ASTRAY, part
 
 EXAMPLE = """
 import pytest
@@ -60,6 +61,19 @@ def test_each_half(options: tuple[str, ...], expected: set[str], tmp_path: Path)
 @pytest.mark.long
 def test_what_is_named_by_its_address_runs(tmp_path: Path) -> None:
     assert collected(tmp_path, test="::test_scan") == {"test_scan"}
+
+
+@pytest.mark.long
+def test_parts_are_all_long_tests_each_once(tmp_path: Path) -> None:
+    parts = [collected(tmp_path, "--tests", "all", "--part", f"{k}/3") for k in (1, 2, 3)]
+    assert [each & QUICK for each in parts] == [QUICK] * 3
+    assert sorted(test for each in parts for test in each & LONG) == sorted(LONG)
+
+
+@pytest.mark.parametrize("text", ["0/4", "5/4", "1", "a/b", "1/0"])
+def test_what_is_no_part(text: str) -> None:
+    with pytest.raises(ArgumentTypeError, match="1 ≤ K ≤ N"):
+        part(text)
 
 
 def test_a_case_that_is_not_there_is_found(tmp_path: Path) -> None:
