@@ -203,6 +203,7 @@ def verdict(
         judged=len(others),
         selection=chosen,
         provenance=provenance(machine, members=members, runs=runs, duration=duration),
+        present_breaks=breaks,
     )
 
 

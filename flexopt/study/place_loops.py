@@ -24,6 +24,7 @@ from flexopt.selection.continua import unwound
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.problem import broken
 from flexopt.selection.several import BasePlan, Stand
+from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.postures import reached_from
 from flexopt.study.confirmation import Runs, nonlinear_runs, of_all
 from flexopt.study.places import STAY
@@ -100,11 +101,13 @@ def broken_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:
     """Which constraints that were asked for a place breaks, (base, posture) at each target: "breaks …", or nothing."""
     pairs = zip(problems_of(chosen), map(np.concatenate, stand), strict=True)
     found = [broken(problem, z, asked=True) for problem, z in pairs]
-    if isinstance(chosen, OutcomeSelection):
-        found.append(chosen.present_broken_told)
-    if len(stand) == 1:
-        return "; ".join(filter(None, found))
-    return "; ".join(f"{sentence} at target {k}" for k, sentence in enumerate(found, start=1) if sentence)
+    of_loop = [chosen.present_broken_told] if isinstance(chosen, OutcomeSelection) else [""] * len(found)
+    if isinstance(chosen, ByLoop):
+        of_loop = chosen.loops_break(stand)
+    each = ["; ".join(filter(None, both)) for both in zip(found, of_loop, strict=True)]
+    if len(each) == 1:
+        return each[0]
+    return "; ".join(f"{sentence} at target {k}" for k, sentence in enumerate(each, start=1) if sentence)
 
 
 def configurations_of(chosen: Chosen) -> dict[str, Configurations]:

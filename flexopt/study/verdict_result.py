@@ -24,7 +24,7 @@ from flexopt.selection.problem import broken, elsewhere, reached
 from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import FASTER, RULE, Word, gains_in_words, spoken
-from flexopt.study.place_loops import Chosen, broken_at, found_in, problems_of
+from flexopt.study.place_loops import Chosen, found_in, problems_of
 from flexopt.study.places import FIRST, MOVE, STAY, TOLD, allowed, told
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ class Verdict(Pictured, Result):
             reaches them from there.  present_off: how far from its target, of several the farthest, m, or None: what
             is more than a centimetre off is told in words, too, and the numbers of staying are those beside the target.
         present_breaks: which constraints that were asked for staying does not keep, "breaks …"; empty where it keeps
-            them. Of several targets what the loop must do at least is not among them.
+            them.
 
     Example:
         >>> len(answer.places) == len(answer.table)
@@ -141,6 +141,7 @@ class Verdict(Pictured, Result):
     judged: int
     selection: Chosen = field(repr=False)
     provenance: Document = field(repr=False)
+    present_breaks: str = ""
 
     DOCUMENT = """
     word sentence place reason drawbacks measure gains rule targets[m] present_end_point[m] present_off[m]
@@ -209,11 +210,6 @@ class Verdict(Pictured, Result):
         z = np.concatenate(next(iter(self._stay.stands)))
         of_loop = self.selection.present_broken_told if isinstance(self.selection, OutcomeSelection) else ""
         return "; ".join(filter(None, (elsewhere(problem, z), broken(problem, z), of_loop)))
-
-    @property
-    def present_breaks(self) -> str:
-        """See the class."""
-        return "" if self._stay is None else broken_at(self.selection, self._stay.stands)
 
     @property
     def sentence(self) -> str:

@@ -339,6 +339,22 @@ def test_a_target_that_grows_grows() -> None:
 
 
 @pytest.mark.long
+def test_what_the_loop_must_do_at_least_counts_at_every_target() -> None:
+    """Where the present place grows at the first target alone, that is what it breaks; judged by `outcome`."""
+    machine, targets, least = flexopt.load("excavator"), [(0.0, 1.6), (1.6, 1.0)], 0.001
+    stand = flexopt.select_stand(
+        machine, targets, starts=2, base=0.0, workers=1, loop=ARTICLE, constraints={"outcome": {"decay": least}}
+    )
+    found = flexopt.verdict(stand, **FEW | {"runs": 0})
+    kept = [alone(machine, each).decay >= least for each in found.places[0].stands]
+    assert kept == [False, True]
+    assert found.word == "move"
+    assert found.present_breaks.startswith("breaks decay -")
+    assert found.present_breaks.endswith(" at target 1")
+    assert found.to_dict()["present_breaks"] in found.reason
+
+
+@pytest.mark.long
 def test_along_a_path_the_way_is_beside_standing_still() -> None:
     machine = flexopt.load("excavator")
     plan = flexopt.plan_base(machine, TARGETS, starts=1, base=0.0, workers=1, duration=20.0)

@@ -21,6 +21,7 @@ from flexopt.loop.evaluation import with_outcome
 from flexopt.loop.region import stability_radius
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model import AnyMachine
 from flexopt.model.choices import ALLOWANCE, ALLOWED_GAIN, DECAY, RADIUS
 from flexopt.model.constraints import LeastOutcomes
 from flexopt.model.loop import Loop, gain_ranges
@@ -33,7 +34,7 @@ from flexopt.selection.outcomes.borders import RADIUS_POINTS
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.climb import Climbed, climbed
 from flexopt.selection.outcomes.measures import MEASURES, OfModes
-from flexopt.selection.outcomes.program import OutcomeProgram
+from flexopt.selection.outcomes.program import OutcomeProgram, points_of
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import Seed, separation, starting_points
 from flexopt.selection.problem import SelectionProblem
@@ -89,11 +90,11 @@ def outcome_selection(
     settings = loop_settings(machine, loop, stand, gravity=problem.gravity)
     measure = measure_of(name, problem)
     bounds = (*asked_of(least), *bounds)
-    varied = (uncertainty or GROUND) if name == RADIUS else uncertainty
-    box = UncertaintyBox(machine, varied, settings.dead_time)
-    raise_if_any(InputError, "select", [*box.faults(settings.rate), *unfit(name, bounds, loop, settings, varied)])
+    box, corners = box_and_corners(machine, uncertainty, name, settings.dead_time)
+    raise_if_any(
+        InputError, "select", [*box.faults(settings.rate), *unfit(name, bounds, loop, settings, box.uncertainty)]
+    )
     held = UncertainLoop(settings, pool[0][:n_base], pool[0][n_base:], problem.gravity, box)
-    corners = box.corners(CORNERED) if uncertainty and name != RADIUS else np.zeros((0, 0))
     program = OutcomeProgram(problem, held, gain_ranges(loop), corners, measure=measure, least=bounds)
     count = workers or available_cores()
     program, starts = starting_points(program, pool, count, seeds)
@@ -151,6 +152,14 @@ def distinct_optima(program: OutcomeProgram, found: list[Climbed | None]) -> tup
     worth = distinct[0].value + NEW * abs(distinct[0].value)
     more = [each.value for each in found if each is not None and not each.holds and each.value > worth]
     return distinct, program.measure.sign * max(more) if more else None
+
+
+def box_and_corners(
+    machine: AnyMachine, uncertainty: tuple[Uncertainty, ...], name: str, dead_time: float
+) -> tuple[UncertaintyBox, Vector]:
+    """What is not known, of the radius its factors; the members (n, k) over which the measure `name` is the worst."""
+    box = UncertaintyBox(machine, (uncertainty or GROUND) if name == RADIUS else uncertainty, dead_time)
+    return box, box.corners(CORNERED) if uncertainty and name != RADIUS else np.zeros((0, 0))
 
 
 def asked_of(least: LeastOutcomes | None) -> MeasureBounds:
@@ -226,9 +235,13 @@ def _worst(loop: UncertainLoop, measure: Measure) -> tuple[float, Vector]:
 
 def kept_values(program: OutcomeProgram, y: Vector) -> dict[str, ConstraintValue]:
     """What the worst member's loop does of what it must at least."""
-    loop, points = program.at(y), program.points(y)
-    found = dict[str, ConstraintValue]()
-    for measure, least in program.least:
+    return least_values(program.least, program.at(y), program.members)
+
+
+def least_values(bounds: MeasureBounds, loop: UncertainLoop, members: Vector) -> dict[str, ConstraintValue]:
+    """The same of a loop and members (n, k) of what is uncertain."""
+    points, found = points_of(loop, members), dict[str, ConstraintValue]()
+    for measure, least in bounds:
         value = measure.sign * min(measure.value(loop, point) for point in points)
         ends = (least, math.inf) if measure.sign > 0 else (-math.inf, -least)
         found[measure.told] = ConstraintValue(value, *ends, measure.unit_of(loop.settings))
@@ -290,8 +303,11 @@ def _breaks(program: OutcomeProgram, initial: Evaluation, best: Climbed) -> tupl
     if not program.least:
         return ()
     z = np.concatenate([initial.base, initial.posture]) / program.problem.scale
-    kept = kept_values(program, np.append(z, best.y[program.n_z :]))
-    # What a loop that grows has no number of counts as broken.
+    return broken_of(kept_values(program, np.append(z, best.y[program.n_z :])))
+
+
+def broken_of(kept: dict[str, ConstraintValue]) -> tuple[str, ...]:
+    """What is not kept, in words; what a loop that grows has no number of counts as broken."""
     return tuple(f"{name} {value}" for name, value in kept.items() if not value.room >= 0)
 
 

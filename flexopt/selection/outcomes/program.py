@@ -48,6 +48,11 @@ class Met(NamedTuple):
     oscillate: bool
 
 
+def points_of(loop: UncertainLoop, members: Vector) -> list[LoopPoint]:
+    """The loop of every member (n, k) of what is uncertain, the nominal one first."""
+    return [loop.outcome(), *(loop.outcome(u) for u in members)]
+
+
 @dataclass(frozen=True)
 class OutcomeProgram:
     """Maximise a measure of the worst member.
@@ -134,8 +139,7 @@ class OutcomeProgram:
 
     def points(self, y: Vector) -> list[LoopPoint]:
         """The loop of every member there, the nominal one first."""
-        loop = self.at(y)
-        return [loop.outcome(), *(loop.outcome(u) for u in self.members)]
+        return points_of(self.at(y), self.members)
 
     def value(self, y: Vector) -> float:
         """The measure of the worst member; −∞ where one has none, or does less than it must."""

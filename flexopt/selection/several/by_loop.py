@@ -5,11 +5,10 @@ In: a configuration problem for each target, a loop. Out: their program, and wha
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arrays import Progress, Vector
@@ -17,19 +16,20 @@ from flexopt.foundation.documents import json_ready
 from flexopt.foundation.processes import in_parallel
 from flexopt.loop.evaluation import with_outcome
 from flexopt.loop.settings import LoopSettings, loop_settings
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
-from flexopt.model.choices import RADIUS
+from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.constraints import LeastOutcomes
 from flexopt.model.loop import Loop, gain_ranges
-from flexopt.model.uncertainty import GROUND, Uncertainty
+from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.coupling import Coupling
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.choice import (
-    CORNERED,
     asked_of,
+    box_and_corners,
+    broken_of,
     climbs,
     distinct_optima,
     kept_values,
+    least_values,
     measure_of,
     unfit,
 )
@@ -55,12 +55,14 @@ class ByLoop(ConfigurationSet):
         criterion: what is sought.
         settings: of the loop, the same at every target;  loop: as it was given.
         uncertainty: what the worst case is taken over; empty: none.
+        least: what the loop must do at least at every target.
     """
 
     criterion: Measure = field(default=MEASURES["decay"], repr=False)
     settings: LoopSettings | None = field(default=None, repr=False)
     loop: Loop | None = field(default=None, repr=False)
     uncertainty: tuple[Uncertainty, ...] = ()
+    least: LeastOutcomes | None = field(default=None, repr=False)
 
     @property
     def objective(self) -> str:
@@ -87,6 +89,19 @@ class ByLoop(ConfigurationSet):
     def worst(self) -> int:
         """Index of the target that has the worst of it."""
         return int((self.criterion.sign * self.V).argmin())
+
+    def loops_break(self, stand: Sequence[tuple[Vector, Vector]]) -> list[str]:
+        """At each target what the loop does not do of what it must at least, base and posture there: "breaks …"."""
+        bounds, settings = asked_of(self.least), self.settings
+        if not bounds or settings is None:
+            return [""] * len(stand)
+        machine, found = self.problems[0].machine, list[str]()
+        box, corners = box_and_corners(machine, self.uncertainty, self.criterion.name, settings.dead_time)
+        for (base, posture), problem in zip(stand, self.problems, strict=True):
+            loop = UncertainLoop(settings, base, posture, problem.gravity, box)
+            broken = broken_of(least_values(bounds, loop, corners))
+            found.append(f"breaks {', '.join(broken)}" if broken else "")
+        return found
 
     def _document(self, status: str, own: dict[str, Any], targets: str) -> dict[str, Any]:
         uncertainty = [each.model_dump(exclude_none=True) for each in self.uncertainty]
@@ -136,12 +151,10 @@ class Asked:
         machine, n_base = first.machine, len(first.machine.base_coordinates)
         settings = loop_settings(machine, self.loop, first.quantities.evaluated(z), gravity=first.gravity)
         measure, bounds = measure_of(self.name, first), asked_of(self.least)
-        varied = (self.uncertainty or GROUND) if self.name == RADIUS else self.uncertainty
-        box = UncertaintyBox(machine, varied, settings.dead_time)
-        faults = [*box.faults(settings.rate), *unfit(self.name, bounds, self.loop, settings, varied)]
+        box, corners = box_and_corners(machine, self.uncertainty, self.name, settings.dead_time)
+        faults = [*box.faults(settings.rate), *unfit(self.name, bounds, self.loop, settings, box.uncertainty)]
         raise_if_any(InputError, self.call, [Fault(f.field, f.sentence, f.value) for f in faults])
         held = UncertainLoop(settings, z[:n_base], z[n_base:], first.gravity, box)
-        corners = box.corners(CORNERED) if self.uncertainty and self.name != RADIUS else np.zeros((0, 0))
         return SharedProgram(
             first, held, gain_ranges(self.loop), corners, measure=measure, least=bounds, problems=problems,
             coupling=coupling, steps=steps, begin=begin,

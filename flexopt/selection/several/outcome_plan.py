@@ -128,6 +128,7 @@ def outcome_plan(
         settings=chosen.at(y).settings,
         loop=asked.loop,
         uncertainty=asked.uncertainty,
+        least=asked.least,
         unverified=unverified,
     )  # fmt: skip
 

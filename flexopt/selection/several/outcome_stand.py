@@ -81,6 +81,7 @@ def outcome_stand(
         settings=chosen.at(best.y).settings,
         loop=asked.loop,
         uncertainty=asked.uncertainty,
+        least=asked.least,
         unverified=unverified,
     )
 
