@@ -8,7 +8,7 @@ stand on.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -20,10 +20,10 @@ import numpy as np
 from flexopt.errors import Fault
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.many import decays
-from flexopt.loop.outcome import DEAD_TIME, LoopPoint
+from flexopt.loop.outcome import DEAD_TIME, HIGH, LoopPoint, Measured
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
-from flexopt.model.loop import DELAY_MAX
+from flexopt.model.loop import DELAY_MAX, GAINS
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
 from flexopt.plant import build_plant
 
@@ -31,6 +31,8 @@ from flexopt.plant import build_plant
 CORNERED, SEARCHES, STEPS = 6, 2, 12
 # From corner to corner towards the worst of a measure.
 WALK = 5
+# Gains at which loops are looked at for one that grows, as far as this share of the least that is known to be allowed.
+LEVELS, SHORT = 12, 0.999
 # Parameters that a message names.
 NAMED = 4
 
@@ -183,33 +185,37 @@ class UncertainLoop:
             self.box.machine, self.base, self.posture, gravity=self.gravity, parameters=p, dead_time=late
         )
 
-    def decays(self, members: Vector) -> Vector:
-        """Of every member (n,), 1/s."""
-        each = [self.box.numbers(u) for u in members]
+    def decays(self, members: Vector, factors: Sequence[float] = (1.0,)) -> Vector:
+        """Of every member with all gains times each of the factors, one factor after the other (n_f n,), 1/s."""
+        each = [self.box.numbers(u) for u in members] * len(factors)
         varied = {"p": np.array([p for p, _ in each]).T, DEAD_TIME: np.array([[late for _, late in each]])}
         varied |= {"base": np.tile(self.base[:, None], len(each)), "posture": np.tile(self.posture[:, None], len(each))}
+        if tuple(factors) != (1.0,):
+            times = np.repeat(factors, len(members))
+            varied |= {name: np.outer(getattr(self.settings, name), times) for name in GAINS}
         return decays(self.box.machine, self.settings, varied, gravity=self.gravity).decay
 
     def slowest(self, members: Vector, decays: Vector) -> tuple[float, Vector]:
         """The least decay found in the box, 1/s, and where: searched from the slowest members with exact gradients."""
+        best = float(decays.min()), members[int(np.argmin(decays))]
+        for start in members[np.argsort(decays, kind="stable")[:SEARCHES]]:
+            best = min(best, self._least(LoopPoint.decay, start), key=lambda each: each[0])
+        return best
+
+    def _least(self, measure: Callable[[LoopPoint], Measured], start: Vector) -> tuple[float, Vector]:
+        """The least of a measure that a search with exact gradients meets from a member, and where."""
         from scipy.optimize import minimize  # noqa: PLC0415  (loads slowly)
 
-        best = float(decays.min()), members[int(np.argmin(decays))]
-
-        def decay(u: Vector) -> tuple[float, Vector]:
+        def value(u: Vector) -> tuple[float, Vector]:
             outcome = self.outcome(np.clip(u, 0.0, 1.0))
-            measured = outcome.decay()
+            measured = measure(outcome)
             by = outcome.gradient(measured)
-            slopes = self.box.slopes(u, by["p"], float(by[DEAD_TIME][0]))
-            return measured.value, np.nan_to_num(slopes)
+            return measured.value, np.nan_to_num(self.box.slopes(u, by["p"], float(by[DEAD_TIME][0])))
 
-        for start in members[np.argsort(decays, kind="stable")[:SEARCHES]]:
-            found: Any = minimize(
-                decay, start, jac=True, method="L-BFGS-B", bounds=[(0.0, 1.0)] * len(start), options={"maxfun": STEPS}
-            )
-            if found.fun < best[0]:
-                best = float(found.fun), np.clip(found.x, 0.0, 1.0)
-        return best
+        found: Any = minimize(
+            value, start, jac=True, method="L-BFGS-B", bounds=[(0.0, 1.0)] * len(start), options={"maxfun": STEPS}
+        )
+        return float(found.fun), np.clip(found.x, 0.0, 1.0)
 
     def farther(
         self, measure: str, members: Sequence[Vector | None], values: Sequence[float], sense: float
@@ -242,6 +248,30 @@ class UncertainLoop:
                 break
             worst = found[-1]
         return found
+
+    def lower_gains(self, members: Vector, least: float) -> list[float]:
+        """`LoopPoint.allowed_gain` of members (n, k) that have less of it than `least`, each less than the one before.
+
+        The loops of all are looked at in stacks, with gains up to the least that is known; of the one that grows first
+        it is computed, and so on; from the last a search goes on. What is stable again between two of LEVELS gains is
+        not seen.
+        """
+        present, found, u = self.settings.kp[int(np.argmax(self.settings.kp > 0))], list[float](), members[:0]
+        while len(members) and present > 0 and least > 0:
+            factor = SHORT * min(least / present, 10.0**HIGH)
+            factors = [factor] if factor <= 1 else np.geomspace(1.0, factor, LEVELS).tolist()
+            grows = ~(self.decays(members, factors).reshape(len(factors), len(members)) > 0)
+            members = members[grows.any(axis=0)]
+            if not len(members):
+                break
+            # At the least of these gains that any grows with.
+            first = int(np.argmin(grows[:, grows.any(axis=0)].argmax(axis=0)))
+            value = self.outcome(members[first]).allowed_gain().value
+            if value < least:
+                found.append(value)
+                least, u = value, members[first]
+            members = np.delete(members, first, axis=0)
+        return found + ([self._least(LoopPoint.allowed_gain, u)[0]] if found and least > 0 else [])
 
 
 def matters_most(box: UncertaintyBox, members: Vector, values: Sequence[float]) -> tuple[str, float]:

@@ -188,7 +188,8 @@ def verdict(
     if breaks and decision.word != "move":
         decision = replace(decision, reason=f"{absent}; apart from it {decision.reason}")
     places = tuple(
-        _place(name, stands[name], loops[name], decays, slowest[name], drives[name], shown.get(name)) for name in told
+        _place(name, stands[name], loops[name], points, decays, slowest[name], drives[name], shown.get(name))
+        for name in told
     )
     return Verdict(
         word=decision.word,
@@ -286,6 +287,7 @@ def _place(
     name: str,
     stands: Configurations,
     place: PlaceLoops,
+    points: Vector,
     decays: Mapping[str, Vector],
     slowest: Slowest,
     drive: tuple[float, float],
@@ -299,9 +301,13 @@ def _place(
     def band(measure: str, *, least: bool = False, factor: float = 1.0) -> Band:
         values = np.array([[getattr(outcome, measure)().value for outcome in each] for each in outcomes])
         sense, worst = (1.0, np.min) if least else (-1.0, np.max)
-        # Not every corner is among the few.
-        rows = zip(place.loops, values.tolist(), strict=True)
+        # Not every corner is among the few, nor is the worst always a corner.
+        rows = list(zip(place.loops, values.tolist(), strict=True))
         more = [value for loop, own in rows for value in loop.farther(measure, few, own, sense)]
+        if measure == "allowed_gain":
+            more += [value for loop, own in rows for value in loop.lower_gains(points, min(own))]
+        if measure == "delay_margin" and not np.isnan(values).any():
+            more += [loop.outcome(u).delay_margin().value for loop in place.loops for u in points[len(few) :]]
         found = _band(factor * worst(values, axis=0))
         end = float(worst([found.least if least else found.greatest, *(factor * value for value in more)]))
         return replace(found, least=end) if least else replace(found, greatest=end)

@@ -54,8 +54,10 @@ class PlaceVerdict(Result):
         slowest_at: the member with the slowest decay: factors and values by name;  slowest_hz: its frequency;
             slowest_target: at which target, from 0.
         better: share of the members on which it decays a tenth faster than in the present place.
-        allowed_gain, delay_margin: as of `evaluate`; NaN where there is no border.
-        settling, swing: of the standard move (see `flexopt.Outcome`), s, and the base's largest turn about one of its
+        allowed_gain, delay_margin: as of `evaluate`; the least over the members and, of the gain, where a search leads
+            from there; NaN where there is no border.
+        settling, swing: over corners of the first intervals, where slopes lead from the worst of these, and the slowest
+            member: of the standard move (see `flexopt.Outcome`), s, and the base's largest turn about one of its
             axes, rad, of a base that cannot turn its largest shift, m (`swing_unit`).
         runs: nonlinear ones; None where none were asked for.
     """

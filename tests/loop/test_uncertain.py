@@ -90,6 +90,28 @@ def test_no_member_is_slower_than_the_slowest(name: str) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.long("posture1-gains1")
+@pytest.mark.parametrize(
+    ("posture", "gains"), [((0.94, -1.74), {"kp": 1e4, "kv": 1e3}), ((0.41, -1.19), {}), ((0.32, -1.19), {})]
+)
+def test_no_member_of_a_grid_allows_less_than_the_least_gain(
+    posture: tuple[float, float], gains: dict[str, float]
+) -> None:
+    """What the gain may be is least at a corner in the last case alone."""
+    machine = flexopt.load("excavator")
+    stand = flexopt.evaluate(machine, posture)
+    settings = loop_settings(machine, Loop(dead_time=0.03, **gains), stand)
+    known = (Uncertainty(of="stiffness", factor=(0.6, 1.6)), Uncertainty(of="dead_time", value=(0.02, 0.05)))
+    box = UncertaintyBox(machine, known, settings.dead_time)
+    loop = UncertainLoop(settings, stand.base, stand.posture, False, box)
+    corners = min(loop.outcome(u).allowed_gain().value for u in box.corners(2))
+    least = min([corners, *loop.lower_gains(box.members(64), corners)])
+    side = np.linspace(0.0, 1.0, 6)
+    grid = min(loop.outcome(np.array([a, b])).allowed_gain().value for a in side for b in side)
+    assert least <= grid * (1 + 1e-9)
+    assert (least < 0.99 * corners) == (posture != (0.32, -1.19))
+
+
 def test_regions_end_where_the_loop_grows() -> None:
     """Just inside its radius a box is stable wherever it is looked at, and just outside it grows at a named point."""
     springs = [{"of": f"base.stiffness.{name}", "factor": (0.5, 2.0)} for name in ("x", "rotation")]
