@@ -18,7 +18,7 @@ from flexopt.export.optimiser_part import LOSS, OptimiserPart, ReferenceProblem,
 from flexopt.export.verify import replay
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Finding, FindingTable
-from flexopt.export.verify.tools import StepFailed, need, run, sanitizing_compiler
+from flexopt.export.verify.tools import StepFailed, run, sanitizing_compiler
 from flexopt.foundation.arrays import Array
 from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.foundation.writing import write_file
@@ -175,7 +175,6 @@ def host_runner(bench: Bench, compiler: str, objects: list[Path]) -> Runner:
 def sanitized(bench: Bench, flags: tuple[str, ...]) -> Finding:
     """The self-test of the whole bundle and faulty calls of the optimiser, with sanitizers."""
     compiler = sanitizing_compiler(flags, bench.scratch)
-    need(compiler)
     # The objects of the other faulty calls, too: the kernels take the compiler long.
     objects = list(bench.objects("sanitized", compiler, ["-std=c99", *flags]).values())
     tests = bench.folder / "test"
