@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from flexopt.explorer.graphs import CLUSTER_TOLERANCE, moving_placement
+from flexopt.explorer.graphs import moving_placement
 from flexopt.explorer.meshes import Meshes
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import control_damping
@@ -28,6 +28,7 @@ from flexopt.plant import build_plant
 from flexopt.plant.plant import STATIC_ITERATIONS
 from flexopt.robustness.evaluation import UNREACHED
 from flexopt.robustness.measures import SOLVE_TOLERANCE
+from flexopt.robustness.modes import CLUSTER_TOLERANCE
 from flexopt.robustness.residues import residue_unit
 
 # A joint without limits is shown over a whole turn or this way, m, about zero.

@@ -8,7 +8,6 @@ from __future__ import annotations
 import html
 import json
 import os
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
@@ -16,7 +15,7 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.errors import FlexoptWarning
-from flexopt.explorer.contents import contents, size_of
+from flexopt.explorer.contents import SLIDE, TURN, contents, size_of
 from flexopt.explorer.graphs import explorer_functions, scripts
 from flexopt.explorer.meshes import Meshes, body_meshes
 from flexopt.foundation.arguments import Arguments
@@ -28,6 +27,7 @@ from flexopt.foundation.palette import LIGHT, PALETTES
 from flexopt.foundation.quantities import whole_number
 from flexopt.foundation.rendering import render
 from flexopt.foundation.results import Result
+from flexopt.foundation.warned import warn_user
 from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import settings_at
 from flexopt.model import AnyMachine, Problem
@@ -260,17 +260,23 @@ def _warn_of(meshes: Meshes) -> None:
         sentence = f"explore: not drawn, so that capsules stay: {'; '.join(listed)}"
         if any("package://" in each for each in listed):
             sentence += "; ROS_PACKAGE_PATH names the folders that packages lie in"
-        warnings.warn(sentence, FlexoptWarning, stacklevel=6)
+        warn_user(sentence, FlexoptWarning)
 
 
 def _open_posture(machine: AnyMachine, base: Vector) -> Vector:
     """Of some postures within the limits, always the same, one far from singular, stretched out, above ground."""
-    rng, whole = np.random.default_rng(0), {"rad": np.pi, "m": 1.0}
-    ends = zip(machine.limits, [whole[unit] for unit in machine.joint_units], strict=True)
-    low, high = np.array([(max(limits[0], -most), min(limits[1], most)) for limits, most in ends], dtype=np.float64).T
+    rng, ranges = np.random.default_rng(0), map(_range_near_zero, machine.limits, machine.joint_units)
+    low, high = np.array(list(ranges)).T
     tried = low + (high - low) * rng.uniform(0.15, 0.85, (TRIED, len(low)))
     found: Vector = tried[int(np.argmax([_openness(machine, base, posture) for posture in tried]))]
     return found
+
+
+def _range_near_zero(limits: tuple[float, float], unit: str) -> tuple[float, float]:
+    """What of a joint's range is within half a turn or a metre of zero; all of it where that is nothing."""
+    most = TURN if unit == "rad" else SLIDE
+    low, high = max(limits[0], -most), min(limits[1], most)
+    return (low, high) if low < high else limits
 
 
 def _openness(machine: AnyMachine, base: Vector, posture: Vector) -> float:

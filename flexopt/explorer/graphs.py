@@ -15,10 +15,7 @@ from flexopt.loop.small_motions import SmallMotions
 from flexopt.plant.singularity import screened
 from flexopt.plant.statics import left_over
 from flexopt.robustness.measures import Measures
-from flexopt.robustness.modes import CLUSTER_TOLERANCE
 from flexopt.robustness.residues import measure, summed_residue
-
-__all__ = ["CLUSTER_TOLERANCE", "explorer_functions", "moving_placement", "scripts"]
 
 
 def explorer_functions(measures: Measures, motions: SmallMotions, *, frames: bool) -> dict[str, ca.Function]:

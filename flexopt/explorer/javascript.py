@@ -159,4 +159,4 @@ def _number(value: float) -> str:
     if math.isinf(value):
         return "Infinity" if value > 0 else "(-Infinity)"
     shown = repr(int(value)) if value == int(value) and abs(value) < 2**53 else repr(value)
-    return f"({shown})" if value < 0 or shown == "-0" else shown
+    return f"({shown})" if value < 0 else shown

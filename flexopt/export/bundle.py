@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,11 +26,12 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, Document, PostureLike
 from flexopt.foundation.boundary import by, number, public, words
 from flexopt.foundation.control import Control
-from flexopt.foundation.documents import json_ready, package_version, provenance
+from flexopt.foundation.documents import json_ready, provenance
 from flexopt.foundation.escapes import c_identifier
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import several
 from flexopt.foundation.results import Result
+from flexopt.foundation.warned import warn_user
 from flexopt.foundation.writing import replace_folder
 from flexopt.loop.evaluation import outcome
 from flexopt.model import AnyMachine, machine_from_dict, tree_from_dict
@@ -268,7 +268,7 @@ def judged_loop(machine: AnyMachine, loop: Loop, posture: Any, base: Any) -> dic
     """A loop's numbers, and what it does in a posture, as a document."""
     found = outcome(machine, posture, base=base, loop=loop)
     if found.decay <= 0:
-        warnings.warn(f"export_c: in this posture the loop grows at {-found.decay:.4g}/s", FlexoptWarning, stacklevel=3)
+        warn_user(f"export_c: in this posture the loop grows at {-found.decay:.4g}/s", FlexoptWarning)
     told: dict[str, Any] = {name: json_ready(getattr(found, name)) for name in JUDGED}
     place = [] if base is None else np.ravel(base).tolist()
     told["lets_drift"] = found.settings.lets_drift
@@ -400,7 +400,7 @@ def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options
         "compile_flags": list(COMPILE_FLAGS),
         "libraries": ["m"],
         "files": {name: hashlib.sha256(text.encode()).hexdigest() for name, text in sorted(texts.items())},
-        "provenance": provenance(machine, **options) | {"flexopt": package_version("flexopt")},
+        "provenance": provenance(machine, **options),
     }
 
 

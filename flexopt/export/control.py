@@ -58,11 +58,13 @@ def kinematics(at: Context) -> tuple[Operation, ...]:
     plant, g, field = at.plant, at.plant.graph, at.sizes.field
     arguments = (g.q, g.base, g.p)
     end_point, jacobian, rigid = (f(*arguments) for f in (plant.end_point, plant.jacobian, plant.rigid_jacobian))
-    skeleton = plant.skeleton(*arguments)
-    size = ca.norm_2(skeleton[:, 0]) + sum(ca.norm_2(s) for s in ca.horzsplit(ca.diff(skeleton, 1, 1)))
     inputs = [(at.coordinates(0.1, measured=True), g.q)]
-    if ca.depends_on(ca.veccat(end_point, jacobian), g.base):
+    placed = ca.depends_on(ca.veccat(end_point, jacobian), g.base)
+    if placed:
         inputs.append((at.placement, g.base))
+    # Heights alone do not depend on where the base stands, but the skeleton does.
+    skeleton = plant.skeleton(g.q, g.base if placed else ca.SX.zeros(plant.n_base, 1), g.p)
+    size = ca.norm_2(skeleton[:, 0]) + sum(ca.norm_2(s) for s in ca.horzsplit(ca.diff(skeleton, 1, 1)))
     by_coordinate, by_joint = (unit_list(units, "m/{}") for units in (g.coordinate_units, at.machine.joint_units))
     outputs = [
         (field("end_point", "TASK", "m", "end-point r(q), inertial frame", scale="|ground point| + the bodies' "

@@ -61,7 +61,6 @@ class CWriter:
     def number(self, value: float) -> str:
         """A constant of the bundle's precision."""
         digits = repr(float(value))
-        digits = digits if any(c in digits for c in ".en") else digits + "."
         if self.real == "double":
             return digits
         return f"-{single_constant(digits[1:])}" if value < 0 else single_constant(digits)

@@ -239,6 +239,12 @@ def default_budget(kernels: OptimiserKernels, real: Real) -> int:
     return int(INSTRUCTIONS / (PER_OPERATION[real] * kernels.unit + PER_UNIT))
 
 
+def bounds_of(machine: AnyMachine) -> list[tuple[float, float]]:
+    """Of z: none of the placement, the joints' limits; what is as large as `COORDINATE_MAX` counts as none."""
+    placed = [(-COORDINATE_MAX, COORDINATE_MAX)] * len(machine.base_coordinates)
+    return placed + [(max(low, -COORDINATE_MAX), min(high, COORDINATE_MAX)) for low, high in machine.limits]
+
+
 def _search(name: str) -> str:
     """A file of the search."""
     return (files("flexopt.export") / "optimiser_c" / name).read_text(encoding="utf-8")
@@ -265,8 +271,7 @@ def _values(at: Context, measures: Measures, kernels: OptimiserKernels, texts: M
     plant, machine = measures.plant, measures.plant.machine
     units = [*machine.base_units, *machine.joint_units]
     names = [f"base.{c}" for c in machine.base_coordinates] + list(machine.joints)
-    bounds = [(-COORDINATE_MAX, COORDINATE_MAX)] * plant.n_base
-    bounds += [(max(low, -COORDINATE_MAX), min(high, COORDINATE_MAX)) for low, high in machine.limits]
+    bounds = bounds_of(machine)
     ranges = [parameter_range(parameter) for parameter in machine.parameters]
     idle = _idle(measures)
     tolerance, enough, tie = TOLERANCES[real]

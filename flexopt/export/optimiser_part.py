@@ -273,8 +273,6 @@ def _vectors(
         return (values * 1024).round() / 1024
 
     for _ in range(DRAWS_MAX * count):
-        if len(made) == count:
-            return tuple(made)
         target = rounded(draw_target(plant, rng))
         weights = rounded(np.eye(plant.n_passive)[0] if rng.random() < 0.5 else rng.uniform(0.1, 1, plant.n_passive))
         away = rng.uniform(-reached, reached, plant.n_base + plant.n_actuated)
@@ -302,6 +300,8 @@ def _vectors(
         value = round(best.objective / scale, 9) * scale + 0.0
         z, unique = best.z, _determined(found, scale)
         made.append(ReferenceProblem(target, weights, start, value, scale, z.round(6), unique))
+        if len(made) == count:
+            return tuple(made)
     raise ExportError(
         f"optimiser: only {len(made)} of {DRAWS_MAX * count} random targets have a verified optimum under a "
         f"singularity margin of {margin_deg:g} degrees, so it would be of no use; leave the part out"

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
-from flexopt.export.closing import AGE_MAX, DURATION_S, RATE_HZ, settling_start, steady_hold
+from flexopt.export.closing import AGE_MAX, DURATION_S, RATE_HZ, Start, settling_start, steady_hold
 from flexopt.export.context import SINGLE_MARGIN_DEG
 from flexopt.export.control import torque_unit
 from flexopt.export.operations import ACCEPTANCE_COUNT, TOLERANCES, Field, Operation, Samples
@@ -49,7 +50,7 @@ class _Project:
             "README.md": self._readme(),
             "misra_deviations.json": self._render("misra_deviations.json"),
         }
-        if "controller" in self.library.operations:
+        if self._has_node:
             files["examples/ros2_node.cpp"] = self._ros2_node()
         for part in self.library.standalone.values():
             files |= part.test_files
@@ -85,25 +86,40 @@ class _Project:
         asked = self.library.context.singularity_margin**2
         return any(guard.status == "SINGULAR_POSTURE" and (guard.minimum or 0.0) > asked for guard in operation.guards)
 
-    def _example(self) -> str:
+    @cached_property
+    def _closed(self) -> tuple[Start, bool] | None:
+        """A start from which the example's loop settles, and whether with the machine itself, else with a stand-in."""
+        if not {"kinematics", "controller"} <= set(self.library.operations):
+            return None
         operations = {o.name: o for o in self.library.all_operations}
-        if {"kinematics", "controller"} <= set(self.library.operations):
-            # With the machine itself where its loop settles, else with a stand-in.
-            for of_machine in (True, False) if "machine_step" in operations else (False,):
-                if not of_machine:
-                    operations.pop("machine_step", None)
-                start = settling_start(self.library.context, operations)
-                if start is not None:
-                    return self._render(
-                        "example_loop.c",
-                        of_machine=of_machine,
-                        start=start,
-                        rate=RATE_HZ,
-                        duration=DURATION_S,
-                        coordinates=[*start.rest, *start.posture],
-                        distance=float(f"{start.distance:.6g}"),
-                    )
-        return self._render("example_calls.c", calls=[(o, self._accepted(o)) for o in self.library.all_operations])
+        for of_machine in (True, False) if "machine_step" in operations else (False,):
+            if not of_machine:
+                operations.pop("machine_step", None)
+            start = settling_start(self.library.context, operations)
+            if start is not None:
+                return start, of_machine
+        return None
+
+    def _example(self) -> str:
+        if self._closed is None:
+            return self._render("example_calls.c", calls=[(o, self._accepted(o)) for o in self.library.all_operations])
+        start, of_machine = self._closed
+        inertias = ["kg m^2" if unit == "rad" else "kg" for unit in self.library.context.machine.joint_units]
+        return self._render(
+            "example_loop.c",
+            of_machine=of_machine,
+            start=start,
+            rate=RATE_HZ,
+            duration=DURATION_S,
+            coordinates=[*start.rest, *start.posture],
+            distance=float(f"{start.distance:.6g}"),
+            inertia_unit=" or ".join(dict.fromkeys(inertias)),
+        )
+
+    @property
+    def _has_node(self) -> bool:
+        """Whether there is a ROS 2 node: its messages are points, which have no place for orientation rows."""
+        return "controller" in self.library.operations and set(self.library.context.machine.task_rows) <= set("xyz")
 
     def _ros2_node(self) -> str:
         context = self.library.context
@@ -142,7 +158,8 @@ class _Project:
             singularity_margin_deg=math.degrees(math.asin(library.context.singularity_margin)),
             single_margin_deg=SINGLE_MARGIN_DEG,
             farther=[o.name for o in library.all_operations if self._keeps_farther(o)],
-            loop_closed={"kinematics", "controller"} <= set(library.operations),
+            has_node=self._has_node,
+            loop_closed=self._closed is not None,
             judged=library.context.judged_loop,
             settings=library.context.loop,
             brakes_self_motion=any(field.name == "joint_rates" for field in shown.inputs),

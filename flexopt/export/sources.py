@@ -71,11 +71,6 @@ class Library:
         return tuple(part for part in PARTS if part in self.operations or part in self.standalone)
 
     @property
-    def upper(self) -> str:
-        """The prefix of macros and constants."""
-        return self.prefix.upper()
-
-    @property
     def baked(self) -> bool:
         """Whether the parameters are constants."""
         return self.context.baked
@@ -107,7 +102,7 @@ class Library:
     @cached_property
     def parameter_constants(self) -> list[str]:
         """Names of the parameters' indices."""
-        return [f"{self.upper}_PARAMETER_{word}" for word in constants(self.context.parameters.names)]
+        return [f"{self.writer.upper}_PARAMETER_{word}" for word in constants(self.context.parameters.names)]
 
     def workspace(self, operation: Operation) -> int:
         """Length of an operation's workspace, in reals: results, guards, then the kernel's own."""

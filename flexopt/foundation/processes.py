@@ -247,7 +247,7 @@ def _collect(
         for ready in cast(list[Connection], wait([connection for connection, left in crew.busy.items() if left])):
             try:
                 fine, value = ready.recv()
-            except (EOFError, ConnectionResetError):
+            except (EOFError, OSError):  # ended before its answer, or amid it
                 replace(ready)
                 continue
             number = crew.busy[ready].popleft()

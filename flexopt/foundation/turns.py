@@ -30,8 +30,8 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-# What OpenBLAS, in NumPy's and SciPy's wheels, reads when it is loaded.
-THREADS_OF_OPENBLAS = "OPENBLAS_NUM_THREADS"
+# What OpenBLAS, in NumPy's and SciPy's wheels, reads when it is loaded; the first that holds a number counts.
+THREADS_OF_OPENBLAS = ("OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS", "OMP_NUM_THREADS")
 _limited = False
 
 
@@ -73,18 +73,26 @@ def _one_thread_of_scipy() -> Generator[None]:
     if "scipy.linalg" in sys.modules:
         yield
         return
-    asked = os.environ.get(THREADS_OF_OPENBLAS)
-    os.environ[THREADS_OF_OPENBLAS] = "1"
+    first = THREADS_OF_OPENBLAS[0]
+    asked = os.environ.get(first)
+    os.environ[first] = "1"
     try:
         yield
     finally:
-        os.environ.pop(THREADS_OF_OPENBLAS, None)
+        os.environ.pop(first, None)
         if asked is not None:
-            os.environ[THREADS_OF_OPENBLAS] = asked
+            os.environ[first] = asked
         if "scipy.linalg" in sys.modules:
             for library in _blas(len(sys.modules)).lib_controllers:
                 if library.user_api == "blas" and library.num_threads == 1:
-                    library.set_num_threads(int(asked) if asked and asked.isdigit() else available_cores())
+                    library.set_num_threads(_threads_of_openblas())
+
+
+def _threads_of_openblas() -> int:
+    """As many as it takes by itself."""
+    asked = (os.environ.get(name, "") for name in THREADS_OF_OPENBLAS)
+    numbers = (int(text) for text in asked if text.isdigit())
+    return min(next(filter(None, numbers), available_cores()), available_cores())
 
 
 def in_turn(call: Callable[P, T]) -> Callable[P, T]:

@@ -96,6 +96,10 @@ def write_parts(path: AnyPath, parts: Iterable[bytes]) -> None:
     size = 0
     with _told(path, 0):
         final = Path(os.path.realpath(path))
+        if _is_stream(final):
+            with final.open("wb") as stream:
+                stream.writelines(parts)
+            return
         _check(final)
         with _beside(final) as (fresh, file):
             for part in parts:

@@ -28,6 +28,14 @@ def test_names_are_text_and_no_markup() -> None:
     assert page.count("</script>") == 2
 
 
+def test_the_first_posture_is_within_limits_that_are_far_from_zero() -> None:
+    data = flexopt.load("excavator").to_dict()
+    data["links"][0]["limits"], data["links"][1]["limits"] = [3.5, 5.5], [-6.0, -4.0]
+    _, (boom, stick) = flexopt.explore(flexopt.machine_from_dict(data)).configurations["present"]
+    assert 3.5 < boom < 5.5
+    assert -6.0 < stick < -4.0
+
+
 def test_faults_are_named_together() -> None:
     with pytest.raises(InputError, match=r"(?s)posture.*base") as caught:
         flexopt.explore(flexopt.load("excavator"), [1.0], base=[1.0, 2.0])

@@ -651,8 +651,9 @@ def test_every_fault_of_a_call_is_named(tmp_path: Path) -> None:
 
 def test_without_a_compiler_the_sources_remain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("flexopt.export.fmu.package.find_compiler", lambda: None)
-    with pytest.warns(CompilerNotFound, match="sources alone"):
+    with pytest.warns(CompilerNotFound, match="sources alone") as caught:
         made = export(tmp_path, duration=0.5, version="3.0")
+    assert Path(caught[0].filename).parent == Path(__file__).parent
     assert made.platforms == ()
     assert not any(name.startswith("binaries/") for name in made.files)
     with zipfile.ZipFile(made.path) as archive:

@@ -15,6 +15,8 @@ import pytest
 import flexopt
 from benchmarks.optimiser import draw_pairs, value_of
 from flexopt.errors import InputError
+from flexopt.export import optimiser_part
+from flexopt.export.context import build_context
 from flexopt.export.optimiser import SEARCH, build_optimiser
 from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.plant import build_plant
@@ -409,3 +411,9 @@ def test_faults_of_the_call_are_listed_together(machine):
 def test_the_same_call_writes_the_same_text(machine):
     first, second = (build_optimiser(machine, prefix="case") for _ in range(2))
     assert (first.header, first.source) == (second.header, second.source)
+
+
+def test_the_last_target_drawn_counts(machine, monkeypatch):
+    monkeypatch.setattr(optimiser_part, "DRAWS_MAX", 1)
+    context = build_context(machine, control="inverse", gain=1.0, single=False, baked=False, singularity_margin_deg=1.0)
+    assert len(optimiser_part.optimiser(context, "case", "double").vectors(1, 3)) == 1

@@ -20,8 +20,9 @@ from flexopt.export.context import build_context
 from flexopt.export.control import controller, kinematics
 from flexopt.export.project import project_files
 from flexopt.export.simulator import simulator
-from flexopt.model import shipped_names
+from flexopt.model import AnyMachine, shipped_names, tree_from_dict
 from tests.export.programs import GCC, MAKE
+from tests.oracles.spatial import random_tree
 
 # Without the parts whose C takes long to compile; `python -m benchmarks.bundles` does the whole.
 LIGHT = ["kinematics", "controller", "simulator"]
@@ -103,18 +104,17 @@ def test_the_example_holds_the_machine_as_the_ros2_node_does(name: str) -> None:
     assert start.gains == hold.gains
 
 
-def ros2_node_of(name: str) -> str:
-    """The text of its ROS 2 node."""
-    machine = flexopt.load(name)
+def around(machine: AnyMachine, parts: list[str]) -> dict[str, str]:
+    """The texts around a library, by their paths."""
     options = {"control": "inverse", "gain": 1.0, "baked": False, "singularity_margin_deg": 1.0}
-    library = build_library(machine, ["controller"], real="double", prefix="case", **options)
-    return project_files(library, "0" * 64)["examples/ros2_node.cpp"]
+    return project_files(build_library(machine, parts, real="double", prefix="case", **options), "0" * 64)
 
 
 @pytest.mark.parametrize("name", shipped_names("models"))
 def test_the_ros2_node_holds_the_machine_at_the_rate_that_it_states(name: str) -> None:
     """By `flexopt.outcome`, and with as old a measurement as the time-out lets through, at the slowest rate that does."""
-    machine, text = flexopt.load(name), ros2_node_of(name)
+    machine = flexopt.load(name)
+    text = around(machine, ["controller"])["examples/ros2_node.cpp"]
     given = {
         key: float(x) for key, x in re.findall(r'declare_parameter\("(\w+_(?:gain|damping))", ([-+.e\d]+)\)', text)
     }
@@ -133,6 +133,36 @@ def test_the_ros2_node_holds_the_machine_at_the_rate_that_it_states(name: str) -
     for period, dead_time in ((1 / rate, 0.0), (1 / rate, samples / rate), (samples / rate, samples / rate)):
         found = flexopt.outcome(machine, posture, loop=loop | {"rate": 1 / period, "dead_time": dead_time})
         assert found.decay > 0, (period, dead_time)
+
+
+@pytest.mark.parametrize(
+    ("rows", "taken"), [(("x", "z"), "m.point.x, m.point.z"), (("z",), "m.point.z"), (("x", "z", "pitch"), "")]
+)
+def test_the_ros2_node_takes_the_rows_of_the_task(rows: tuple[str, ...], taken: str) -> None:
+    """A point has no orientation: of a task that has one there is no node, and none is spoken of."""
+    texts = around(tree_from_dict(random_tree(17, rows=rows, counts=(2, 3))), ["controller"])
+    node = texts.get("examples/ros2_node.cpp", "")
+    assert bool(node) == ("ros2_node.cpp" in texts["README.md"]) == bool(taken)
+    if taken:
+        assert f"return {{{{{taken}}}}};" in node
+
+
+def test_the_example_of_a_slide_speaks_of_forces() -> None:
+    machine = tree_from_dict(random_tree(9, rows=("x", "z", "pitch"), counts=(2, 3)))
+    assert machine.joint_units == ("m", "rad", "rad")
+    text = around(machine, ["kinematics", "controller"])["examples/main.c"]
+    assert "force of the first joint %.6g N\\n" in text
+    assert "/* kg or kg m^2, of each joint of the stand-in" in text
+
+
+def test_the_readme_says_what_the_example_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An arm that can hardly move has no start from which its loop settles."""
+    monkeypatch.setattr("flexopt.export.closing.POSTURES", 1)
+    data = flexopt.load("excavator").to_dict()
+    data["links"][0]["limits"], data["links"][1]["limits"] = [0.9, 0.95], [-1.6, -1.55]
+    texts = around(flexopt.machine_from_dict(data), ["kinematics", "controller"])
+    assert "Calls every function of the bundle once" in texts["examples/main.c"]
+    assert "calls each function once" in texts["README.md"]
 
 
 @pytest.mark.long

@@ -87,6 +87,19 @@ def test_c_agrees_with_pinocchio_numpy_and_evaluate(tmp_path: Path) -> None:
         np.testing.assert_allclose(out["next_rates"], next_v, rtol=0, atol=1e-11)
 
 
+@GCC
+def test_heights_alone_need_no_placement(tmp_path: Path) -> None:
+    """They do not depend on where the base stands, as the points between do, of which errors are a share."""
+    data = random_tree(17, rows=("z",), counts=(2, 1))
+    library = BundleLibrary(export_c(tree_from_dict(data), tmp_path / "b", prefix="m", parts=["kinematics"]), tmp_path)
+    q = np.array([0.1, -0.2, 0.3])
+    status, out = library("kinematics", coordinates=q)
+    r, jacobian, _ = pinocchio_tree(data).task(q, np.array([2.0, -1.0, 0.5]))
+    assert status == "OK"
+    np.testing.assert_allclose(out["end_point"], r, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(out["jacobian"], jacobian, rtol=0, atol=1e-12)
+
+
 def placed_jacobian(oracle, q: np.ndarray, base: np.ndarray) -> np.ndarray:
     """The oracle's Jacobian is that of the anchor frame; the placement turns it."""
     c, s = np.cos(base[2]), np.sin(base[2])

@@ -57,10 +57,11 @@ print(json.dumps([before, seen, threads()]))
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("asked", ["", "2", "1"])
+@pytest.mark.parametrize("asked", ["", "OPENBLAS=2", "OPENBLAS=1", "OMP=1"])
 def test_public_calls_compute_with_one_thread_in_libraries_that_are_loaded_meanwhile_too(asked: str) -> None:
     environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
-    environment |= {"OPENBLAS_NUM_THREADS": asked} if asked else {}
+    library, _, count = asked.partition("=")
+    environment |= {f"{library}_NUM_THREADS": count} if asked else {}
     told = subprocess.run([sys.executable, "-c", WITHIN], env=environment, check=True, capture_output=True, text=True)
     before, seen, after = json.loads(told.stdout)
     assert seen

@@ -58,6 +58,14 @@ def test_an_older_file_keeps_its_mode_and_a_link_stays_one(tmp_path: Path, mode:
 def test_devices_and_pipes_are_written_through(tmp_path: Path) -> None:
     write_file(os.devnull, b"x")
     assert not Path(os.devnull).is_file()
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    for write, content in ((write_file, b"one two"), (writing.write_parts, iter([b"one ", b"two"]))):
+        write(pipe, content)
+        assert os.read(reader, 99) == b"one two"
+    os.close(reader)
+    assert pipe.is_fifo()
 
 
 @pytest.mark.parametrize("where", ["fsync", "replace", "write"])

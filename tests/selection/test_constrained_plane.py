@@ -139,6 +139,22 @@ def test_what_a_killed_process_worked_on_is_done_again(tmp_path, workers, ahead)
     assert not multiprocessing.active_children()
 
 
+def _large(number: int) -> bytes:
+    time.sleep(0.05)
+    return bytes([number]) * 5_000_000
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere these are too few to start processes for")
+def test_a_number_whose_process_is_killed_amid_its_answer_is_done_again():
+    """More than a pipe holds: it waits until somebody reads."""
+
+    def kill() -> None:
+        time.sleep(0.5)
+        multiprocessing.active_children()[0].kill()
+
+    assert in_parallel(_large, 6, 2, meanwhile=kill) == [bytes([number]) * 5_000_000 for number in range(6)]
+
+
 @pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere these are too few to start processes for")
 def test_what_kills_every_process_is_named_and_the_rest_is_done(tmp_path):

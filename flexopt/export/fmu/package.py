@@ -6,7 +6,6 @@ import hashlib
 import io
 import platform
 import uuid
-import warnings
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -31,6 +30,7 @@ from flexopt.foundation.boundary import path, public, words
 from flexopt.foundation.documents import json_ready, package_version, provenance
 from flexopt.foundation.escapes import c_identifier
 from flexopt.foundation.results import Tabled
+from flexopt.foundation.warned import warn_user
 from flexopt.foundation.writing import write_files
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
@@ -195,7 +195,7 @@ def export_fmu(
         if numbers.braking:
             served = Served(numbers, _changed(own, machine))
         for sentence in sentences:
-            warnings.warn(sentence, FlexoptWarning, stacklevel=3)
+            warn_user(sentence, FlexoptWarning)
     checked = checked_options("export_fmu", machine, _loop_options(kind, given))
     _check_base_path(machine, checked)
     reference = target.with_name(f"{target.stem}_reference.csv")
@@ -307,7 +307,7 @@ def _compiled(text: str) -> bytes | None:
     compiler = find_compiler()
     if compiler is None or _platform("3.0") is None:
         sentence = "export_fmu: no C compiler for a library; the FMU holds sources alone, which importers may compile"
-        warnings.warn(sentence, CompilerNotFound, stacklevel=3)
+        warn_user(sentence, CompilerNotFound)
         return None
     try:
         with scratch() as folder:

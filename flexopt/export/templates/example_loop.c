@@ -1,6 +1,7 @@
 {% set state, rates = ("machine", "machine.rates") if of_machine else ("configuration", "(" ~ prefix ~ "_real)rate") %}
 {% set moving, jacobian = ("COORDINATES", "jacobian") if of_machine else ("JOINTS", "rigid_jacobian") %}
 {% set first = PREFIX ~ "_COORDINATES - " ~ PREFIX ~ "_JOINTS + " %}
+{% set effort, unit = ("torque", "N m") if machine.joint_units[0] == "rad" else ("force", "N") %}
 {% if of_machine %}
 /* Closes the loop: the exported controller (Jacobian inverse) moves the end-point of the exported model of the machine, which
  * gives way at its flexible coordinates, to a target. Hardware in the loop looks like this, with the controller on the
@@ -25,7 +26,7 @@
 {% if of_machine %}
 #define STEPS {{ start.substeps }} /* of the machine in a sample of the controller: RK4 wants angular frequency times step below 2.8 */
 {% else %}
-#define INERTIA ((double){{ number(start.gains.inertia) }}) /* kg m^2, of each joint of the stand-in: the mean of the machine's in the start posture */
+#define INERTIA ((double){{ number(start.gains.inertia) }}) /* {{ inertia_unit }}, of each joint of the stand-in: the mean of the machine's in the start posture */
 {% endif %}
 
 static {{ prefix }}_real workspace[{{ PREFIX }}_WORKSPACE];
@@ -119,7 +120,7 @@ int main(void)
     }
     error = sqrt(error);
     if (k % RATE_HZ == 0) {
-      printf("t = %2d s: end-point %.3g m from its target, torque of the first joint %.6g N m\n", k / RATE_HZ, error,
+      printf("t = %2d s: end-point %.3g m from its target, {{ effort }} of the first joint %.6g {{ unit }}\n", k / RATE_HZ, error,
              (double)command.torque[0]);
     }
 {% if of_machine %}

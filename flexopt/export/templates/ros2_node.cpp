@@ -124,8 +124,9 @@ class ControllerNode : public rclcpp::Node {
   }
 
  private:
-  static double coordinate(const geometry_msgs::msg::PointStamped& m, std::size_t axis) {
-    return axis == 0 ? m.point.x : axis == 1 ? m.point.y : m.point.z;
+  // The rows of the task.
+  static std::array<double, Controller::kTask> coordinates(const geometry_msgs::msg::PointStamped& m) {
+    return {{ "{{" }}{% for row in machine.task_rows %}m.point.{{ row }}{{ ", " if not loop.last }}{% endfor %}{{ "}}" }};
   }
 
   void on_joints(const sensor_msgs::msg::JointState& m) {
@@ -144,14 +145,14 @@ class ControllerNode : public rclcpp::Node {
   }
 
   void on_target(const geometry_msgs::msg::PointStamped& m) {
-    for (std::size_t i = 0; i < Controller::kTask; ++i) controller_.set_target(i, coordinate(m, i));
+    const auto point = coordinates(m);
+    for (std::size_t i = 0; i < Controller::kTask; ++i) controller_.set_target(i, point[i]);
     have_target_ = true;
   }
 
   void on_measured(const geometry_msgs::msg::PointStamped& m) {
     const rclcpp::Time now(m.header.stamp);
-    std::array<double, Controller::kTask> point{};
-    for (std::size_t i = 0; i < Controller::kTask; ++i) point[i] = coordinate(m, i);
+    const auto point = coordinates(m);
     const bool slow = have_measured_ && now - measured_time_ > timeout_;
     const bool has_rate = have_measured_ && !slow;
     controller_.set_measured(point, has_rate ? (now - measured_time_).seconds() : 0.0);

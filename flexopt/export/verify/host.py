@@ -208,7 +208,7 @@ def _judged(bench: Bench, b: replay.Block, a: replay.Answers) -> tuple[tuple[obj
     operation, faults = b.operation, list[str]()
     ok = np.isin(a.status, replay.WRITTEN)
     low, high = _ranges(bench, operation)
-    n_in = sum(field.length for field in operation.inputs)
+    n_in = operation.n_in
     checked = np.zeros(b.rows.shape[1], bool)
     checked[:n_in] = True
     if not operation.baked:

@@ -13,14 +13,13 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from flexopt.export.optimiser import FIRST_FAILURE, STARTS, TOLERANCES
+from flexopt.export.optimiser import FIRST_FAILURE, STARTS, TOLERANCES, bounds_of
 from flexopt.export.optimiser_part import LOSS, OptimiserPart, ReferenceProblem, draw_target
 from flexopt.export.verify import replay
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Finding, FindingTable
-from flexopt.export.verify.tools import StepFailed, need, run, sanitizing_compiler
+from flexopt.export.verify.tools import StepFailed, run, sanitizing_compiler
 from flexopt.foundation.arrays import Array
-from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.foundation.writing import write_file
 from flexopt.plant.reach import outer_reach
 
@@ -175,7 +174,6 @@ def host_runner(bench: Bench, compiler: str, objects: list[Path]) -> Runner:
 def sanitized(bench: Bench, flags: tuple[str, ...]) -> Finding:
     """The self-test of the whole bundle and faulty calls of the optimiser, with sanitizers."""
     compiler = sanitizing_compiler(flags, bench.scratch)
-    need(compiler)
     # The objects of the other faulty calls, too: the kernels take the compiler long.
     objects = list(bench.objects("sanitized", compiler, ["-std=c99", *flags]).values())
     tests = bench.folder / "test"
@@ -216,10 +214,7 @@ def _problems(part: OptimiserPart, vectors: tuple[ReferenceProblem, ...]) -> Cal
 def default_calls(part: OptimiserPart, count: int) -> Calls:
     """The machine's own problem, target and start 0."""
     plant = part.at.plant
-    own = part.at.machine
-    limits = [(-COORDINATE_MAX, COORDINATE_MAX)] * plant.n_base
-    limits += [(max(low, -COORDINATE_MAX), min(high, COORDINATE_MAX)) for low, high in own.limits]
-    n_z = len(limits)
+    limits = bounds_of(part.at.machine)
     parameters = () if part.at.baked else part.at.parameters.values
 
     def rows(values: object) -> Array:
@@ -234,7 +229,7 @@ def default_calls(part: OptimiserPart, count: int) -> Calls:
         margin=rows([part.at.singularity_margin**2]),
         weights=rows([1.0] * plant.n_passive),
         parameters=rows(parameters),
-        start=rows([0.0] * n_z),
+        start=rows([0.0] * len(limits)),
     )
 
 

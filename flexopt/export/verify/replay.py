@@ -94,8 +94,7 @@ def read_answers(path: Path, blocks: Sequence[Block], *, single: bool) -> tuple[
     calibration, offset = int(np.frombuffer(data, np.uint32, 1)[0]), 4
     answers: list[Answers] = []
     for b in blocks:
-        n_out = sum(field.length for field in b.operation.outputs)
-        kind = np.dtype([("words", np.uint32, (3,)), ("out", real, (n_out,))])
+        kind = np.dtype([("words", np.uint32, (3,)), ("out", real, (b.operation.n_out,))])
         if len(data) < offset + len(b.rows) * kind.itemsize + 4:
             raise StepFailed("the driver's output file is too short")
         records = np.frombuffer(data, kind, len(b.rows), offset)
