@@ -74,7 +74,8 @@ TEXTS = {
     "seed": ("N", "Seed of the measurement noise."),
 }
 # Of a machine without a [loop], and of one whose [loop] other options displace.
-UNSAID = "no gains are given, so those of the reproduced article are taken; --loop default takes what suits the machine"
+UNSAID = "no gains are given, so those of the reproduced article are taken; {instead}"
+PROPOSED, OWN = "--loop default takes what suits the machine", "--kp and --kv take others"
 BESIDE = (
     "options of the loop stand in place of the file's whole [loop], rate, dead time and filter included{gains}; "
     "--loop KEY=VALUE replaces one of its keys"
@@ -178,7 +179,8 @@ def tell_gains(machine: AnyMachine, real: Any, asked: Mapping[str, Any], sampled
     if taken or VOICE.quiet or (gained and machine.loop is None):
         return
     beside = BESIDE.format(gains="" if gained else ", and the gains are those of the reproduced article")
-    say(f"flexopt: {UNSAID if machine.loop is None else beside}", err=True)
+    unsaid = UNSAID.format(instead=PROPOSED if sampled else OWN)
+    say(f"flexopt: {unsaid if machine.loop is None else beside}", err=True)
 
 
 def simulate_arguments(options: dict[str, Any]) -> dict[str, Any]:

@@ -249,7 +249,9 @@ class Verdict(Pictured, Result):
         late = late_sentence(self.settings.dead_time, self.settings.rate)
         if any(LATE in each.of for each in self.uncertainty):
             late = "runs wait whole samples: every dead time is taken as the next longer one of these"
-        runs = f"; nonlinear {late}" if late and any(place.runs for place in self.places) else ""
+        runs = f"; nonlinear {late}" if late else ""
+        if not any(place.runs for place in self.places):
+            runs = "; no nonlinear run was made"
         return f"uncertain: {known}; {self.members} members and a search, not a proof{several}{runs}"
 
     @property

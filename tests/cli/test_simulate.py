@@ -76,6 +76,19 @@ def test_gains_that_nobody_gave_are_told_of(command: Command) -> None:
 
 
 @pytest.mark.long
+def test_what_is_told_to_give_instead_is_taken(command: Command) -> None:
+    """An FMU for model exchange takes no sampled loop, and whoever is told so is not sent there."""
+    asked = ("export", "excavator", "--fmu", "me.fmu", "--kind", "model-exchange", "--posture", "0.0448,-2.0499")
+    told = command(*asked, "--duration", "0.1").stderr
+    assert told.endswith("are taken; --kp and --kv take others\n")
+    assert command(*asked, "--kp", "1e5", "--kv", "1e4", "--duration", "0.1").stderr == ""
+    refused = command(*asked, "--loop", "default")
+    assert refused.code == 2
+    assert "--loop" in refused.stderr
+    assert "with model-exchange give kp and kv" in refused.stderr
+
+
+@pytest.mark.long
 def test_the_loop_of_a_machine_file_is_run(command: Command) -> None:
     command.write("m.toml", toml(MACHINE, {"loop.kp": "1e4", "loop.kv": "1e3", "loop.dead_time": "0.01"}))
     asked = ("simulate", "m.toml", "--posture", "0.0448,-2.0499", "--duration", "1")

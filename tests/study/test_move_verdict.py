@@ -58,6 +58,7 @@ def test_a_move_says_which_joint_moves_most() -> None:
     most = int(np.argmax(abs(away)))
     move = f"{('boom', 'stick')[most]} by {away[most]:+.3g} rad, other joints less"
     assert found.reason.endswith(f", for a drive of {chosen.drive:.3g} m, {move}")
+    assert "no nonlinear run was made" in repr(found)
 
 
 @pytest.mark.long

@@ -115,7 +115,8 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
         sentence = "a sampled controller cannot be integrated from outside; take kind = 'co-simulation' or hold = False"
         arguments.note("hold", sentence, True)
     if given["loop"] is not None and given["kind"] == "model-exchange":
-        arguments.note("loop", "is sampled, and goes with kind = 'co-simulation'", given["loop"])
+        sentence = "is sampled, and goes with kind = 'co-simulation'; with model-exchange give kp and kv"
+        arguments.note("loop", sentence, given["loop"])
     else:
         note_loop(arguments, given)
     note_options(arguments, _loop_options(given["kind"], options))
