@@ -87,7 +87,7 @@ def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[ShippedKind, 
     told = named_kind or told
     if told not in kinds and data:
         raise _wrong_kind(text, told)
-    shipped = PACKAGE in path.resolve().parents or PACKAGE.parent in path.resolve().parents
+    shipped = PACKAGE.parent in path.resolve().parents
     name = f"{path.parent.name}/{path.name}" if named_kind or (shipped and not path.is_absolute()) else str(path)
     return Source(data, told, path.parent, name)
 
