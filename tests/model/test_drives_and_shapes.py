@@ -90,6 +90,18 @@ def test_the_dictionary_brings_them_back(machine: AnyMachine) -> None:
     assert again.content_hash == machine.content_hash
 
 
+def test_machines_whose_capsules_are_called_otherwise_are_two() -> None:
+    """Constraints name them: what is kept of one must not answer for the other."""
+    data = flexopt.load("slewing-excavator").to_dict()
+    *others, bucket = data["capsules"]
+    red, blue = (tree_from_dict(data | {"capsules": (*others, bucket | {"label": name})}) for name in ("red", "blue"))
+    assert red.content_hash == blue.content_hash
+    assert red != blue
+    for tree, label in ((red, "red"), (blue, "blue")):
+        asked = {"clearance": {"distance": 0.1, "ground": 0.0, "bodies": [label]}}
+        assert flexopt.build_selection(tree, (5.0, 0.0, 1.0), constraints=asked).machine == tree
+
+
 def test_a_machine_without_them_has_neutral_values() -> None:
     for machine in (flexopt.load("excavator"), tree_from_dict(random_tree(5))):
         assert set(machine.efforts) == set(machine.speeds) == {math.inf}
