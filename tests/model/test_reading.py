@@ -457,6 +457,21 @@ def test_a_problem_file_says_what_is_uncertain(tmp_path: Path) -> None:
         flexopt.load_problem(path)
 
 
+def test_what_is_none_in_a_problem_is_left_out() -> None:
+    named = {"name": "p", "machine": "excavator"}
+    target = {"end_point": (0.0, 1.6), "path": None}
+    problem = flexopt.Problem(**named, target=target, motion=None, selection={"shares": None, "weights": None})
+    assert problem.target.kind == "end_point"
+    with pytest.raises(InputError, match="needs its weights"):
+        flexopt.Problem(**named, target=target, selection={"objective": "V", "weights": None})
+
+
+@pytest.mark.parametrize("name", ["base.x", "base.rotation"])
+def test_no_link_is_called_as_a_coordinate_of_the_base(name: str) -> None:
+    with pytest.raises(ModelError, match="is reserved or blank"):
+        flexopt.machine_from_dict(changed(("links", 0, "name"), name))
+
+
 def test_what_a_machine_lacks_for_a_constraint_is_told_before_a_selection(tmp_path: Path) -> None:
     path = tmp_path / "lacking.toml"
     text = 'name = "l"\nmachine = "excavator"\n[target]\nend_point = [0.0, 1.6]\n[constraints]\ntip_over_margin = 0.2\n'
