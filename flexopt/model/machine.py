@@ -123,7 +123,7 @@ class AnyMachine(BuiltByCall, Described):
             >>> round(machine.travel(cylinder).length(0.4), 3)  # m, pin to pin
             3.033
         """
-        if not isinstance(cylinder, Cylinder):  # pyright: ignore[reportUnnecessaryIsInstance]
+        if not isinstance(cylinder, Cylinder) or cylinder not in self.cylinders:  # pyright: ignore[reportUnnecessaryIsInstance]
             raise_if_any(InputError, "travel", [Fault("cylinder", "must be one of `cylinders`", shown(cylinder))])
         return CylinderTravel(
             cylinder, self.joint_frame(cylinder.joint), {name: value for name, value, _ in self.parameters}
