@@ -118,7 +118,8 @@ class Roles:
         )
 
     def _locked(self, joint: Joint, value: float) -> Role:
-        low, high = joint.limits or (value, value)
+        table = self.overlay.joints.get(joint.name, JointTable())
+        low, high = table.limits or joint.limits or (value, value)
         if not low - LIMIT_ROUNDING <= value <= high + LIMIT_ROUNDING:
             sentence = f"is locked at {value:g} {joint.unit}, outside its limits {low:g} to {high:g}"
             return self._fault(joint, f"{sentence}; say another value in `locked`")

@@ -138,6 +138,13 @@ def test_a_locked_joint_is_one_held_there(tmp_path: Path, value: float) -> None:
     np.testing.assert_allclose(ours.end_point(), theirs.end_point(), rtol=0, atol=1e-14)
 
 
+def test_a_joint_is_locked_within_the_limits_of_its_table(tmp_path: Path) -> None:
+    machine = changed(URDF_MACHINE, {"actuated": ["slew", "extend"], "locked/boom": 1.5, "end_point/rows": ["x", "y"]})
+    with pytest.raises(ModelError, match=r"locked at 1\.5 rad, outside its limits -0\.5 to 1\.4"):
+        read(tmp_path, URDF, machine)
+    assert read(tmp_path, URDF, changed(machine, {"joints/boom/limits": [-0.5, 1.6]})).joints == ("slew", "extend")
+
+
 def test_the_rest_can_be_locked_at_once(tmp_path: Path) -> None:
     tree = read(tmp_path, URDF, changed(URDF_MACHINE, {
         "locked": {}, "lock_others": True, "actuated": ["boom"], "end_point/rows": ["z"],
