@@ -294,6 +294,22 @@ def test_what_is_no_name_at_all(reader: Any, junk: Any) -> None:
         reader(junk)
 
 
+@pytest.mark.parametrize(
+    ("reader", "name", "sentence"),
+    [
+        (flexopt.load, "article", "is a problem, not a machine; `flexopt select`"),
+        (flexopt.load, "article-a", "is an experiment, not a machine; `flexopt simulate`"),
+        (flexopt.load, "excavator-study", "is a study, not a machine; `flexopt study run`"),
+        (flexopt.load_problem, "excavator", "is a machine, not a problem"),
+    ],
+)
+def test_a_file_of_another_kind_is_told_as_what_it_is(reader: Any, name: str, sentence: str) -> None:
+    folder = "problems" if reader is flexopt.load else "models"
+    for named in (name, str(Path(__file__).parents[2] / folder / f"{name}.toml")):
+        with pytest.raises(ModelError, match=sentence):
+            reader(named)
+
+
 class Thing:
     """An object that nobody expected."""
 
