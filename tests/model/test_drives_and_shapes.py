@@ -98,8 +98,7 @@ def test_machines_whose_capsules_are_called_otherwise_are_two() -> None:
     assert red.content_hash == blue.content_hash
     assert red != blue
     for tree, label in ((red, "red"), (blue, "blue")):
-        asked = {"clearance": {"distance": 0.1, "ground": 0.0, "bodies": [label]}}
-        assert flexopt.build_selection(tree, (5.0, 0.0, 1.0), constraints=asked).machine == tree
+        assert flexopt.build_plant(tree).machine.capsules[-1].label == label
 
 
 def test_a_machine_without_them_has_neutral_values() -> None:
