@@ -386,17 +386,17 @@ def test_what_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("more", ["joint without samples", "samples that come late", "a second column that comes late"])
+@pytest.mark.parametrize("more", ["joint without samples", "samples that come late", "columns one after the other"])
 @pytest.mark.filterwarnings("error")
 def test_samples_may_be_missing_for_long(more: str) -> None:
     t = np.arange(0, 5, 0.01)
     swing = 2e-3 * np.exp(-0.2 * t) * np.cos(12 * t) + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
     late = np.arange(t.size) < 350
-    log = {"t": t, "gyro_z": np.where(late, np.nan, swing) if more == "samples that come late" else swing}
+    log = {"t": t, "gyro_z": np.where(late, np.nan, swing)}
     if more == "joint without samples":
-        log |= {"boom": np.full(t.size, np.nan), "stick": np.full(t.size, -1.2)}
-    if more == "a second column that comes late":
-        log |= {"base.rotation": np.where(late, np.nan, np.cumsum(swing) * 0.01)}
+        log |= {"gyro_z": swing, "boom": np.full(t.size, np.nan), "stick": np.full(t.size, -1.2)}
+    if more == "columns one after the other":
+        log |= {"base.rotation": np.where(late, np.cumsum(swing) * 0.01, np.nan)}
     machine = flexopt.load("excavator")
     found, plain = (
         flexopt.identify(machine, each, posture=(0.5, -1.2), unknown=TURN) for each in (log, {"t": t, "gyro_z": swing})
