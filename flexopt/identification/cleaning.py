@@ -31,27 +31,35 @@ HOLE, BRIDGED = 1.6, 3.5
 
 def after_stop(log: MeasuredLog) -> MeasuredLog:
     """What comes after the last motion of the arm, where the log has its joints."""
-    joints = log.of("joint")
-    if not joints or log.time.size < SAMPLES_MIN:
+    if log.time.size < SAMPLES_MIN:
         return log
-    values = log.values[:, joints]
-    tail = values[-max(SAMPLES_MIN // 2, log.time.size // 4) :]
+    last = slice(-max(SAMPLES_MIN // 2, log.time.size // 4), None)
+    joints = [k for k in log.of("joint") if np.isfinite(log.values[last, k]).any()]
+    if not joints:
+        return log
+    values, tail = log.values[:, joints], log.values[last][:, joints]
     ends, noise = np.nanmedian(tail, axis=0), np.nanstd(tail, axis=0)
     moves = np.any(np.abs(values - ends) > np.maximum(STILL, 6.0 * noise), axis=1)
     if not moves.any():
         return log
-    last = int(np.flatnonzero(moves)[-1])
-    note = f"the arm moves until t = {log.time[last]:.4g} s; what comes {SETTLING:g} s after is used"
-    return log.part(log.time > log.time[last] + SETTLING, None, note)
+    stop = log.time[np.flatnonzero(moves)[-1]]
+    note = f"the arm moves until t = {stop:.4g} s; what comes {SETTLING:g} s after is used"
+    return log.part(log.time > stop + SETTLING, None, note)
+
+
+def with_samples(log: MeasuredLog) -> MeasuredLog:
+    """From the first to the last sample of what shows a swing."""
+    shown = [k for k in range(len(log.channels)) if log.channels[k].kind != "joint"]
+    there = np.flatnonzero(np.isfinite(log.values[:, shown]).any(axis=1))
+    return log.part(slice(there[0], there[-1] + 1)) if there.size else log
 
 
 def held_posture(log: MeasuredLog, joints: int) -> Vector | None:
     """Where the joints stand (n,), in the middle; None where not all are measured."""
-    columns = {log.channels[k].index: k for k in log.of("joint")}
+    columns = {log.channels[k].index: k for k in log.of("joint") if np.isfinite(log.values[:, k]).any()}
     if len(columns) < joints:
         return None
-    posture = np.array([np.nanmedian(log.values[:, columns[j]]) for j in range(joints)])
-    return posture if np.all(np.isfinite(posture)) else None
+    return np.array([np.nanmedian(log.values[:, columns[j]]) for j in range(joints)])
 
 
 def swinging(log: MeasuredLog) -> MeasuredLog:

@@ -16,7 +16,7 @@ from flexopt.foundation.boundary import of_machine, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import Quantity, pair, vector
 from flexopt.foundation.stages import Stages
-from flexopt.identification.cleaning import after_stop, evened, held_posture, swinging, without_spikes
+from flexopt.identification.cleaning import after_stop, evened, held_posture, swinging, with_samples, without_spikes
 from flexopt.identification.confidence import Confidence, confidence, hidden, is_open_in_words
 from flexopt.identification.fitting import INTEGRATION, Fit, fit, longest_step
 from flexopt.identification.log import FrameLike, MeasuredLog, read_log
@@ -135,7 +135,7 @@ def identify(
     """
     stages = Stages(progress, STAGES)
     stand = np.zeros(len(machine.base_coordinates)) if base is None else np.asarray(base, dtype=float)
-    chosen = _windowed(cast(MeasuredLog, log), cast("tuple[float, float] | None", window))
+    chosen = with_samples(_windowed(cast(MeasuredLog, log), cast("tuple[float, float] | None", window)))
     held, doubts = _held(machine, chosen, cast("Vector | None", posture))
     shown = swinging(chosen)
     entries, reference = references(machine, _names(machine, unknown))

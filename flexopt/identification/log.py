@@ -121,11 +121,13 @@ def _from_file(file: Path) -> list[tuple[str, Vector]]:
         raise refuse(f"cannot be read: {error.strerror or type(error).__name__}") from None
     except UnicodeDecodeError:
         raise refuse("is no text in UTF-8") from None
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    written = enumerate(text.splitlines(), start=1)
+    there = {k: line for k, line in written if line.strip() and not line.lstrip().startswith("#")}
+    places, lines = list(there), list(there.values())
     if len(lines) < 2 or len(lines) > ROWS_MAX:
         raise refuse(f"must have a line of names and 1 to {ROWS_MAX:,} lines of numbers below it")
     between = max(";\t,", key=lines[0].count)
-    decimal_comma = between != "," and not any("." in line for line in lines[1:]) and "," in lines[1]
+    decimal_comma = between != "," and not any("." in line for line in lines[1:])
     try:
         rows = list(csv.reader(lines, delimiter=between, strict=True))
     except csv.Error as error:
@@ -136,7 +138,7 @@ def _from_file(file: Path) -> list[tuple[str, Vector]]:
     values = np.full((len(rows) - 1, len(header)), np.nan)
     for k, row in enumerate(rows[1:]):
         if len(row) != len(header):
-            faults.append(Fault(f"line {k + 2}", f"must have {len(header)} cells", str(len(row))))
+            faults.append(Fault(f"line {places[k + 1]}", f"must have {len(header)} cells", str(len(row))))
             continue
         for j, cell in enumerate(row):
             word = cell.strip().replace(",", ".") if decimal_comma else cell.strip()
@@ -145,7 +147,7 @@ def _from_file(file: Path) -> list[tuple[str, Vector]]:
             try:
                 values[k, j] = float(word)
             except ValueError:
-                faults.append(Fault(f"line {k + 2}, {header[j]}", "must be a number, or empty", shown(cell)))
+                faults.append(Fault(f"line {places[k + 1]}, {header[j]}", "must be a number, or empty", shown(cell)))
     raise_if_any(InputError, file.name, faults)
     return list(zip(header, values.T, strict=True))
 
@@ -164,7 +166,7 @@ def _converted(columns: list[tuple[str, Vector]], machine: AnyMachine) -> Measur
             faults.append(Fault(shown(header), str(error)))
     if len(columns) > COLUMNS_MAX:
         faults.append(Fault("columns", f"must be at most {COLUMNS_MAX}", "more"))
-    if TIME not in found and not any(header.partition("[")[0].strip() == TIME for header, _ in columns):
+    if TIME not in found and not any(header.partition("[")[0].strip() in (TIME, "time") for header, _ in columns):
         faults.append(Fault("t", "is missing: the time of the samples, s, as a column 't [s]'"))
     lengths = {name: column.size for name, (_, column) in found.items()}
     if len(set(lengths.values())) > 1:

@@ -72,6 +72,8 @@ def swinging_joints(swing: HeldSwing, log: MeasuredLog, found: Fit) -> list[str]
     basis: Array = np.hstack([swings, np.ones((log.time.size, 1)), log.time[:, None]])
     for k in log.of("joint"):
         column, there = log.values[:, k], np.isfinite(log.values[:, k])
+        if there.sum() <= basis.shape[1]:
+            continue
         weights = cast(Vector, np.linalg.lstsq(basis[there], column[there], rcond=None)[0])
         size, joint = float(np.std(swings @ weights[:-2])), log.channels[k].index
         noise = float(np.mean((column - basis @ weights)[there] ** 2)) * weights.size / float(there.sum())

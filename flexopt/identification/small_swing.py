@@ -98,8 +98,10 @@ class SmallSwing:
         basis = self.basis(theta)
         if not np.all(np.isfinite(basis)):
             raise np.linalg.LinAlgError("small motions beyond the range of numbers")
-        used = range(self.values.shape[1]) if columns is None else columns
         there = np.isfinite(self.values)
+        used = [k for k in (range(len(self.sigma)) if columns is None else columns) if there[:, k].any()]
+        if not used:
+            raise np.linalg.LinAlgError("no samples to find small motions from")
         left, right = list[Array](), list[Vector]()
         for k in used:
             rows, column = basis[there[:, k], k], self.values[there[:, k], k]
@@ -312,6 +314,8 @@ def unit_doubts(beginning: SmallSwing, theta: Vector) -> dict[int, str]:
             continue
         for k in group:
             there = np.isfinite(beginning.values[:, k])
+            if not there.any():
+                continue
             x, y = (part[there, k] - part[there, k].mean() for part in (told, beginning.values))
             size = math.sqrt(float(x @ x) * float(y @ y))
             if not size or float(x @ y) / size < ALIKE:

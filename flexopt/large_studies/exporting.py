@@ -89,7 +89,9 @@ def _lines(reader: StudyReader) -> Iterator[bytes]:
             array = dataset[name].values
             for at in np.ndindex(*array.shape[:-1]):
                 labels = [str(dataset[dim].values[i]) for dim, i in zip(dims, at, strict=True)]
-                columns[".".join([name, *labels])] = array[at]
+                column = ".".join([name, *labels])
+                # A selection's answer is called as the present placement that varies.
+                columns[f"best.{column}" if column in columns else column] = array[at]
         columns["status"] = np.array(WORDS)[dataset["status"].values]
         if "reason" in dataset:
             columns["reason"] = dataset["reason"].values

@@ -27,6 +27,7 @@ from flexopt.foundation.writing import make_folder, write_file
 from flexopt.large_studies.points import StudyPoints
 from flexopt.large_studies.status import FLAGS, WORDS
 from flexopt.model.study import Study
+from flexopt.model.study_axes import study_axes
 from flexopt.model.study_file import described, study_of
 
 DOCUMENT, CHUNKS, PROGRESS = "study.json", "chunks", "progress.json"
@@ -166,7 +167,8 @@ def begin(path: str | os.PathLike[str], study: Study) -> StudyFolder:
     """The folder of a study: a new one, or one that holds the same study and can go on here.
 
     Raises:
-        InputError: it holds another study, other files, or was begun where numbers come out otherwise.
+        InputError: it holds another study, other files, or was begun where numbers come out otherwise; something of
+            the study does not go with its machine.
         WriteError: it cannot be written.
     """
     folder = Path(path)
@@ -181,6 +183,7 @@ def begin(path: str | os.PathLike[str], study: Study) -> StudyFolder:
         listed = ", ".join(sorted(others)[:3]) or "it is a file"
         fault = Fault("folder", f"must be a new or empty folder, or that of this study; there is {listed}", str(path))
         raise_if_any(InputError, "run_study", [fault])
+    study_axes(study)  # what does not go with its machine is told before anything is written
     fresh = StudyFolder(folder, study, {})
     made_by = fingerprint(fresh)
     text = json.dumps(described(study) | {"layout": 1, "sha256": fresh.digest, "made_by": made_by}, indent=2)

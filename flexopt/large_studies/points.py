@@ -66,7 +66,9 @@ class StudyPoints:
             if start > sequence.num_generated:
                 sequence.fast_forward(start - sequence.num_generated)
             self._sequence = sequence
-            return sequence.random(stop - start)
+            # Of a first draw that is no power of two SciPy warns, whatever all chunks together are.
+            first = sequence.random(1) if start == 0 else np.zeros((0, len(self.axes)))
+            return np.concatenate([first, sequence.random(stop - start - len(first))])
 
 
 def _between(axis: StudyAxis, u: Vector) -> Vector:

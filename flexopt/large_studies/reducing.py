@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.large_studies.reading import StudyReader
+from flexopt.large_studies.status import OK
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -38,16 +39,17 @@ def reduced(reader: StudyReader, quantity: str, how: str, over: tuple[int, ...])
         if grid and left:
             places = np.unravel_index(np.arange(start, stop), [axis.count for axis in axes])
             cell = np.ravel_multi_index([places[k] for k in left], shape)
-        numbers = reader.arrays(number)[quantity].reshape(rows, -1)
+        numbers, counts = _numbers(reader, number, quantity)
         for row in range(rows):
-            sound = np.flatnonzero(np.isfinite(numbers[row]))
+            sound = np.flatnonzero(counts[row])
             known, of = numbers[row, sound], cell[sound]
+            before = counted[row] > 0
             counted[row] += np.bincount(of, minlength=cells)
             if how == "mean":
                 value[row] += np.bincount(of, known, minlength=cells)
                 continue
             (np.minimum if how == "min" else np.maximum).at(best := np.full(cells, worst), of, known)
-            better = best < value[row] if how == "min" else best > value[row]
+            better = (best < value[row] if how == "min" else best > value[row]) | ((counted[row] > 0) & ~before)
             first = np.flatnonzero((known == best[of]) & better[of])[::-1]
             value[row, better] = best[better]
             # Backwards, so that of equal ones the first stays.
@@ -84,9 +86,9 @@ def quantiles_of(reader: StudyReader, quantity: str, shares: Vector) -> xr.Datas
         shift = np.uint64(64 - PART * (done + 1))
         bins = np.zeros((rows, shares.size, 1 << PART), dtype=np.int64)
         for number in reader.numbers:
-            values = reader.arrays(number)[quantity].reshape(rows, -1)
+            values, counts = _numbers(reader, number, quantity)
             for row in range(rows):
-                keys = _ordered(values[row][np.isfinite(values[row])])
+                keys = _ordered(values[row, counts[row]])
                 part = ((keys >> shift) & np.uint64(0xFFFF)).astype(np.int64)
                 for k in range(shares.size):
                     alike = part if not done else part[keys >> (shift + np.uint64(PART)) == prefix[row, k]]
@@ -105,6 +107,13 @@ def quantiles_of(reader: StudyReader, quantity: str, shares: Vector) -> xr.Datas
         quantity: (dims, found, {"units": units}), "points": (reader.shapes[quantity], count.reshape(inner)),
     }  # fmt: skip
     return import_module("xarray").Dataset(variables, coords={"quantile": shares})
+
+
+def _numbers(reader: StudyReader, number: int, quantity: str) -> tuple[Vector, NDArray[np.bool_]]:
+    """A quantity in a chunk, (rows, N), and which of it counts: all numbers, infinite ones where the point is sound."""
+    arrays = reader.arrays(number)
+    values: Vector = arrays[quantity].reshape(-1, arrays["status"].size)
+    return values, np.isfinite(values) | (np.isinf(values) & (arrays["status"] == OK))
 
 
 def _ordered(values: Vector) -> NDArray[np.uint64]:

@@ -164,7 +164,7 @@ class StudyResult(Result):
         """The least, the greatest or the mean over some of what varies, streamed: one chunk is in memory at a time.
 
         The worst case over a soil is `"min"` over `stiffness`; the best posture for each target `"max"` over the
-        joints. Points without a number do not count.
+        joints. Points without a number do not count; infinite ones, such as a gain without a border, do.
 
         Args:
             quantity: its name.
@@ -191,7 +191,7 @@ class StudyResult(Result):
         """Exact quantiles over all points, in four passes over the chunks; memory does not grow with their number.
 
         The quantile of share q of n numbers is the least of them that at least q n of them do not exceed. Points
-        without a number do not count.
+        without a number do not count, infinite ones do.
 
         Args:
             quantity: its name.
@@ -226,6 +226,8 @@ class StudyResult(Result):
     @public(path=path(parent=True))
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """All points in one CSV file, a line each: what varies, the quantities, `status` and `reason`, in words.
+
+        A quantity that is called as something that varies, a selection's `base.x`, is `best.base.x` there.
 
         Raises:
             InputError: chunks are missing or altered.

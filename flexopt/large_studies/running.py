@@ -110,7 +110,8 @@ def run_study(
         progress: called with (points done, points in all).
 
     Raises:
-        InputError: the folder holds another study, or was begun where numbers come out otherwise; no scheduler answers.
+        InputError: the study does not go with its machine; the folder holds another study, or was begun where numbers
+            come out otherwise; no scheduler answers.
         StudyInterrupted: the disk is full, or whoever computes is gone. What is finished stays.
 
     Example:

@@ -25,6 +25,7 @@ from flexopt.model.simulation import Experiment
 from flexopt.model.study import Study
 from flexopt.model.study_axes import StudyAxis
 from flexopt.plant import build_plant
+from flexopt.robustness.residues import residue_unit
 from flexopt.selection import select
 from flexopt.simulation import run_experiment
 
@@ -114,6 +115,16 @@ class OneByOne(ABC):
 class ManySelections(OneByOne):
     """A selection at every point."""
 
+    @property
+    def units(self) -> dict[str, str]:
+        """See `OneByOne`."""
+        selection = cast(Problem, self.study.subject).selection
+        residue = residue_unit(selection.control, self.machine.joint_units)
+        first = str(selection.objective).partition(",")[0]
+        of_first = residue if first.startswith("w") else "1" if first == "epsilon_max" else f"that of {first}"
+        known = {"posture": "rad or m", "base": "m or rad", "w": residue, "objective": of_first}
+        return {name: known.get(name, "1") for name in self.study.kept}
+
     def one(self, column: Vector) -> Mapping[str, Any]:
         """Of the best configuration."""
         problem = cast(Problem, self.study.subject)
@@ -135,6 +146,13 @@ class ManySimulations(OneByOne):
         held = {axis.entries[0] for axis in axes if axis.kind == "posture"}
         if held and experiment.simulation.posture is None and len(held) < self.sizes["joint"]:
             raise InputError(f"study {study.name!r}: vary: some joints vary, and the experiment's posture is not given")
+
+    @property
+    def units(self) -> dict[str, str]:
+        """See `OneByOne`."""
+        known = {"linear_growth_rate": "1/s", "growth_rate": "1/s", "growth_rate_error": "1/s", "finite_until": "s"}
+        known |= {"end_error": "m", "settling_time": "s", "peak_base_rotation": "rad"}
+        return {name: known.get(name, "1") for name in self.study.kept}
 
     def one(self, column: Vector) -> Mapping[str, Any]:
         """Of the run."""

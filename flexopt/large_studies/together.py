@@ -26,6 +26,7 @@ from flexopt.model.loop import GAINS, loop_of_varied, under_control
 from flexopt.model.study import POINTS_MAX, Study
 from flexopt.model.study_axes import StudyAxis
 from flexopt.model.uncertainty import LATE, Uncertainty
+from flexopt.plant.machine_motion import motion_of, structure_of
 from flexopt.robustness import build_measures
 from flexopt.robustness.batches import unsound, w_at
 from flexopt.robustness.residues import residue_unit
@@ -47,7 +48,6 @@ class PointNumbers:
 
     def __init__(self, study: Study, axes: tuple[StudyAxis, ...]) -> None:
         self.study, self.axes, self.machine = study, axes, study.loaded_machine
-        self.control = study.control or (study.loop and study.loop.control) or "inverse"
         own = np.array([parameter.value for parameter in self.machine.parameters])
         joints = study.posture if study.posture is not None else self._middle()
         placed = study.base if study.base is not None else np.zeros(len(self.machine.base_coordinates))
@@ -91,7 +91,7 @@ class ManyMeasures:
 
     def __init__(self, study: Study, axes: tuple[StudyAxis, ...]) -> None:
         self.study, self.numbers = study, PointNumbers(study, axes)
-        self.machine, self.control = self.numbers.machine, self.numbers.control
+        self.machine, self.control = self.numbers.machine, study.control or "inverse"
         self.measures = build_measures(self.machine, self.control, study.gravity)
         self.quick = QUICK.issuperset(study.kept)
 
@@ -203,7 +203,9 @@ class ManyOutcomes:
     @property
     def units(self) -> dict[str, str]:
         """Of each quantity."""
-        known = {"decay": "1/s", "frequency_hz": "Hz", "delay_margin": "s", "settling": "s"}
+        swing = "rad/m" if motion_of(structure_of(self.machine), {}).base_hinges else "1"
+        known = {"decay": "1/s", "frequency_hz": "Hz", "delay_margin": "s", "settling": "s", "swing": swing}
+        known |= {"allowed_gain": self.settings.gain_units[0], "h2_norm": "m"}
         return {name: known.get(name, "1") for name in self.study.kept}
 
     def __call__(self, columns: Vector) -> tuple[Arrays, StatusCodes, list[str]]:

@@ -38,10 +38,9 @@ from flexopt.model.file_model import FileModel, read_table, validated
 from flexopt.model.own import Constraint, check_own_constraints, is_function
 from flexopt.model.polygons import POLYGON, Corners, check_simple_polygon
 from flexopt.model.targets import SOME_COORDINATES
+from flexopt.model.tree_quantities import scaled_direction
 
 Area = Interval | Corners
-NORMAL_MIN = 1e-9
-UNIT = 1e-14
 _IN_M = "numbers in m: [x, y] in the plane, [x, y, z] in space"
 _PLACE, _SIDES = (vector(_IN_M, quantity, "xy", "xyz") for quantity in (COORDINATE["m"], LENGTH_OR_ZERO))
 _DIRECTION = vector(_IN_M.replace(" in m", ""), Quantity("", low=-LENGTH_MAX, high=LENGTH_MAX), "xy", "xyz")
@@ -82,13 +81,7 @@ def _check_areas(value: Any) -> tuple[Area, ...]:
 @accepting(_DIRECTION.accepts or {})
 def _check_normal(value: Any) -> tuple[float, ...]:
     """A direction, scaled to length 1."""
-    parts = _DIRECTION(value)
-    length = math.hypot(*parts)
-    if length < NORMAL_MIN:
-        raise ValueError("must point somewhere: its length is 0")
-    if abs(length - 1) < UNIT:  # so that a direction that was scaled once stays as it is
-        return parts
-    return tuple(part / length for part in parts)
+    return scaled_direction(_DIRECTION(value))
 
 
 @accepting(_SIDES.accepts or {})

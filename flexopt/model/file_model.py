@@ -119,7 +119,6 @@ def validated(
 
     `completed` puts to a table what users may leave out.
     """
-    check_extent(data, origin, kind)
     meant, result, faults = completed(data), None, list[Fault]()
     try:
         result = model.model_validate(meant)

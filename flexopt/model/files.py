@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from flexopt.errors import ModelError
 from flexopt.foundation.nearest import hint
-from flexopt.model.file_model import DEPTH_MAX
+from flexopt.model.file_model import DEPTH_MAX, check_extent
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # Fifty times the largest file that a machine of the most bodies needs.
@@ -61,7 +61,7 @@ def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[ShippedKind, 
     """The file behind a shipped name or a path, of one of the `kinds`.
 
     Raises:
-        ModelError: nothing is there, it cannot be read, is no TOML, or is of another kind.
+        ModelError: nothing is there, it cannot be read, is no TOML, is of another kind, or far too large or deep.
     """
     text = os.fsdecode(name_or_path)
     try:
@@ -75,7 +75,7 @@ def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[ShippedKind, 
             if path.suffix.lower() in ROBOT_SUFFIXES:
                 raise _robot_file(path)
         else:
-            found: list[ShippedKind] = [kind for kind in kinds if text in shipped_names(kind)]
+            found: list[ShippedKind] = [kind for kind in (*kinds, *KINDS) if text in shipped_names(kind)]
             named_kind = found[0] if found else None
             if named_kind is None:
                 raise _unknown_name(text, kinds)
@@ -86,9 +86,10 @@ def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[ShippedKind, 
     told: ShippedKind = "problems" if PROBLEM_KEYS & data.keys() else "models"
     told = named_kind or told
     if told not in kinds and data:
-        raise _wrong_kind(text, told)
-    shipped = PACKAGE in path.resolve().parents or PACKAGE.parent in path.resolve().parents
+        raise _wrong_kind(text, data, told)
+    shipped = PACKAGE.parent in path.resolve().parents
     name = f"{path.parent.name}/{path.name}" if named_kind or (shipped and not path.is_absolute()) else str(path)
+    check_extent(data, name)
     return Source(data, told, path.parent, name)
 
 
@@ -102,9 +103,6 @@ def _robot_file(path: Path) -> ModelError:
 
 
 def _unknown_name(text: str, kinds: tuple[ShippedKind, ...]) -> ModelError:
-    others: list[ShippedKind] = [kind for kind in KINDS if kind not in kinds and text in shipped_names(kind)]
-    if others:
-        return _wrong_kind(text, others[0])
     shipped = "; ".join(f"{kind}: {', '.join(shipped_names(kind))}" for kind in kinds)
     names = [name for kind in kinds for name in shipped_names(kind)]
     meant = hint(text, names, ";")
@@ -112,10 +110,16 @@ def _unknown_name(text: str, kinds: tuple[ShippedKind, ...]) -> ModelError:
     return ModelError(f"no {wanted} is called {_cut(text)!r}{meant} give a path, or one of the shipped {shipped}")
 
 
-def _wrong_kind(text: str, told: ShippedKind) -> ModelError:
-    if told == "problems":
-        return ModelError(f"{text!r} is a problem, not a machine; `flexopt select` and load_problem take problems")
-    return ModelError(f"{text!r} is a machine, not a problem")
+def _wrong_kind(text: str, data: dict[str, Any], told: ShippedKind) -> ModelError:
+    if told == "models":
+        return ModelError(f"{text!r} is a machine, not a problem")
+    if "compute" in data:
+        what = "a study, not a machine; `flexopt study run` and load_study take studies"
+    elif "simulation" in data:
+        what = "an experiment, not a machine; `flexopt simulate` and load_experiment take experiments"
+    else:
+        what = "a problem, not a machine; `flexopt select` and load_problem take problems"
+    return ModelError(f"{text!r} is {what}")
 
 
 def _cut(text: str) -> str:

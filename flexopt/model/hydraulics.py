@@ -44,13 +44,11 @@ from flexopt.foundation.quantities import (
 )
 from flexopt.model.file_model import FileModel
 from flexopt.model.tables import BodyPoint
+from flexopt.model.tree_quantities import UNTURNED, Matrix3
 
 AXES = "xyz"
 FORCE_MAX = 1e12
 DEAD_BAND_MAX = 0.9
-Rows = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
-UNTURNED: Rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-
 
 _SPEEDS = vector(
     "a pair [retracting, extending] in m/s", Quantity("m/s", above=0.0, high=SPEED.high), ("retracting", "extending")
@@ -165,8 +163,8 @@ class JointFrame:
 
     slide: bool
     origin: tuple[str, str, str]
-    of_parent: Rows = UNTURNED
-    of_body: Rows = UNTURNED
+    of_parent: Matrix3 = UNTURNED
+    of_body: Matrix3 = UNTURNED
 
 
 class CylinderLength(NamedTuple):
@@ -224,7 +222,7 @@ def pin_to_pin(
     return CylinderLength(_distance(base, rod), closure)
 
 
-def _seen(rows: Rows, vector: list[Any]) -> list[Any]:
+def _seen(rows: Matrix3, vector: list[Any]) -> list[Any]:
     """Components along unit vectors; what is exactly 0 or 1 leaves no trace in a graph."""
     found: list[Any] = []
     for row in rows:

@@ -88,7 +88,7 @@ class Loop(BuiltByCall):
     def structural_faults(self) -> list[Fault]:
         """What does not fit together, whatever the machine."""
         found: list[Fault] = []
-        if self.drive == "velocity" and self.control == "transpose":
+        if self.control == "transpose" and self.drive != "torque" and _says_rates(self):
             sentence = 'asks for torques, and velocity-served joints want rates; use control = "inverse"'
             found.append(Fault("control", sentence, repr(self.control)))
         if self.drive == "torque" and self.servo_gain is not None:

@@ -123,7 +123,7 @@ class AnyMachine(BuiltByCall, Described):
             >>> round(machine.travel(cylinder).length(0.4), 3)  # m, pin to pin
             3.033
         """
-        if not isinstance(cylinder, Cylinder):  # pyright: ignore[reportUnnecessaryIsInstance]
+        if not isinstance(cylinder, Cylinder) or cylinder not in self.cylinders:  # pyright: ignore[reportUnnecessaryIsInstance]
             raise_if_any(InputError, "travel", [Fault("cylinder", "must be one of `cylinders`", shown(cylinder))])
         return CylinderTravel(
             cylinder, self.joint_frame(cylinder.joint), {name: value for name, value, _ in self.parameters}
@@ -264,7 +264,9 @@ class AnyMachine(BuiltByCall, Described):
         # Field by field would take longer than many a call that looks for its machine among those it knows.
         if self is other or not isinstance(other, AnyMachine):
             return self is other
-        return type(self) is type(other) and self.content_hash == other.content_hash
+        # Constraints name capsules, of which the hash knows no labels.
+        labels = [[capsule.label for capsule in machine.capsules] for machine in (self, other)]
+        return type(self) is type(other) and self.content_hash == other.content_hash and labels[0] == labels[1]
 
     def __str__(self) -> str:
         return repr(self)

@@ -48,8 +48,7 @@ def with_parameters(machine: AnyMachine, values: Mapping[str, float]) -> AnyMach
 
 def _places(told: dict[str, Any], name: str) -> Iterator[KeyPath]:
     """Where a description holds a parameter."""
-    first, _, rest = name.partition(".")
-    if rest.partition(".")[0] in ("mass",) and first == "payload":
+    if name == "payload.mass":
         yield ("payload", "mass")
     elif name == "gravity":
         yield ("gravity",)

@@ -79,18 +79,14 @@ def _size_faults(where: str, places: FileTable, dimension: int) -> list[Fault]:
 
 def capsule_faults(data: FileTable, bodies: list[Any], dimension: int) -> list[Fault]:
     """Capsules of bodies that are not there, and ends with too few or too many coordinates."""
-    faults = _unknown_bodies(data, "capsules", bodies)
+    faults = unknown_bodies(data, "capsules", bodies)
     for index, capsule in enumerate(tables_of(data.get("capsules"))):
         faults += _size_faults(f"capsules[{index}]", {key: capsule.get(key) for key in ("start", "end")}, dimension)
     return faults
 
 
-def visual_faults(data: FileTable, bodies: list[Any]) -> list[Fault]:
-    """Visuals of bodies that are not there."""
-    return _unknown_bodies(data, "visuals", bodies)
-
-
-def _unknown_bodies(data: FileTable, word: str, bodies: list[Any]) -> list[Fault]:
+def unknown_bodies(data: FileTable, word: str, bodies: list[Any]) -> list[Fault]:
+    """Tables, capsules say, of bodies that are not there."""
     faults: list[Fault] = []
     for index, table in enumerate(tables_of(data.get(word))):
         body = table.get("body")

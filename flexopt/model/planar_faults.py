@@ -8,8 +8,9 @@ from flexopt.errors import Fault
 from flexopt.model.file_model import FileTable, quoted, table_of, tables_of
 from flexopt.model.part_faults import capsule_faults, cylinder_faults
 
-RESERVED_LINK_NAMES = ("base", "payload", "gravity")
 BASE_DIRECTIONS: tuple[Literal["x", "y", "rotation"], ...] = ("x", "y", "rotation")
+# What coordinates and parameters that are no link's are called.
+RESERVED_LINK_NAMES = ("base", "payload", "gravity", *(f"base.{direction}" for direction in BASE_DIRECTIONS))
 
 
 def machine_faults(data: FileTable) -> list[Fault]:

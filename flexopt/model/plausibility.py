@@ -310,7 +310,7 @@ def _totals(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) -> 
             f"is little for what carries an arm of {arm:.4g} kg",
             f"probably in tonnes, {1000 * base:g} kg, or an arm's foot without the vehicle under it",
         )
-    if payload > HEAVY * total:
+    if payload > HEAVY * total > 0:
         meant = f"probably in g: {payload / 1000:g} kg"
         yield ImplausibleNumber(
             "payload.mass", f"{payload:g} kg", f"is {payload / total:.0f} times the machine's mass", meant

@@ -11,7 +11,7 @@ from flexopt.foundation.arrays import TableLike
 from flexopt.foundation.boundary import public
 from flexopt.foundation.coordinates import check_placement, check_task
 from flexopt.foundation.quantities import entries
-from flexopt.model.file_model import FileTable, check_extent, quoted, read_table, table_of, validated
+from flexopt.model.file_model import FileTable, quoted, read_table, table_of, validated
 from flexopt.model.files import KINDS, Source, read_source
 from flexopt.model.loop import loop_faults
 from flexopt.model.planar import Machine
@@ -138,7 +138,6 @@ def machine_from_dict(data: TableLike, *, origin: str = "machine") -> Machine:
 
 
 def _machine(source: Source) -> Machine | Tree:
-    check_extent(source.data, source.name)
     if "robot" in source.data:
         from flexopt.model.robots import robot_from_dict  # noqa: PLC0415  (readers that few machines need)
 
@@ -168,7 +167,6 @@ def _problem(source: Source) -> Problem:
         raise ModelError(f"{source.name}: is an experiment, not a configuration problem; `flexopt simulate` takes it")
     if "compute" in source.data:
         raise ModelError(f"{source.name}: is a study, not a configuration problem; `flexopt study run` takes it")
-    check_extent(source.data, source.name)
     table = read_table(source.data, source.name, "a problem file")
     name = source.data.get("machine")
     machine: Machine | Tree | None = None

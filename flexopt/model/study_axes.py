@@ -159,13 +159,20 @@ def _fixed_faults(study: Study, axes: Sequence[StudyAxis | None]) -> list[Fault]
     if "epsilon_max" in study.kept and study.compute == "measures" and any(a and a.kind == "parameters" for a in axes):
         faults.append(Fault("quantities", "epsilon_max goes with the machine's own parameters: let none vary"))
     loop = study.loop or machine.loop
-    if study.compute == "outcome" and loop is not None:
-        faults += loop_faults(loop, machine, "loop.")
-        if any(a and a.kind == "ki" for a in axes) and loop.feedback != "pid":
+    if study.compute == "outcome":
+        faults += [] if loop is None else loop_faults(loop, machine, "loop.")
+        if any(a and a.kind == "ki" for a in axes) and (loop is None or loop.feedback != "pid"):
             faults.append(Fault("vary (ki)", "needs a loop with feedback = 'pid'"))
-    if isinstance(study.subject, Problem):
-        if study.subject.target.kind != "end_point":
-            faults.append(Fault("problem", "must have one end-point as its target", study.subject.name))
-        if not isinstance(study.subject.selection.objective, str):
-            faults.append(Fault("problem", "has an own Function as its objective, which no file holds"))
+    return faults + (_problem_faults(study.subject) if isinstance(study.subject, Problem) else [])
+
+
+def _problem_faults(problem: Problem) -> list[Fault]:
+    """What of a configuration problem a study has no place for."""
+    faults = list[Fault]()
+    if problem.target.kind != "end_point":
+        faults.append(Fault("problem", "must have one end-point as its target", problem.name))
+    if not isinstance(problem.selection.objective, str):
+        faults.append(Fault("problem", "has an own Function as its objective, which no file holds"))
+    if problem.constraints is not None and problem.constraints.own:
+        faults.append(Fault("problem", "has own Functions among its constraints, which no file holds"))
     return faults

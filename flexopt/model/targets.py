@@ -79,20 +79,20 @@ class PathMotion(FileModel):
 def problem_faults(data: Mapping[str, Any]) -> list[Fault]:
     """Faults that concern several keys at once: of [target], [motion] and [selection]."""
     target, selection, faults = data.get("target"), table_of(data.get("selection")), list[Fault]()
-    if selection.get("objective") == "V" and "weights" not in selection:
+    if selection.get("objective") == "V" and selection.get("weights") is None:
         faults.append(Fault("selection.weights", "objective V = Σ αi wi needs its weights α"))
     if not isinstance(target, Mapping):
         return faults
-    given = [key for key in KINDS if key in cast(Mapping[str, Any], target)]
+    given = [key for key in KINDS if cast(Mapping[str, Any], target).get(key) is not None]
     if len(given) != 1:
         one_of = "needs exactly one of end_point, end_points and path"
         return [*faults, Fault("target", f"{one_of}, not {' and '.join(given)}" if given else one_of)]
-    if "motion" in data and given != ["path"]:
+    if data.get("motion") is not None and given != ["path"]:
         faults.append(Fault("motion", "goes with a path: targets in order, as target.path"))
     faults += [
         Fault(f"selection.{key}", f"goes with target.{kind}, not with target.{given[0]}")
         for kind, keys in KINDS.items()
         for key in keys
-        if key in selection and kind != given[0]
+        if selection.get(key) is not None and kind != given[0]
     ]
     return faults

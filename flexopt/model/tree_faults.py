@@ -10,7 +10,7 @@ import numpy as np
 from flexopt.errors import Fault
 from flexopt.foundation.quantities import ANGLE, ANGLE_MAX, COORDINATE_MAX, degrees_hint, entries
 from flexopt.model.file_model import named, quoted, table_of, tables_of
-from flexopt.model.part_faults import capsule_faults, cylinder_faults, visual_faults
+from flexopt.model.part_faults import capsule_faults, cylinder_faults, unknown_bodies
 from flexopt.model.tree_quantities import check_square
 
 # What messages call a body, and its table.
@@ -37,7 +37,7 @@ def tree_faults(data: dict[str, Any]) -> list[Fault]:
         faults += _joint_faults(where, _joint(body), coupled)
     faults += _massless_faults(bodies, data)
     names = [body.get("name") for _, body in bodies]
-    faults += capsule_faults(data, names, 3) + visual_faults(data, names)
+    faults += capsule_faults(data, names, 3) + unknown_bodies(data, "visuals", names)
     kinds = {str(_joint(b).get("name")): _joint(b).get("kind") for _, b in bodies if not _joint(b).get("passive")}
     faults += cylinder_faults(data, kinds, passive, 3)
     if not passive:

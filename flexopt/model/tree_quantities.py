@@ -51,14 +51,20 @@ _ENTRY = Quantity("SI units", low=-JOINT_STIFFNESS.high, high=JOINT_STIFFNESS.hi
 @accepting(_DIRECTION.accepts or {})
 def check_axis(value: Any) -> Vector3:
     """A direction, scaled to length 1."""
-    parts = _DIRECTION(value)
+    x, y, z = (_snapped(part) for part in scaled_direction(_DIRECTION(value)))
+    return x, y, z
+
+
+def scaled_direction(parts: tuple[float, ...]) -> tuple[float, ...]:
+    """A direction, scaled to length 1; one that was scaled once stays as it is.
+
+    Raises:
+        ValueError: it points nowhere.
+    """
     length = math.hypot(*parts)
     if length < 1e-9:
         raise ValueError("must point somewhere: its length is 0")
-    if abs(length - 1) > SNAP:  # so that a direction that was scaled once stays as it is
-        parts = tuple(part / length for part in parts)
-    x, y, z = (_snapped(part) for part in parts)
-    return x, y, z
+    return parts if abs(length - 1) <= SNAP else tuple(part / length for part in parts)
 
 
 @accepting({"anyOf": [_ANGLES.accepts, a_list(_ROW.accepts or {}, 3, 3)]})

@@ -111,7 +111,7 @@ def parameters_of(names: Sequence[str], machine: Any) -> tuple[int, ...]:
     for word in names:
         passive = _of_passive(machine, word) if word in (SPRINGS, DAMPERS) else set[str]()
         listed = enumerate(parameter.name for parameter in machine.parameters)
-        found |= {k for k, name in listed if name in passive or fnmatchcase(name, word)}
+        found |= {k for k, name in listed if name == word or name in passive or fnmatchcase(name, word)}
     return tuple(sorted(found))
 
 

@@ -1,7 +1,7 @@
 """The map from forces at the end-point to joint commands: what "control" means, in one place.
 
-In: Jv (r, n) and a control as `flexopt.model.problem.check_control` gives it. Out: graphs of the map Jvᵀ (transpose),
-Jv⁺ (inverse) or J⁺_λ = Jvᵀ (Jv Jvᵀ + λ² I)⁻¹ (damped), and of its transposed.
+In: Jv (r, n) and a control as `flexopt.foundation.control.check_control` gives it. Out: graphs of the map Jvᵀ
+(transpose), Jv⁺ (inverse) or J⁺_λ = Jvᵀ (Jv Jvᵀ + λ² I)⁻¹ (damped), and of its transposed.
 
 Source: article, section 3.2; the damped inverse: Nakamura and Hanafusa, Journal of Dynamic Systems, Measurement, and
 Control 108(3), 1986; Wampler, IEEE Transactions on Systems, Man, and Cybernetics 16(1), 1986.

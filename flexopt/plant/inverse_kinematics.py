@@ -183,12 +183,13 @@ def branch(plant: Plant, target: Vector, bases: Vector, unit: Vector, sign: floa
 
 
 def _into_limits(machine: AnyMachine, postures: Vector) -> Vector:
-    """The same postures (n, N), turned by multiples of 2π into the joint limits where that is possible."""
+    """The same postures (n, N), turned by multiples of 2π into the joint limits where they can be, to their middle."""
     turned = postures.copy()
     for row, (unit, (low, high)) in enumerate(zip(machine.joint_units, machine.limits, strict=True)):
         if unit == "rad" and math.isfinite(low):
-            turns = 2 * math.pi * np.ceil((low - EDGE - postures[row]) / (2 * math.pi))
-            turned[row] += np.where(postures[row] + turns <= high + EDGE, turns, 0.0)
+            turns = 2 * math.pi * np.rint((0.5 * (low + high) - postures[row]) / (2 * math.pi))
+            inside = (postures[row] + turns >= low - EDGE) & (postures[row] + turns <= high + EDGE)
+            turned[row] += np.where(inside, turns, 0.0)
     return turned
 
 

@@ -15,8 +15,9 @@ from collections.abc import Mapping
 import casadi as ca
 
 from flexopt.model.kinematic_tree import KinematicTree
+from flexopt.model.tree_quantities import snapped_rows
 from flexopt.plant.tree_algebra import AXES, NOWHERE, ORIGIN, SECOND, ZERO, Moments, Triple, second_turned, turned
-from flexopt.plant.tree_structure import Segment, ground_frame, rounded, segments_and_frames
+from flexopt.plant.tree_structure import Segment, ground_frame, segments_and_frames
 
 
 def constant_graphs(tree: KinematicTree, value: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
@@ -34,14 +35,14 @@ def constant_graphs(tree: KinematicTree, value: Mapping[str, ca.SX]) -> dict[str
     moments: list[Moments] = []
     for i, segment in enumerate(segments):
         of_parent = ground_frame(tree) if segment.parent < 0 else frames[segment.parent]
-        offsets.append(turned(rounded(of_parent.T), _vector(entry, f"offset{i}")))
-        own, back = Moments(ZERO, ORIGIN, NOWHERE), rounded(frames[i].T)
+        offsets.append(turned(snapped_rows(of_parent.T), _vector(entry, f"offset{i}")))
+        own, back = Moments(ZERO, ORIGIN, NOWHERE), snapped_rows(frames[i].T)
         if f"mass{i}" in entry:
             inertia = second_turned(back, _second_of(*(entry.get(f"inertia{i}.{ab}", ZERO) for ab in SECOND)))
             own = Moments(entry[f"mass{i}"], ORIGIN, inertia).moved(turned(back, _vector(entry, f"com{i}")))
         moments.append(own)
     tip = index[tree.end_point.body]
-    end = turned(rounded(frames[tip].T), _vector(entry, "tip"))
+    end = turned(snapped_rows(frames[tip].T), _vector(entry, "tip"))
     moments[tip] += Moments(entry["payload"], ORIGIN, NOWHERE).moved(end)
     carried = _carried(segments, [own.mass for own in moments])
     _move_inwards(segments, offsets, moments)

@@ -149,21 +149,24 @@ class TreeMotion(Motion):
     ) -> ca.SX:
         """See `Motion`."""
         at = self._at(u, along)
-        vertical = [
-            i
-            for i in self.structure.leading_slides
-            if abs(self.structure.segments[i].axis[self.structure.up]) == 1 and at.of(f"armature{i}").is_zero()
-        ]
-        borne = gravity and bool(vertical)
-        pull = self.of("gravity") if gravity and not borne else ZERO
+        falling = self._falling(at) if gravity else None
+        pull = self.of("gravity") if gravity and falling is None else ZERO
         inertia = at.forces(self._by_body(w), pull)
         right = [
             force - part for force, part in zip(self._joint_forces(u, w, torque, base, base_rate), inertia, strict=True)
         ]
         result = self._solved(at, right)
-        if borne:  # all fall alike
-            result[vertical[0]] -= self.structure.segments[vertical[0]].axis[self.structure.up] * self.of("gravity")
+        if falling is not None:
+            result[falling] -= self.structure.segments[falling].axis[self.structure.up] * self.of("gravity")
         return self._stacked(result)
+
+    def _falling(self, at: Recursion) -> int | None:
+        """The vertical slide with which all that has weight falls alike; None where something else would hold it."""
+        up, segments = self.structure.up, self.structure.segments
+        # What a level slide alone carries falls nowhere.
+        first = next((i for i in self.structure.leading_slides if segments[i].axis[up]), None)
+        vertical = first is not None and abs(segments[first].axis[up]) == 1
+        return first if vertical and at.of(f"armature{first}").is_zero() else None
 
     def _by_body(self, column: ca.SX) -> list[ca.SX]:
         result = [ZERO] * self.n

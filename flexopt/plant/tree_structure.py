@@ -15,11 +15,9 @@ import numpy as np
 
 from flexopt.foundation.arrays import Array
 from flexopt.model.kinematic_tree import UNTURNED, KinematicTree
-from flexopt.model.tree_quantities import axes_about
+from flexopt.model.tree_quantities import axes_about, snapped_rows
 
 MatrixRows = tuple[tuple[float, float, float], ...]
-# Products of rotations this near to 0 or ±1 are meant to be it.
-SNAP = 1e-14
 PLANES = ("xy", "xz", "yz")
 TURN = "turn"  # of the anchor frame since it stood at first
 
@@ -142,7 +140,7 @@ class Skeleton:
         found: list[MatrixRows] = []
         for i in self.hinges:
             turn = np.array(self.segments[i].turn)
-            found.append(rounded(np.array(found[-1]) @ turn if found else turn))
+            found.append(snapped_rows(np.array(found[-1]) @ turn if found else turn))
         return found
 
     @property
@@ -213,7 +211,7 @@ class Skeleton:
 def skeleton(tree: KinematicTree) -> Skeleton:
     """The structure of a tree, every constant kept."""
     segments, frames = segments_and_frames(tree)
-    ground = rounded(ground_frame(tree))
+    ground = snapped_rows(ground_frame(tree))
     tip = next(i for i, body in enumerate(tree.bodies) if body.name == tree.end_point.body)
     own = [(i, i) for i in range(len(tree.bodies))]
     springs = [pair for pair in own if f"stiffness{pair[0]}.{pair[0]}" in tree.entries]
@@ -222,7 +220,7 @@ def skeleton(tree: KinematicTree) -> Skeleton:
     whole = Skeleton(
         segments=segments,
         tip=tip,
-        tip_rotation=rounded(frames[tip].T @ np.array(tree.end_point.rotation)),
+        tip_rotation=snapped_rows(frames[tip].T @ np.array(tree.end_point.rotation)),
         rows=tuple(tree.end_point.rows),
         reference=tree.end_point.reference,
         placement=tuple(tree.placement),
@@ -252,13 +250,6 @@ def _pairs(members: tuple[int, ...]) -> list[tuple[int, int]]:
     return [(min(a, b), max(a, b)) for i, a in enumerate(members) for b in members[i:]]
 
 
-def rounded(matrix: Array) -> MatrixRows:
-    """A (k, 3) matrix by rows, what is meant to be 0 or ±1 exactly that."""
-    nearest = np.round(matrix)
-    snapped = np.where(np.abs(matrix - nearest) < SNAP, nearest, matrix) + 0.0
-    return tuple((float(a), float(b), float(c)) for a, b, c in snapped)
-
-
 def ground_frame(tree: KinematicTree) -> Array:
     """See `Skeleton.ground`."""
     rows = tree.end_point.rows
@@ -279,10 +270,10 @@ def segments_and_frames(tree: KinematicTree) -> tuple[tuple[Segment, ...], list[
         parent = -1 if body.parent is None else index[body.parent]
         of_parent = ground_frame(tree) if parent < 0 else frames[parent]
         placed = of_parent.T @ np.array(body.rotation)
-        axis = rounded(np.atleast_2d(placed @ np.array(body.joint.axis)))[0]
+        axis = snapped_rows(np.atleast_2d(placed @ np.array(body.joint.axis)))[0]
         slide = body.joint.kind == "slide"
-        turn = rounded(np.eye(3) if slide else np.array(axes_about(axis)).T)
-        frames.append(np.array(rounded(placed.T @ np.array(turn))))
+        turn = snapped_rows(np.eye(3) if slide else np.array(axes_about(axis)).T)
+        frames.append(np.array(snapped_rows(placed.T @ np.array(turn))))
         hinged = parent >= 0 and after_hinge[parent]
         same = slide or not hinged or abs(turn[2][2]) == 1
         only_parallel.append(same and (parent < 0 or only_parallel[parent]))

@@ -124,13 +124,17 @@ def test_units_of_headers_and_a_file(tmp_path: Path) -> None:
     lines = [";".join(names)]
     for k, row in enumerate(np.column_stack(columns)):
         cells = [f"{number:.12g}".replace(".", ",") for number in row]
-        lines.append(";".join(["" if (k, j) == (7, 2) else cell for j, cell in enumerate(cells)]))
+        # The first line has no comma, by which the decimal comma could be told.
+        missing = [(k, j) == (7, 2) or (k == 0 and j > 0) for j in range(len(cells))]
+        lines.append(";".join("" if none else cell for none, cell in zip(missing, cells, strict=True)))
     (tmp_path / "swing.csv").write_text("# a comment\n" + "\n".join(lines) + "\n", encoding="utf-8")
     found = flexopt.identify(machine, tmp_path / "swing.csv", **asked)
     log["end_point.x"][7] = np.nan
+    for name in PLANAR:
+        log[name][0] = np.nan
     same = flexopt.identify(machine, log, **asked)
     assert found.values == pytest.approx(same.values, rel=1e-5)
-    assert [column.samples for column in found.columns] == [301, 300, 301]
+    assert [column.samples for column in found.columns] == [300, 299, 300]
 
 
 @pytest.mark.long
@@ -353,6 +357,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
     refused(machine, {"gyro_z": swing}, "t: is missing")
     refused(machine, {"t": t, "gyro_x": swing}, "did you mean 'gyro_z'")
     refused(machine, {"t": t, "gyro_z [deg/m]": swing}, "did you mean 'deg/s'")
+    refused(machine, {"time [sec]": t, "gyro_z": swing}, "identify: log.*has no unit 'sec'")
     refused(machine, {"t": t, "gyro_z": swing, "gyro_z [rad/s]": swing}, "is there twice")
     refused(machine, {"t": t[::-1], "gyro_z": swing}, "must not run backwards")
     refused(machine, {"t": t, "gyro_z": swing[:-1]}, "must be of one length")
@@ -370,6 +375,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
     assert len(caught.value.faults) == 3
     for text, sentence in (
         ("t,gyro_z\n0,1\n1,oops\n", "line 3, gyro_z"),
+        ("# pushed by hand\n\nt,gyro_z\n0,1\n# again\n1\n", "line 6.*must have 2 cells"),
         ("t,gyro_z\n0,1\n1\n", "must have 2 cells"),
         ("t,gyro_z\n", "1 to 1,000,000 lines"),
     ):
@@ -377,6 +383,26 @@ def test_what_is_refused(tmp_path: Path) -> None:
         refused(machine, tmp_path / "bad.csv", sentence)
     refused(machine, tmp_path / "none.csv", "cannot be read")
     refused(machine, tmp_path / "frf.uff", "UFF")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("more", ["joint without samples", "samples that come late", "columns one after the other"])
+@pytest.mark.filterwarnings("error")
+def test_samples_may_be_missing_for_long(more: str) -> None:
+    t = np.arange(0, 5, 0.01)
+    swing = 2e-3 * np.exp(-0.2 * t) * np.cos(12 * t) + 1e-5 * np.random.default_rng(1).standard_normal(t.size)
+    late = np.arange(t.size) < 350
+    log = {"t": t, "gyro_z": np.where(late, np.nan, swing)}
+    if more == "joint without samples":
+        log |= {"gyro_z": swing, "boom": np.full(t.size, np.nan), "stick": np.full(t.size, -1.2)}
+    if more == "columns one after the other":
+        log |= {"base.rotation": np.where(late, np.cumsum(swing) * 0.01, np.nan)}
+    machine = flexopt.load("excavator")
+    found, plain = (
+        flexopt.identify(machine, each, posture=(0.5, -1.2), unknown=TURN) for each in (log, {"t": t, "gyro_z": swing})
+    )
+    assert found.values == pytest.approx(plain.values, rel=0.03)
+    assert not any("would tilt" in doubt for doubt in found.doubts)
 
 
 @pytest.mark.long

@@ -69,6 +69,21 @@ def test_quantiles_are_exact(result: flexopt.StudyResult, whole: xr.Dataset) -> 
     assert (expected > 0).any()
 
 
+def test_infinite_numbers_count(tmp_path: Path) -> None:
+    """Of a loop so weak that no border was met, the largest stable gain is infinite: that is the greatest of all."""
+    study = flexopt.Study(
+        name="weak", machine="excavator", compute="outcome", quantities=["allowed_gain", "swing"], posture=[0.0448, -2.0499],
+        loop={"kp": 1.0, "kv": 0.1}, vary=[{"of": "kp", "value": [1e-3, 1e4], "count": 2}],
+    )  # fmt: skip
+    result = flexopt.run_study(study, tmp_path / "study", workers=1)
+    found = {how: result.reduce("allowed_gain", how) for how in ("min", "max", "mean")}
+    assert [float(each["allowed_gain"]) for each in found.values()] == [0.0, np.inf, np.inf]
+    assert [float(found[how]["at.kp"]) for how in ("min", "max")] == [1e4, 1e-3]
+    assert result.quantiles("allowed_gain", [0.5, 1.0])["allowed_gain"].values.tolist() == [0.0, np.inf]
+    units = {name: result.dataset()[name].attrs["units"] for name in ("allowed_gain", "swing")}
+    assert units == {"allowed_gain": "N m", "swing": "rad/m"}
+
+
 def test_one_netcdf_file(result: flexopt.StudyResult, whole: xr.Dataset, tmp_path: Path) -> None:
     result.to_netcdf(tmp_path / "all.nc")
     with xr.open_dataset(tmp_path / "all.nc") as found:
@@ -89,15 +104,20 @@ def test_one_csv_file(result: flexopt.StudyResult, whole: xr.Dataset, tmp_path: 
 def test_reasons_are_exported(tmp_path: Path) -> None:
     study = flexopt.Study(
         name="far", problem="article", compute="selection", chunk=1,
-        vary=[{"of": "target.y", "value": [1.6, 7.0], "count": 2}],
+        vary=[{"of": "base.x", "value": [-1.0, 0.5], "count": 1}, {"of": "target.y", "value": [1.6, 7.0], "count": 2}],
     )  # fmt: skip
     result = flexopt.run_study(study, tmp_path / "study", workers=1)
+    assert result.dataset()["w"].attrs["units"] == result.dataset()["objective"].attrs["units"] == "1/(kg m2)"
     result.to_netcdf(tmp_path / "all.nc")
     result.to_csv(tmp_path / "all.csv")
     with xr.open_dataset(tmp_path / "all.nc") as found:
         assert b"cannot reach" in found["reason"].values[1]
         assert found["status"].values.tolist() == [0, 4]
-    assert "cannot reach" in pd.read_csv(tmp_path / "all.csv")["reason"][1]
+    written = pd.read_csv(tmp_path / "all.csv")
+    assert "cannot reach" in written["reason"][1]
+    # What varies and the answer both have an x.
+    assert written["base.x"].tolist() == [-1.0, -1.0]
+    assert written["best.base.x"][0] == pytest.approx(float(result.dataset()["base"][0, 0]))
 
 
 def test_what_there_is_not_is_refused(result: flexopt.StudyResult) -> None:

@@ -62,6 +62,7 @@ FAULTS = [
     ({"rate_limit": 1.0}, "rate_limit"),
     ({"drive": "velocity"}, "servo_gain"),
     ({"drive": "velocity", "control": "transpose", "servo_gain": 1.0}, "control"),
+    ({"control": "transpose", "servo_gain": 1.0}, "control"),
     ({"drive": "torque", "servo_gain": 1.0, "ki": 1.0}, "servo_gain ki"),
     ({"kp": 5.0, "kp_range": [10, 20], "kv": 5.0, "kv_range": [1, 4]}, "kp kv"),
     ({"kp_range": [20, 10]}, "kp_range"),

@@ -90,6 +90,17 @@ def test_the_dictionary_brings_them_back(machine: AnyMachine) -> None:
     assert again.content_hash == machine.content_hash
 
 
+def test_machines_whose_capsules_are_called_otherwise_are_two() -> None:
+    """Constraints name them: what is kept of one must not answer for the other."""
+    data = flexopt.load("slewing-excavator").to_dict()
+    *others, bucket = data["capsules"]
+    red, blue = (tree_from_dict(data | {"capsules": (*others, bucket | {"label": name})}) for name in ("red", "blue"))
+    assert red.content_hash == blue.content_hash
+    assert red != blue
+    for tree, label in ((red, "red"), (blue, "blue")):
+        assert flexopt.build_plant(tree).machine.capsules[-1].label == label
+
+
 def test_a_machine_without_them_has_neutral_values() -> None:
     for machine in (flexopt.load("excavator"), tree_from_dict(random_tree(5))):
         assert set(machine.efforts) == set(machine.speeds) == {math.inf}
@@ -231,6 +242,8 @@ DRIVEN = {
     "weaker way": '<motor joint="slew" gear="-20" ctrlrange="-0.4 0.3"/>',
     "as MuJoCo saves it": '<general joint="slew" gear="150 0 0 0 0 0" gainprm="2" ctrlrange="-0.4 0.4"/>',
     "by a class": '<motor class="geared" joint="slew"/>',
+    "by a class of another kind": '<general class="geared" joint="slew"/>',
+    "a motor of a servo's class": '<motor class="served" joint="slew"/>',
     "force before control": '<motor joint="slew" gear="10" ctrlrange="-9 9" forcerange="-5 5"/>',
 }
 
@@ -238,7 +251,8 @@ DRIVEN = {
 @pytest.mark.parametrize("case", DRIVEN)
 def test_efforts_are_what_mujoco_gives_at_most(tmp_path: Path, case: str) -> None:
     given = f"""
-    <default><default class="geared"><motor gear="7" ctrlrange="-3 3"/></default></default>
+    <default><default class="geared"><motor gear="7" ctrlrange="-3 3"/></default>
+      <default class="served"><position kp="50" ctrlrange="-2 2"/></default></default>
     <worldbody><body name="chassis"><geom type="box" size="1 1 0.2" mass="90"/><joint name="heave" type="slide"/>
       <body name="arm"><joint name="slew" axis="0 0 1"/><geom type="capsule" fromto="0 0 0 1 0 0" size="0.1"/></body>
     </body></worldbody>
@@ -268,6 +282,13 @@ def test_mjcf_joints_bound_themselves_and_defaults_count(tmp_path: Path) -> None
         "crowd": math.inf,
         "twist": math.inf,
     }
+
+
+def test_a_servos_default_makes_servos_of_others(tmp_path: Path) -> None:
+    text = changed_text(MJCF, '<motor joint="slew"/>', '<general joint="slew" ctrlrange="-3 3"/>')
+    assert 3.0 in read(tmp_path, text, MJCF_MACHINE).efforts
+    served = changed_text(text, '<joint damping="0.5"/>', '<joint damping="0.5"/><position kp="50"/>')
+    assert set(read(tmp_path, served, MJCF_MACHINE).efforts) == {math.inf}
 
 
 def test_armature_of_mjcf_is_read_overridden_or_ignored(tmp_path: Path) -> None:

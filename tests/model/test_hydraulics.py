@@ -115,6 +115,14 @@ def test_every_fault_is_listed() -> None:
     assert wanted | {"links[0] (boom).mass"} <= fields
 
 
+def test_a_cylinder_of_another_machine_is_refused() -> None:
+    """Its pins would be taken for 0."""
+    machine = flexopt.load("boom-stick-bucket")
+    other = machine.cylinders[0].model_copy(update={"name": "other"})
+    with pytest.raises(flexopt.InputError, match="must be one of `cylinders`"):
+        machine.travel(other)
+
+
 def test_a_passive_joint_is_not_driven() -> None:
     data = digger()
     data["links"].insert(1, {"name": "knuckle", "length": 0.1, "com": 0.05, "mass": 1.0, "inertia": 1.0,

@@ -294,6 +294,22 @@ def test_what_is_no_name_at_all(reader: Any, junk: Any) -> None:
         reader(junk)
 
 
+@pytest.mark.parametrize(
+    ("reader", "name", "sentence"),
+    [
+        (flexopt.load, "article", "is a problem, not a machine; `flexopt select`"),
+        (flexopt.load, "article-a", "is an experiment, not a machine; `flexopt simulate`"),
+        (flexopt.load, "excavator-study", "is a study, not a machine; `flexopt study run`"),
+        (flexopt.load_problem, "excavator", "is a machine, not a problem"),
+    ],
+)
+def test_a_file_of_another_kind_is_told_as_what_it_is(reader: Any, name: str, sentence: str) -> None:
+    folder = "problems" if reader is flexopt.load else "models"
+    for named in (name, str(Path(__file__).parents[2] / folder / f"{name}.toml")):
+        with pytest.raises(ModelError, match=sentence):
+            reader(named)
+
+
 class Thing:
     """An object that nobody expected."""
 
@@ -455,6 +471,21 @@ def test_a_problem_file_says_what_is_uncertain(tmp_path: Path) -> None:
     path.write_text(f'{text}[[uncertainty]]\nof = "stiffness"\nfactor = [2.0, 0.5]\n', encoding="utf-8")
     with pytest.raises(flexopt.ModelError, match=r"uncertainty\[0\]"):
         flexopt.load_problem(path)
+
+
+def test_what_is_none_in_a_problem_is_left_out() -> None:
+    named = {"name": "p", "machine": "excavator"}
+    target = {"end_point": (0.0, 1.6), "path": None}
+    problem = flexopt.Problem(**named, target=target, motion=None, selection={"shares": None, "weights": None})
+    assert problem.target.kind == "end_point"
+    with pytest.raises(InputError, match="needs its weights"):
+        flexopt.Problem(**named, target=target, selection={"objective": "V", "weights": None})
+
+
+@pytest.mark.parametrize("name", ["base.x", "base.rotation"])
+def test_no_link_is_called_as_a_coordinate_of_the_base(name: str) -> None:
+    with pytest.raises(ModelError, match="is reserved or blank"):
+        flexopt.machine_from_dict(changed(("links", 0, "name"), name))
 
 
 def test_what_a_machine_lacks_for_a_constraint_is_told_before_a_selection(tmp_path: Path) -> None:

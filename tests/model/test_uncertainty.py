@@ -50,6 +50,14 @@ def test_one_parameter_is_uncertain_once_but_for_factors() -> None:
     assert not uncertainty_faults(factors, flexopt.load("excavator"))
 
 
+def test_a_name_that_looks_like_a_pattern_is_found() -> None:
+    data = flexopt.load("excavator").to_dict()
+    data["links"] = [link | {"name": f"link[{k}]"} for k, link in enumerate(data["links"])]
+    machine = flexopt.machine_from_dict(data)
+    names = [parameter.name for parameter in machine.parameters]
+    assert parameters_of(("link[1].mass",), machine) == (names.index("link[1].mass"),)
+
+
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [

@@ -116,6 +116,19 @@ def test_limits_anywhere_in_the_allowed_range(window):
         check_limits(machine, target, inverse_kinematics(machine, target), np.array([window, (-math.pi, math.pi)]))
 
 
+def test_limits_wider_than_a_turn_leave_postures_near_their_middle():
+    """The elbow's sign stays that of its branch, too."""
+    free = inverse_kinematics(load("excavator"), (0.0, 1.6))
+    wide = inverse_kinematics(with_limits(load("excavator"), np.full((2, 2), [-6.0, 6.0])), (0.0, 1.6))
+    np.testing.assert_allclose(wide, free, atol=1e-12)
+    arm = load("mobile-manipulator")
+    plant = build_plant(arm)
+    still = np.zeros(plant.n_base)
+    q = plant.rest(still, [0.3, 0.5, 0.6, 0.1, 0.2, 0.1], plant.parameter_values)
+    target = plant.end_point(q, still, plant.parameter_values).full().ravel()
+    assert np.abs(inverse_kinematics(arm, target)).max() <= math.pi + 1e-11
+
+
 def check_limits(machine, target, free, limits):
     """Exactly those branches remain that some number of whole turns brings inside the limits."""
     expected = [

@@ -158,6 +158,18 @@ def test_rotors_of_ground_slides_do_not_fall(directions):
         close(case.acceleration(*case.motion(structure)), expected)
 
 
+def test_what_runs_on_a_slope_below_a_vertical_slide_has_its_weight():
+    """Gravity is left to a vertical slide only where none of what it stands on falls otherwise."""
+    data = grounded(3, 2, coupled=False)
+    for k, axis in enumerate(([0.6, 0.0, 0.8], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0])):
+        data["bodies"][k]["joint"]["axis"] = axis
+    data["bodies"][0] |= {"mass": 800.0, "inertia": [90.0, 80.0, 70.0, 0.0, 0.0, 0.0]}
+    case = Case(data, 2)
+    chain = mujoco_tree(data)
+    chain.set(case.q, case.v)
+    close(case.acceleration(*case.motion()), chain.forward(case.tau))
+
+
 def test_a_rotor_of_zero_leaves_graph_and_parameters_as_they_were():
     data = grounded(3, 2)
     tree = tree_from_dict(data)

@@ -457,6 +457,22 @@ def test_an_end_point_in_its_bodys_joint_leaves_the_body_without_a_length() -> N
     assert any(field.endswith(".com") for field in found)
 
 
+def test_a_machine_whose_payload_is_all_its_mass_is_checked() -> None:
+    """Rotors make its joints independent."""
+    bodies = [
+        {"name": name, "parent": parent, "joint": {"name": f"to {name}", "armature": 5.0} | joint}
+        for name, parent, joint in (
+            ("deck", None, {"kind": "slide", "axis": [0, 0, 1], "passive": True, "stiffness": 1e5}),
+            ("boom", "deck", {"kind": "hinge", "axis": [0, 1, 0]}),
+            ("stick", "boom", {"kind": "hinge", "axis": [0, 1, 0]}),
+        )
+    ]
+    bodies[2]["position"] = [1.0, 0.0, 0.0]
+    end = {"body": "stick", "position": [1.0, 0.0, 0.0], "rows": ["x", "z"]}
+    tree = tree_from_dict({"name": "light", "bodies": bodies, "end_point": end, "payload": {"mass": 10.0}})
+    assert flexopt.check(tree).findings == ()
+
+
 def test_a_centre_of_mass_to_the_side_is_told_by_its_own_key() -> None:
     data = flexopt.load("excavator").to_dict()
     data["base"]["com_offset"] = -300.0

@@ -47,7 +47,8 @@ def read_mjcf(root: Element, folder: Path, faults: Faults, *, strict: bool = Tru
     """
     root = check_known(with_includes(root, folder, faults), "mjcf", faults, strict=strict)
     settings = read_settings(root, faults)
-    reader = _MjcfReader(settings, mjcf_meshes(root, settings, folder))
+    named = {body.attributes.get("name", "") for body in root.walk() if body.tag == "body"}
+    reader = _MjcfReader(settings, mjcf_meshes(root, settings, folder), named)
     for world in root.all("worldbody"):
         reader.children(world, None, Pose(), world.attributes.get("childclass", MAIN), _Body())
     if not reader.links:
@@ -84,9 +85,10 @@ class _Body:
 
 
 class _MjcfReader:
-    def __init__(self, settings: Settings, meshes: Mapping[str, LinkVisual]) -> None:
+    def __init__(self, settings: Settings, meshes: Mapping[str, LinkVisual], named: set[str]) -> None:
         self.settings = settings
         self.meshes = meshes
+        self.named = named
         self.faults = settings.faults
         self.links: list[RobotLink] = []
         self.sites: dict[str, Frame] = {}
@@ -107,7 +109,7 @@ class _MjcfReader:
 
     def _body(self, element: Element, parent: str | None, frame: Pose, child_class: str) -> None:
         index = len(self.links)
-        name = element.attributes.get("name") or f"body{index + 1}"
+        name = element.attributes.get("name") or self._title(index + 1)
         link = RobotLink(name, parent, element)
         self.links.append(link)
         if self.faults.number(element, "gravcomp"):
@@ -124,6 +126,13 @@ class _MjcfReader:
             solids=tuple(body.solids),
             visuals=tuple(body.visuals),
         )
+
+    def _title(self, number: int) -> str:
+        """What a body without a name is called, as no other is."""
+        while f"body{number}" in self.named:
+            number += 1
+        self.named.add(f"body{number}")
+        return f"body{number}"
 
     def _part(self, child: Element, of: Element, name: str, pose: Pose, child_class: str, body: _Body) -> None:
         element = self.settings.resolved(child, child_class)
@@ -220,7 +229,8 @@ def _constraints(root: Element, reader: _MjcfReader, blockers: dict[str, Faults]
     """What couples or drives coordinates beside the tree of joints."""
     for section in root.all("equality"):
         for element in section.children:
-            if reader.settings.resolved(element, MAIN).attributes.get("active", "true") == "true":
+            resolved = reader.settings.resolved(replace(element, tag="equality"), MAIN)
+            if resolved.attributes.get("active", "true") == "true":
                 blockers["equality"].add(element, "an equality constraint changes the dynamics and is not read")
     for section in root.all("tendon"):
         for element in section.children:
@@ -237,7 +247,7 @@ def _constraints(root: Element, reader: _MjcfReader, blockers: dict[str, Faults]
 
 def _gravity(root: Element, faults: Faults, blocker: Faults) -> float:
     """Acceleration along −z, m/s²."""
-    gravity, last = np.array([0.0, 0.0, -9.81]), root
+    gravity, last, off = np.array([0.0, 0.0, -9.81]), root, False
     for option in root.all("option"):
         if "gravity" in option.attributes:
             gravity, last = faults.numbers(option, "gravity", 3, (0.0, 0.0, -9.81)), option
@@ -245,11 +255,12 @@ def _gravity(root: Element, faults: Faults, blocker: Faults) -> float:
             for key in ("spring", "damper", "passive"):
                 if flag.attributes.get(key) == "disable":
                     faults.add(flag, f"{key} is disabled, and with it what makes joints passive", of=option)
-            if flag.attributes.get("gravity") == "disable":
-                gravity = np.zeros(3)
+            off = flag.attributes.get("gravity", "disable" if off else "enable") == "disable"
         for key in ("density", "viscosity", "wind"):
             if np.any(faults.numbers(option, key, 3 if key == "wind" else 1, (0.0,) * (3 if key == "wind" else 1))):
                 faults.warn(option, f"the medium's {key} is left out")
+    if off:
+        return 0.0
     if gravity[0] or gravity[1] or gravity[2] > 0:
         text = " ".join(f"{float(part):g}" for part in gravity)
         blocker.add(last, "gravity must point along -z; else say `gravity` in the machine file, in m/s²", value=text)

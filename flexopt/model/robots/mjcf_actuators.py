@@ -8,6 +8,7 @@ leads from the actuator to the joint.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,7 +24,7 @@ def drive_efforts(root: Element, settings: Settings) -> Mapping[str, float]:
     found: dict[str, list[float | None]] = {}
     for section in root.all("actuator"):
         for child in section.children:
-            element = settings.resolved(child, MAIN)
+            element = replace(settings.resolved(replace(child, tag="actuator"), MAIN), tag=child.tag)
             for key in ("joint", "jointinparent"):
                 if key in element.attributes:
                     found.setdefault(element.attributes[key], []).append(_effort(settings, element))

@@ -69,9 +69,8 @@ def _limits(settings: Settings, element: Element, scale: float) -> tuple[float, 
     """`range` in rad or m, where it counts."""
     faults = settings.faults
     limited = check_text(faults, element, "limited", ("auto", "true", "false"), "auto")
-    given = "range" in element.attributes
     lower, upper = (scale * float(end) for end in faults.numbers(element, "range", 2, (0.0, 0.0)))
-    if limited == "false" or (limited == "auto" and not given):
+    if limited == "false" or (limited == "auto" and lower == upper):
         return None
     if limited == "auto" and not settings.auto_limits:
         faults.add(element, "has range but not limited, and autolimits is off: say limited true or false")

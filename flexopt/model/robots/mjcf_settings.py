@@ -20,9 +20,16 @@ from flexopt.model.robots.geometry import (
     from_xy_axes,
     from_z_axis,
 )
+from flexopt.model.robots.known import known_elements
 
 ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 MAIN = "main"
+# What a default says of an actuator's gain and bias by its kind, which all kinds share: a motor's are plain.
+GAINS = {
+    "general": dict[str, str](),
+    "motor": {"gaintype": "fixed", "gainprm": "1", "biastype": "none", "dyntype": "none"},
+}
+SERVO = {"biastype": "own"}
 # Far more than any model in use has.
 INCLUDES_MAX = 500
 
@@ -118,11 +125,13 @@ class Settings:
         return replace(element, attributes=_over(given.get(element.tag, {}), element.attributes))
 
     def pose(self, element: Element, of: Element | None = None) -> Pose:
-        """`pos`, and the orientation in whichever way it is written; or the middle of `fromto`, z along it."""
+        """`pos` and the orientation in whichever way it is written; or the middle of `fromto`, z along it."""
         if "fromto" in element.attributes:
             ends = self.faults.numbers(element, "fromto", 6, (0.0, 0.0, 0.0, 0.0, 0.0, 1.0), of)
-            if np.linalg.norm(ends[3:] - ends[:3]) > 0:
-                return Pose((ends[:3] + ends[3:]) / 2, from_z_axis(ends[3:] - ends[:3]))
+            along = ends[3:] - ends[:3]
+            if np.linalg.norm(along) > 0:
+                # MuJoCo's z axis points to the first end, which no geom shows.
+                return Pose((ends[:3] + ends[3:]) / 2, from_z_axis(-along if element.tag == "site" else along))
             self.faults.add(element, "fromto has no length", of=of)
         return Pose(self.faults.numbers(element, "pos", 3, (0.0, 0.0, 0.0), of), self._rotation(element, of))
 
@@ -193,12 +202,16 @@ def read_settings(root: Element, faults: Faults) -> Settings:
 
 def _classes(root: Element, faults: Faults) -> Defaults:
     classes: Defaults = {MAIN: {}}
+    actuators = known_elements("mjcf").children["actuator"].children
 
     def read(default: Element, name: str, inherited: dict[str, dict[str, str]]) -> None:
         own = {tag: dict(attributes) for tag, attributes in inherited.items()}
         for child in default.children:
             if child.tag != "default":
-                own[child.tag] = _over(own.get(child.tag, {}), child.attributes)
+                tag, attributes = child.tag, child.attributes
+                if tag in actuators:
+                    tag, attributes = "actuator", GAINS.get(tag, SERVO) | attributes
+                own[tag] = _over(own.get(tag, {}), attributes)
         classes[name] = own
         for child in default.all("default"):
             inner = faults.required(child, "class")
@@ -208,8 +221,9 @@ def _classes(root: Element, faults: Faults) -> Defaults:
                 read(child, inner, own)
 
     for default in root.all("default"):
-        name = default.attributes.get("class", MAIN)
-        read(default, name, classes[MAIN])
+        # Whatever it is called, it holds where no class is named.
+        read(default, MAIN, classes[MAIN])
+        classes[default.attributes.get("class", MAIN)] = classes[MAIN]
     return classes
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from flexopt.errors import Fault
+from flexopt.model.file_model import quoted
 from flexopt.model.robots.description import Description, Joint, RobotLink
 from flexopt.model.robots.elements import there_are
 from flexopt.model.robots.overlay import JointTable, Overlay
@@ -96,13 +97,16 @@ class Roles:
                     joint,
                     f"is actuated, but its limits ({ends} {joint.unit}) leave no room; say others in [joints.{name}]",
                 )
+            if table.rest is not None:
+                sentence = "belongs to a joint with a spring; this one is actuated"
+                self.faults.append(Fault(f"joints.{name}.rest", sentence, quoted(table.rest)))
             effort, speed = table.effort or joint.effort, table.speed or joint.speed
             return Role("actuated", 0.0, 0.0, damping, limits, effort, speed, armature)
         if stiffness > 0:
-            for key in ("effort", "speed"):
+            for key in ("effort", "speed", "limits"):
                 if getattr(table, key) is not None:
                     sentence = "belongs to an actuated joint; this one has a spring"
-                    self.faults.append(Fault(f"joints.{name}.{key}", sentence, f"{getattr(table, key):g}"))
+                    self.faults.append(Fault(f"joints.{name}.{key}", sentence, quoted(getattr(table, key))))
             rest = joint.rest if table.rest is None else table.rest
             return Role("passive", rest, stiffness, damping, armature=armature)
         if overlay.lock_others:
@@ -114,7 +118,8 @@ class Roles:
         )
 
     def _locked(self, joint: Joint, value: float) -> Role:
-        low, high = joint.limits or (value, value)
+        table = self.overlay.joints.get(joint.name, JointTable())
+        low, high = table.limits or joint.limits or (value, value)
         if not low - LIMIT_ROUNDING <= value <= high + LIMIT_ROUNDING:
             sentence = f"is locked at {value:g} {joint.unit}, outside its limits {low:g} to {high:g}"
             return self._fault(joint, f"{sentence}; say another value in `locked`")

@@ -156,6 +156,11 @@ MACHINE_FAULTS: dict[str, tuple[dict[str, Any], list[str]]] = {
     "unknown key": ({"actuatd": []}, ["actuatd: unknown key; did you mean 'actuated'?"]),
     "unknown table of a joint": ({"joints/bom/stiffness": 1.0}, ["joints = 'bom'", "did you mean 'boom'?"]),
     "unknown key of a joint": ({"joints/boom/stifness": 1.0}, ["joints.boom.stifness: unknown key"]),
+    "limits of a sprung joint": (
+        {"joints/boom": {"stiffness": 5.0, "limits": [0.0, 1.0]}, "actuated": ["slew", "extend"], "end_point/rows": ["x", "z"]},
+        ["joints.boom.limits = [0.0, 1.0]", "belongs to an actuated joint"],
+    ),
+    "rest of a driven joint": ({"joints/boom/rest": 0.2}, ["joints.boom.rest = 0.2", "this one is actuated"]),
     "negative spring": ({"joints/boom/stiffness": -1.0}, ["joints.boom.stiffness = -1.0", "between 0 and"]),
     "unknown direction": ({"base/stiffness": {"x": 1.0, "rol": 2.0}}, ["base.stiffness", "'rol' is no direction", "'roll'?"]),
     "zero stiffness": ({"base/stiffness/z": 0.0}, ["z must be greater than 0", "N/m"]),

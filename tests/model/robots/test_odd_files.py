@@ -138,6 +138,13 @@ def test_a_locked_joint_is_one_held_there(tmp_path: Path, value: float) -> None:
     np.testing.assert_allclose(ours.end_point(), theirs.end_point(), rtol=0, atol=1e-14)
 
 
+def test_a_joint_is_locked_within_the_limits_of_its_table(tmp_path: Path) -> None:
+    machine = changed(URDF_MACHINE, {"actuated": ["slew", "extend"], "locked/boom": 1.5, "end_point/rows": ["x", "y"]})
+    with pytest.raises(ModelError, match=r"locked at 1\.5 rad, outside its limits -0\.5 to 1\.4"):
+        read(tmp_path, URDF, machine)
+    assert read(tmp_path, URDF, changed(machine, {"joints/boom/limits": [-0.5, 1.6]})).joints == ("slew", "extend")
+
+
 def test_the_rest_can_be_locked_at_once(tmp_path: Path) -> None:
     tree = read(tmp_path, URDF, changed(URDF_MACHINE, {
         "locked": {}, "lock_others": True, "actuated": ["boom"], "end_point/rows": ["z"],
@@ -206,6 +213,10 @@ def test_what_is_ignored_by_name(tmp_path: Path, word: str) -> None:
 
 MJCF_SAME: dict[str, tuple[str, str]] = {
     "equality that is off": ("<actuator>", '<equality><weld active="false"/></equality><actuator>'),
+    "equality that its default turns off": (
+        "<actuator>",
+        '<default><equality active="false"/></default><equality><weld/></equality><actuator>',
+    ),
     "tendon that pulls nothing": ("<actuator>", '<tendon><fixed name="t"/></tendon><actuator>'),
     "two worlds": ("  <actuator>", '  <worldbody><geom size="1"/></worldbody>\n  <actuator>'),
     "sensors, contacts and cameras": (
@@ -214,6 +225,7 @@ MJCF_SAME: dict[str, tuple[str, str]] = {
     ),
     "camera": ('<geom type="box"', '<camera name="c"/><light/><geom type="box"'),
     "infinite range that is off": ('name="crowd"', 'range="0 0" limited="false" name="crowd"'),
+    "range that is none": ('name="crowd"', 'range="0 0" name="crowd"'),
     "group": ('<geom type="box"', '<geom group="2" type="box"'),
     "quaternion of any length": ('quat="1 0 0.1 0"', 'quat="-20 0 -2 0"'),
     "visual": ("<option", '<visual><map znear="1"/></visual><statistic/><size/><option'),
@@ -235,6 +247,41 @@ def test_gravity_of_the_model_and_of_the_machine(tmp_path: Path) -> None:
     sideways = changed_text(MJCF, 'gravity="0 0 -9.7"', 'gravity="1 0 -9.7"')
     assert read(tmp_path, sideways, changed(MJCF_MACHINE, {"gravity": 3.7})).gravity == 3.7
     assert read(tmp_path, changed_text(MJCF, ' gravity="0 0 -9.7"', ""), MJCF_MACHINE).gravity == 9.81
+
+
+def test_the_whole_models_defaults_may_have_a_name(tmp_path: Path) -> None:
+    """As in versions of MuJoCo before 4; a class of bodies around does not hold here."""
+    plain = changed_text(MJCF, ' childclass="heavy"', "")
+    named = changed_text(plain, "  <default>\n", '  <default class="whole">\n')
+    assert read(tmp_path, named, MJCF_MACHINE) == read(tmp_path, plain, MJCF_MACHINE)
+
+
+def test_gravity_that_is_off_stays_off(tmp_path: Path) -> None:
+    """As where a scene's options come after those of the robot that it includes."""
+    text = changed_text(MJCF, "<option", '<option><flag gravity="disable"/></option><option')
+    model = mujoco.MjModel.from_xml_string(text.replace('<geom type="mesh" mesh="none" mass="0"/>', ""))
+    assert model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    assert read(tmp_path, text, MJCF_MACHINE).gravity == 0.0
+
+
+def test_a_site_between_two_points_is_mujocos(tmp_path: Path) -> None:
+    site = '<site name="tip" type="capsule" size="0.01" fromto="0.1 0.2 0 1.1 0.3 -0.4"/>'
+    text = changed_text(MJCF, '<site name="tip" pos="1.1 0 0.1" euler="0 40 0"/>', site)
+    tree = read(tmp_path, text, changed(MJCF_MACHINE, {"end_point/offset": [0.0, 0.0, 0.2]}))
+    model = mujoco.MjModel.from_xml_string(text.replace('<geom type="mesh" mesh="none" mass="0"/>', ""))
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.site("tip").quat)
+    ours = np.array(tree.end_point.rotation)
+    np.testing.assert_allclose(ours, turn.reshape(3, 3), atol=1e-12)
+    np.testing.assert_allclose(tree.end_point.position, [0.6, 0.25, -0.2] + ours @ [0, 0, 0.2], atol=1e-12)
+
+
+def test_a_body_without_a_name_has_none_of_the_others(tmp_path: Path) -> None:
+    text = changed_text(changed_text(MJCF, 'name="chassis" pos', "pos"), 'body name="boom"', 'body name="body1"')
+    tree = read(tmp_path, text, MJCF_MACHINE)
+    assert [body.name for body in tree.bodies][:4] == ["body2.heave", "body2", "turret", "body1"]
+    plain = read(tmp_path, MJCF, MJCF_MACHINE)
+    assert [p.value for p in tree.parameters] == [p.value for p in plain.parameters]
 
 
 def test_bodies_and_joints_without_names(tmp_path: Path) -> None:
