@@ -434,10 +434,10 @@ def test_bad_constraints() -> None:
         flexopt.Constraint(own, lower=2.0, upper=1.0)
     with pytest.raises(flexopt.InputError, match=r"(?s)function = 3.*unit"):
         flexopt.Constraint(3, unit=5)  # type: ignore[arg-type]
-    with pytest.raises(flexopt.NoSolutionFound, match="keep f"):
-        flexopt.select(
-            EXCAVATOR, TARGET, constraints=[flexopt.Constraint(function("f", POSTURE[0], posture=POSTURE), lower=9.0)]
-        )
+    boom = flexopt.Constraint(function("f", POSTURE[0], posture=POSTURE), lower=9.0, unit="rad")
+    with pytest.raises(flexopt.NoSolutionFound, match=r"keep f .*violates f by \S+ rad") as caught:
+        flexopt.select(EXCAVATOR, TARGET, constraints=[boom])
+    assert caught.value.violations["f"] == pytest.approx(9.0 - caught.value.iterate["boom"], rel=1e-9)
 
 
 @pytest.mark.parametrize("size", [1.0, 1e7])
