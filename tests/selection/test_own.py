@@ -427,6 +427,9 @@ def test_bad_constraints() -> None:
     own = function("f", W1, w1=W1)
     refused(r"constraints \(f\).*one of|no quantities", constraints=[ca.Function("f", [W1], [W1], ["w9"], ["v"])])
     refused("names must differ", constraints=[own, own])
+    alike = function("manipulability", POSTURE[0], posture=POSTURE)
+    refused(r"constraints \(manipulability\).*names must differ", constraints=[{"manipulability": 0.5}, alike])
+    assert flexopt.build_selection(EXCAVATOR, TARGET, constraints=[alike]).own_constraints[0].name == "manipulability"
     refused("entry 0 must be a casadi.Function", constraints=[3])
     refused("stands in two tables", constraints=[{"holding": 0.5}, own, {"holding": 0.6}])
     refused("not a finite number", constraints=[function("f", ca.log(W1 - 1), w1=W1)])
