@@ -149,9 +149,10 @@ class Skeleton:
         return "".join(self.rows) in PLANES and "yaw" not in self.placement
 
     def is_across(self, bodies: Sequence[int]) -> bool:
-        """Whether the hinges among the bodies of one branch are parallel to the normal of the task's plane."""
+        """Whether there are hinges among the bodies of one branch, all parallel to the normal of the task's plane."""
         hinges = [self.segments[i] for i in bodies if not self.segments[i].slide]
-        return self.has_plane and all(hinge.parallel for hinge in hinges) and abs(hinges[0].turn[2][2]) == 1
+        parallel = bool(hinges) and all(hinge.parallel for hinge in hinges)
+        return self.has_plane and parallel and abs(hinges[0].turn[2][2]) == 1
 
     def sense_across(self, body: int) -> float:
         """1 where a body's hinge across the task's plane turns the first row towards the second, else −1."""

@@ -59,10 +59,9 @@ class Assumption:
 
 
 class Assumed(NamedTuple):
-    """What a selection assumes: height of the ground, m; whether limits hold; how far to drive, m; and their names."""
+    """What a selection assumes: height of the ground, m; how far to drive, m; and the names of all."""
 
     ground: float | None
-    limits: bool
     drive: float | None
     named: tuple[Assumption, ...]
 
@@ -101,8 +100,7 @@ def assumed(
         sentence = f"{above} the ground, whose height is {ground:g} m"
         named.append(Assumption("ground", sentence, ground, "m"))
     limited = sum(bool(np.isfinite(ends).any()) for ends in machine.limits)
-    limits = assumes(assume, "limits")
-    if limits and limited:
+    if assumes(assume, "limits") and limited:
         sentence = f"{limited} of {len(machine.joints)} joints keep the limits of the machine's file"
         named.append(Assumption("limits", sentence, float(limited), "joints"))
     free = [name for name in machine.base_coordinates if name != "yaw" and name not in bounded]
@@ -127,7 +125,7 @@ def assumed(
         named.append(
             Assumption("self_clearance", sentence, float(len(overlapping_pairs(machine))), "pairs of capsules")
         )
-    return Assumed(ground if above else None, limits, drive, tuple(named))
+    return Assumed(ground if above else None, drive, tuple(named))
 
 
 def left_out(machine: AnyMachine, constraints: Constraints) -> Iterator[Assumption]:

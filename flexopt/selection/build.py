@@ -23,7 +23,14 @@ from flexopt.plant.reach import arm_length, clipped, missed, outer_reach, reach,
 from flexopt.plant.statics import not_held
 from flexopt.selection.assumed import assumed, standing
 from flexopt.selection.constraints import build_constraints, constraint_faults
-from flexopt.selection.objective import Objective, Quantities, own_constraints, quantities, read_objectives
+from flexopt.selection.objective import (
+    MARGIN,
+    Objective,
+    Quantities,
+    own_constraints,
+    quantities,
+    read_objectives,
+)
 from flexopt.selection.problem import DecisionVariable, ScaledConstraint, SelectionProblem, StartRegion, TravelCost
 from flexopt.selection.scan import Scan, empty_scan, scan_redundancy
 from flexopt.selection.starts import STARTS, sample_configurations, with_kept
@@ -143,7 +150,7 @@ def build_one(
         ScaledConstraint(f"target {row}", "m", value, value, length or 1.0)
         for row, value in zip(machine.task_rows, target.tolist(), strict=True)
     ]
-    bounds.append(ScaledConstraint("singularity margin", "sin²", math.sin(margin) ** 2, math.inf, 1.0))
+    bounds.append(ScaledConstraint(MARGIN, "sin²", math.sin(margin) ** 2, math.inf, 1.0))
     bounds += [
         ScaledConstraint(label, unit, float(low), float(high), float(scale))
         for label, unit, low, high, scale in zip(

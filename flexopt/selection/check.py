@@ -125,10 +125,10 @@ def _infeasible(program: Program, x: Vector, g: Vector) -> dict[str, float]:
     first, noise = program.first, 0.0
     pairs = zip(first.objectives[: len(first.kept)], first.objective_scales, strict=False)
     share = max((objective.beta / size for objective, size in pairs), default=0.0)
-    if share > 0 and program.coupling.count == 1 and any(size > BOUND_TOLERANCE for _, size in rest):
+    if share > 0 and program.coupling.count == 1 and any(size > BOUND_TOLERANCE * row.scale for row, size in rest):
         noise = share * margin_noise(program.first, program.first.quantities.margin.values, program.of(x, 0))
     for row, size in rest:
-        _note(violations, row.name, size, BOUND_TOLERANCE + NOISY * noise)
+        _note(violations, row.name, size, (BOUND_TOLERANCE + NOISY * noise) * row.scale)
     return violations
 
 

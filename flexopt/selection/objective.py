@@ -24,10 +24,13 @@ from flexopt.robustness.margin import Margin, build_margin
 from flexopt.robustness.measures import Measures, build_measures
 from flexopt.robustness.posture_margin import evaluate_margin
 from flexopt.robustness.residues import MIXED, residue_unit
+from flexopt.selection.constraints import constraint_labels
 from flexopt.selection.own import OwnGraphs, OwnTerm, own_faults, own_graphs, weights_of
 
 # Two eigenvalues of XZ this close, in ε, both count where stationarity is checked.
 KINK = 1e-5
+# What results call the distance from singular postures.
+MARGIN = "singularity margin"
 
 
 @dataclass(frozen=True)
@@ -202,12 +205,17 @@ def own_constraints(
     arguments: Arguments, machine: AnyMachine, constraints: Constraints
 ) -> tuple[tuple[Objective, float], ...]:
     """Of every own constraint, each entry and each bound, what is kept and its least value; faults to `arguments`."""
-    m, found = build_plant(machine).n_passive, list[tuple[Objective, float]]()
+    plant, found = build_plant(machine), list[tuple[Objective, float]]()
+    m, taken = plant.n_passive, {MARGIN, *(constraint_labels(plant, constraints) if constraints.own else ())}
     for constraint in constraints.own or ():
         faults = own_faults(f"constraints ({constraint.label})", machine, constraint.function, scalar=False)
         arguments.faults += faults
+        names = [] if faults else entry_names(constraint)
+        if not taken.isdisjoint(names):
+            sentence = "has the name of a constraint of another kind, by which results tell both; names must differ"
+            arguments.faults.append(Fault(f"constraints ({constraint.label})", sentence))
         lower, upper = constraint.bounds
-        for row, name in enumerate([] if faults else entry_names(constraint)):
+        for row, name in enumerate(names):
             for sign, bound in ((1.0, lower), (-1.0, upper)):
                 if np.isfinite(bound):
                     term = OwnTerm(constraint.function, row, sign)

@@ -462,7 +462,8 @@ def _no_solution(
         outcomes = "; ".join(sorted({attempt.outcome for attempt in attempts}))
         return NoSolutionFound(f"{heading}: {outcomes}{in_the_way(problem.assumed)}", violations={}, iterate={})
     z, proof = min(failures, key=lambda item: _severity(problem, item[1]))
-    units = {c.name: c.unit for c in problem.constraints} | {f"{v.name} range": v.unit for v in problem.variables}
+    rows = (*problem.constraints, *problem.own_constraints)
+    units = {c.name: c.unit for c in rows} | {f"{v.name} range": v.unit for v in problem.variables}
     sizes = "; ".join(f"{name} by {size:.3g} {units.get(name, '')}".rstrip() for name, size in proof.violations.items())
     iterate = _named(problem, z)
     where = ", ".join(f"{name} = {value:.6g}" for name, value in iterate.items())
@@ -476,6 +477,7 @@ def _no_solution(
 
 def _severity(problem: SelectionProblem, proof: Proof) -> tuple[float, float]:
     """How far a point is from being a solution: its largest constraint violation, then the largest of all."""
-    scales = {c.name: c.scale for c in problem.constraints} | {f"{v.name} range": v.scale for v in problem.variables}
+    rows = (*problem.constraints, *problem.own_constraints)
+    scales = {c.name: c.scale for c in rows} | {f"{v.name} range": v.scale for v in problem.variables}
     beyond = [size / scales[name] for name, size in proof.violations.items() if name in scales]
     return max(beyond, default=0.0), max(proof.violations.values())

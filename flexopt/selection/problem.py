@@ -169,7 +169,8 @@ class SelectionProblem:
     @property
     def measure_scale(self) -> float:
         """What differences of w_i are told by: the first objective's scale, where that is one of w_i."""
-        if self.sought[0].own is None or not self.scan.factor.size:
+        first = self.sought[0]
+        if not (first.has_kinks or first.own is not None) or not self.scan.factor.size:
             return self.first_scale
         return float(np.median(self.scan.factor)) or 1.0
 

@@ -141,10 +141,10 @@ class Program:
         found += [ScaledConstraint("steps between targets", "", -step, step, 1.0) for step in self.steps.tolist()]
         earlier = zip(self.first.objectives, self.first.kept, self.first.objective_scales, strict=False)
         for objective, kept, size in earlier:
-            found += [ScaledConstraint(objective.label, "", kept / size, np.inf, 1.0)] * self.coupling.count
+            found += [ScaledConstraint(objective.label, "", kept / size, np.inf, size)] * self.coupling.count
         if self.goal != "weighted":
             found += [
-                ScaledConstraint(f"least {self.first.objective.name}", "", 0.0, np.inf, 1.0)
+                ScaledConstraint(f"least {self.first.objective.name}", "", 0.0, np.inf, self.size)
             ] * self.coupling.count
         return found
 

@@ -281,8 +281,7 @@ class Selection(Pictured, Result):
         configuration, or from zeros: Σ |Δz|² in scaled variables, told as the drive and the largest move of a joint.
         """
         best = self.best
-        level = best.objective - TIE_TOLERANCE * self.problem.objective_scale
-        if best.dimension == 0 and not any(other.objective >= level for other in self.candidates[1:]):
+        if best.dimension == 0 and not any(self._as_good(other) for other in self.candidates[1:]):
             return ""
         used = np.any([objective.uses for objective in self.problem.sought], axis=0)
         told = list[str]()
@@ -294,6 +293,17 @@ class Selection(Pictured, Result):
         told.append(way_there(self.problem, best))
         return f"among those as good, in this order: {', '.join(told)}"
 
+    def _as_good(self, other: Candidate) -> bool:
+        """Whether another candidate has as much of every objective as the best."""
+        sizes = self.problem.objective_scales[self.problem.bounding :]
+        pairs = zip(self._values(other), self._values(self.best), sizes, strict=True)
+        return all(value >= most - TIE_TOLERANCE * size for value, most, size in pairs)
+
+    def _values(self, candidate: Candidate) -> list[float]:
+        """What a candidate has of each objective."""
+        problem, z = self.problem, candidate.z
+        return [candidate.objective, *(float(problem.branches(later, z)[0][0]) for later in problem.sought[1:])]
+
     @property
     def objective_unit(self) -> str:
         """Of `Candidate.objective`; empty where it has none."""
@@ -303,13 +313,9 @@ class Selection(Pictured, Result):
     def nothing_to_gain(self) -> str:
         """A sentence where the present configuration is as good as the best, to 1e-4 of the scale, or better."""
         problem, now = self.problem, self.initial
-        if now is None or len(problem.sought) > 1:
+        if now is None or len(problem.sought) > 1 or not self._present_keeps_all:
             return ""
         z = np.concatenate([now.base, now.posture])
-        inside = bool(np.all((z >= problem.lower) & (z <= problem.upper)))
-        away = np.concatenate([np.abs(beyond_bounds(problem, z)), beyond_own(problem, z)])
-        if not inside or away.max() > NOTHING:
-            return ""
         short = self.best.objective - float(problem.branches(problem.objective, z)[0][0])
         if short > NOTHING * problem.objective_scale:
             return ""
@@ -317,6 +323,17 @@ class Selection(Pictured, Result):
             more = f"{-short:.3g} more {problem.name} than what is chosen"
             return f"the present configuration has {more}: where climbs from it end could not be verified"
         return f"nothing to gain: the present configuration has as much {problem.name}, to {NOTHING:g} of |a||b|"
+
+    @property
+    def _present_keeps_all(self) -> bool:
+        """Whether there is a present configuration that reaches the target and breaks nothing."""
+        problem, now = self.problem, self.initial
+        if now is None:
+            return False
+        z = np.concatenate([now.base, now.posture])
+        inside = bool(np.all((z >= problem.lower) & (z <= problem.upper)))
+        away = np.concatenate([np.abs(beyond_bounds(problem, z)), beyond_own(problem, z)])
+        return inside and bool(away.max() <= NOTHING)
 
     @property
     def present_told(self) -> str:

@@ -18,8 +18,9 @@ from flexopt.selection.starts import FEASIBLE
 
 # By how much, of the objective's scale, a point counts as better: far above what a converged solve leaves.
 BETTER = 2e-8
-# How near to the rows steps lead, in units of the rows' scales.
-ON_ROWS = 1e-9
+# How near to the rows steps lead, and how near is on them, in units of the rows' scales: what V gains by being off them
+# must not count, be it as steep as it may.
+EXACT, ON_ROWS = 1e-14, 1e-9
 # Points tried to be moved onto the rows, the best first.
 TRIED = 8
 # Further starts of a later objective.
@@ -110,5 +111,5 @@ def settled(problem: SelectionProblem, z: Vector) -> Vector | None:
         pulls = (wrong != 0) | (lower == upper)
         return wrong, (row_gradients(problem, there) / scale[:, None]) * pulls[:, None]
 
-    there, error = shortest_steps(linear, z, freed, ON_ROWS, bounds=(problem.lower, problem.upper))
+    there, error = shortest_steps(linear, z, freed, EXACT, bounds=(problem.lower, problem.upper))
     return there if error <= ON_ROWS else None

@@ -18,7 +18,7 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.later import later
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
-from flexopt.model.choices import OUTCOMES, RADIUS, of_loop
+from flexopt.model.choices import OUTCOMES, RADIUS, asks_for_loop, of_loop
 from flexopt.model.constraints import AnyConstraints, Constraints, LeastOutcomes
 from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.model.own import OBJECTIVES
@@ -134,7 +134,7 @@ def select(
     """
     real, measure = cast("Loop | None", loop or machine.loop), cast("str | None", keywords.get("objective"))
     least = least_of(constraints)
-    if of_loop(measure) or least is not None:
+    if asks_for_loop(measure, constraints):
         # Its room is built on this one.
         room = later("flexopt.selection.outcomes", in_order="outcome_selection_in_order")
         problems = dict[str, SelectionProblem]()

@@ -213,6 +213,8 @@ def curve_peaks(problem: SelectionProblem, z: Vector, values: Vector) -> NDArray
         return np.zeros(0, dtype=np.int64)
     x, around = (z / problem.scale[:, None])[seen].T, turn[seen]
     x = np.where(around > 0, np.mod(x, np.where(around > 0, around, 1.0)), x)
+    # Of what is below 0 by rounding alone the remainder is a whole turn.
+    x = np.where((around > 0) & (x >= around), 0.0, x)
     one = np.sort(np.unique(np.round(x / SAME_START), axis=0, return_index=True)[1])
     x, z, values = x[one], z[:, one], values[one]
     if one.size < 2:

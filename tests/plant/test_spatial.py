@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import flexopt
 from flexopt import build_plant
 from flexopt.errors import ModelError
 from flexopt.model import machine_from_dict
@@ -493,3 +494,28 @@ def test_dictionary_round_trip_keeps_the_hash(seed):
     assert again == tree
     assert again.content_hash == tree.content_hash
     assert hash(again) == hash(tree)
+
+
+@pytest.mark.parametrize("rows", [["x", "z"], ["x", "y"]])
+def test_a_gantry_of_slides_alone(rows) -> None:
+    """No hinge turns the task's plane: two slides along its rows, on a base that gives along the first."""
+
+    def slide(axis: str, **keys: object) -> dict[str, object]:
+        return {"kind": "slide", "axis": [float(axis == row) for row in "xyz"], **keys}
+
+    spring = {"name": "ground", "passive": True, "stiffness": 1e6, "damping": 10.0}
+    bodies = [
+        {"name": "rails", "joint": slide(rows[0], **spring), "mass": 500.0, "inertia": [10.0] * 3 + [0.0] * 3},
+        {"name": "bridge", "parent": "rails", "joint": slide(rows[0], name="along"), "mass": 100.0,
+         "inertia": [5.0] * 3 + [0.0] * 3},
+        {"name": "hook", "parent": "bridge", "joint": slide(rows[1], name="across"), "mass": 20.0,
+         "inertia": [1.0] * 3 + [0.0] * 3},
+    ]  # fmt: skip
+    end = {"body": "hook", "position": [0.1, 0.2, 0.3], "rows": rows}
+    gantry = tree_from_dict({"name": "gantry", "bodies": bodies, "end_point": end, "placement": []})
+    offset = [end["position"]["xyz".index(row)] for row in rows]
+    plant = build_plant(gantry)
+    q = plant.rest([], [0.4, -0.3], plant.parameter_values)
+    reached = column(plant.end_point(q, [], plant.parameter_values))
+    np.testing.assert_allclose(reached, [offset[0] + 0.4, offset[1] - 0.3], atol=1e-12)
+    np.testing.assert_allclose(flexopt.inverse_kinematics(gantry, reached), [[0.4, -0.3]], atol=1e-9)

@@ -36,6 +36,19 @@ def test_no_solver_is_built_ahead_of_what_it_cannot_solve() -> None:
     assert program.solve(starting_points(problem)[0], quick=True)[1] > 0
 
 
+@pytest.mark.parametrize("last", ["w2", "epsilon_max"])
+def test_what_the_last_objective_decided_was_no_tie(last: str) -> None:
+    """All candidates have w1 = 0; those behind the best have less of the last objective."""
+    found = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), objective=f"w1,{last}", starts=8, workers=1)
+    size, (_, objective) = found.problem.objective_scales[0], found.problem.sought
+    values = [float(found.problem.branches(objective, candidate.z)[0][0]) for candidate in found.candidates]
+    assert max(candidate.objective for candidate in found.candidates) < found.best.objective + 1e-9 * size
+    assert values[1] < values[0] - 1e-8 * found.problem.objective_scale
+    assert found.decided_by == ""
+    twice = replace(found, candidates=(found.best, *found.candidates))
+    assert twice.decided_by.startswith("among those as good")
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["slewing-excavator", "truck-crane"])
 def test_the_margin_follows_in_space(name: str) -> None:

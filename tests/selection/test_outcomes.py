@@ -65,6 +65,18 @@ def test_the_best_decay_of_given_gains_is_that_of_a_scan() -> None:
     assert f"  {doubted.remarks[0]}\n" in f"{doubted!r}\n"
 
 
+def test_there_is_something_to_gain_where_the_present_configuration_is_elsewhere() -> None:
+    """A loop that decays faster than any at the target, held 3 m away from it."""
+    posture = [-1.899, -1.828]
+    away = chosen(loop=FIXED, base=0.0, posture=posture, starts=2)
+    assert away.present is not None
+    assert away.present > away.best.objective
+    assert "not at the target" in away.present_told
+    assert away.nothing_to_gain == ""
+    there = flexopt.evaluate(EXCAVATOR, away.best.evaluation.posture, base=away.best.evaluation.base)
+    assert replace(away, initial=there).nothing_to_gain.startswith("nothing to gain")
+
+
 @pytest.mark.long
 def test_gains_are_chosen_with_the_configuration() -> None:
     """Not worse than an evolution strategy about the best zone, and what is said is what the loop does."""

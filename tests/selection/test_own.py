@@ -427,6 +427,9 @@ def test_bad_constraints() -> None:
     own = function("f", W1, w1=W1)
     refused(r"constraints \(f\).*one of|no quantities", constraints=[ca.Function("f", [W1], [W1], ["w9"], ["v"])])
     refused("names must differ", constraints=[own, own])
+    alike = function("manipulability", POSTURE[0], posture=POSTURE)
+    refused(r"constraints \(manipulability\).*names must differ", constraints=[{"manipulability": 0.5}, alike])
+    assert flexopt.build_selection(EXCAVATOR, TARGET, constraints=[alike]).own_constraints[0].name == "manipulability"
     refused("entry 0 must be a casadi.Function", constraints=[3])
     refused("stands in two tables", constraints=[{"holding": 0.5}, own, {"holding": 0.6}])
     refused("not a finite number", constraints=[function("f", ca.log(W1 - 1), w1=W1)])
@@ -434,10 +437,10 @@ def test_bad_constraints() -> None:
         flexopt.Constraint(own, lower=2.0, upper=1.0)
     with pytest.raises(flexopt.InputError, match=r"(?s)function = 3.*unit"):
         flexopt.Constraint(3, unit=5)  # type: ignore[arg-type]
-    with pytest.raises(flexopt.NoSolutionFound, match="keep f"):
-        flexopt.select(
-            EXCAVATOR, TARGET, constraints=[flexopt.Constraint(function("f", POSTURE[0], posture=POSTURE), lower=9.0)]
-        )
+    boom = flexopt.Constraint(function("f", POSTURE[0], posture=POSTURE), lower=9.0, unit="rad")
+    with pytest.raises(flexopt.NoSolutionFound, match=r"keep f .*violates f by \S+ rad") as caught:
+        flexopt.select(EXCAVATOR, TARGET, constraints=[boom])
+    assert caught.value.violations["f"] == pytest.approx(9.0 - caught.value.iterate["boom"], rel=1e-9)
 
 
 @pytest.mark.parametrize("size", [1.0, 1e7])

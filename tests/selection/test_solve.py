@@ -56,6 +56,23 @@ def test_ranking_follows_objective_then_worst_other_measure(selection):
             assert first.evaluation.w[1:].min() >= second.evaluation.w[1:].min() - 2 * quantum
 
 
+@pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
+@pytest.mark.parametrize("times", [1.0, 100.0])
+def test_where_the_margin_ties_the_worst_measure_decides_however_heavy_the_machine(machine, times):
+    """A servo gain so small that every ε_max is that of the rigid machine to 1e-9."""
+    data = machine.to_dict()
+    for body in (data["base"], *data["links"]):
+        body |= {key: times * body[key] for key in ("mass", "inertia")}
+    data["base"] |= {key: {k: times * x for k, x in data["base"][key].items()} for key in ("stiffness", "damping")}
+    heavy = flexopt.machine_from_dict(data)
+    found = flexopt.select(heavy, TARGET, objective="epsilon_max", gain=0.1 * times, starts=8, workers=1)
+    margins = np.array([candidate.objective for candidate in found.candidates])
+    worst = np.array([candidate.w.min() for candidate in found.candidates])
+    assert len(margins) > 5
+    assert np.ptp(margins) < 1e-9
+    assert np.all(np.diff(worst) < 1e-6 * np.abs(worst[1:]))
+
+
 @pytest.mark.long
 def test_distance_from_the_present_base_breaks_the_last_tie(machine):
     """A symmetric pair of optima: equal in every measure, so the nearer to the present base comes first."""

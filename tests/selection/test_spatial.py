@@ -363,6 +363,16 @@ def test_both_sides_of_a_straight_arm_are_started_from_first() -> None:
         assert candidate.objective == pytest.approx(seen, rel=1e-3)
 
 
+def test_a_target_straight_ahead_is_chosen_for() -> None:
+    """There the slew is 0 to rounding, on either side; beside it nothing is."""
+    excavator, still = flexopt.load("slewing-excavator"), {"x": [0.0, 0.0], "y": [0.0, 0.0], "yaw": [0.0, 0.0]}
+    ahead, beside = (
+        flexopt.select(excavator, (7.0, y, 2.5), base_range=still, starts=4, workers=1).best for y in (0.0, 1e-4)
+    )
+    assert abs(ahead.z[3]) < 1e-12
+    assert ahead.objective == pytest.approx(beside.objective, rel=1e-3)
+
+
 @pytest.mark.long
 def test_every_hill_of_curves_in_space_is_started_from_first() -> None:
     """Eleven hills, some of which end where the arm would come too near to a singular posture."""

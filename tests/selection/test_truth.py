@@ -8,10 +8,12 @@ import pytest
 
 import flexopt
 from benchmarks.selection_truth import cases, examined, machines, scanned
+from flexopt.model import tree_from_dict
 from flexopt.selection import check, optima
 from flexopt.selection.program import single
 from flexopt.selection.seen import better_than, seen_values, settled, value_at
 from tests.cli.command import Command
+from tests.oracles.spatial import random_tree
 
 TARGET = (0.0, 1.6)
 # Of the objective's scale: what a scan may be better by.
@@ -46,6 +48,24 @@ def test_the_scan_tells_where_a_selection_falls_short(machine):
     _, (found, attempts, _) = optima.first_optima(poor, [worst], 1, None)
     assert max(value_at(poor, z) for z, _, _ in found) >= max(values.max(), scan.epsilon.max()) - BAR
     assert len(attempts) > 1
+
+
+@pytest.mark.parametrize(
+    ("seed", "rows", "passive", "posture"),
+    [
+        (21, ("x", "y", "z"), 3, (0.1693552473135489, 0.33568190465348025, -0.6574434033244657)),
+        (28, ("x", "z"), 3, (0.6158287265229816, 0.42513364249210506)),
+        (52, ("x", "z"), 2, (0.11876207301646713, 0.031269726703885725)),
+    ],
+)
+def test_a_few_postures_alone_reach_a_target(seed, rows, passive, posture):
+    """V is so steep across the target that it is more a nanometre beside it: that is no better configuration seen."""
+    data = random_tree(seed, rows=rows, counts=(passive, len(rows)))
+    tree = tree_from_dict(data | {"placement": []})
+    target = flexopt.evaluate(tree, posture).end_point
+    found = flexopt.select(tree, target, starts=3, singularity_margin_deg=1.0, workers=1)
+    each = [flexopt.evaluate(tree, other).w[0] for other in flexopt.inverse_kinematics(tree, target)]
+    assert found.best.objective == pytest.approx(max(each), rel=1e-6)
 
 
 def test_a_climb_that_ends_a_little_below_is_followed(machine):

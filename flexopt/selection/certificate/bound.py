@@ -26,13 +26,6 @@ NARROWEST = 1e-14
 
 
 @dataclass(frozen=True)
-class Better:
-    """An allowed configuration z = [base, posture], (n_z,), whose objective is more than what was sought."""
-
-    z: Vector
-
-
-@dataclass(frozen=True)
 class Covering:
     """A covering of the redundancy: all placements in the range, for each elbow.
 
@@ -41,7 +34,7 @@ class Covering:
         outside: why a cell holds no allowed configuration, "" where it may hold some.
         bound: what the objective is at most there; −∞ where the cell is left out, ∞ where nothing is known.
         decided: whether all cells are left out or bounded by what was sought.
-        better: a configuration that has more; the search ends there.
+        better: an allowed configuration z = [base, posture], (n_z,), that has more; the search ends there.
     """
 
     elbow: FloatArray
@@ -50,7 +43,7 @@ class Covering:
     outside: list[str]
     bound: FloatArray
     decided: bool
-    better: Better | None
+    better: Vector | None
 
     @property
     def upper(self) -> float:
@@ -77,7 +70,7 @@ def branch_and_bound(curve: RedundancyCurve, sought: float) -> Covering:
     narrowest = NARROWEST * max(abs(variable.lower), abs(variable.upper), variable.upper - variable.lower)
     done: list[tuple[FloatArray, FloatArray, FloatArray, list[str], FloatArray]] = []
     seen, decided = 0, True
-    better: Better | None = None
+    better: Vector | None = None
     while low.size and better is None:
         now, later = slice(0, AT_ONCE), slice(AT_ONCE, None)
         found, known = _seen(curve, low[now], high[now], elbow[now], before[now], sought)
@@ -119,9 +112,9 @@ def _seen(
         words, places = list(found.outside), np.flatnonzero(rounded).tolist()
         for k, word in zip(places, again.outside, strict=True):
             words[k] = word
-        lows, highs, apart = found.low.copy(), found.high.copy(), found.apart.copy()
-        lows[rounded], highs[rounded], apart[rounded] = again.low, again.high, again.apart
-        found, known = CellBounds(words, lows, highs, apart), highs - lows
+        lows, highs = found.low.copy(), found.high.copy()
+        lows[rounded], highs[rounded] = again.low, again.high
+        found, known = CellBounds(words, lows, highs), highs - lows
         # Whatever comes of such a cell is looked at with more digits, too.
         known[rounded] = 0.0
     return found, known
@@ -129,7 +122,7 @@ def _seen(
 
 def _better(
     curve: RedundancyCurve, cells: NDArray[np.int64], low: FloatArray, high: FloatArray, elbow: FloatArray
-) -> Better | None:
+) -> Vector | None:
     """The middle of the first of these cells that is allowed, in all of which V is more than what was sought."""
     problem = curve.problem
     for k in cells.tolist():
@@ -142,5 +135,5 @@ def _better(
             for objective, least in zip(problem.objectives, problem.kept, strict=False)
         )
         if reaches[0] and inside and kept and not np.any(beyond_bounds(problem, z)[problem.target.size :]):
-            return Better(z)
+            return z
     return None

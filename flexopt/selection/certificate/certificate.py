@@ -197,9 +197,8 @@ def certify(selection: Selection, *, gap: float | None = None) -> Certificate:
     verdict: ProofStatus = "refuted" if cells.better is not None else "proven" if cells.decided else "undecided"
     loose = np.flatnonzero(~(cells.bound <= value + asked))[:3]
     where = tuple((float((cells.low[k] + cells.high[k]) / 2), float(cells.elbow[k])) for k in loose)
-    better = None if cells.better is None else cells.better.z
     return Certificate(
-        verdict, name, value, upper, upper - value, asked, scale, cells.low.size, better, where,
+        verdict, name, value, upper, upper - value, asked, scale, cells.low.size, cells.better, where,
         lambda: _log(problem, best.z, value, upper, cells),
     )  # fmt: skip
 

@@ -31,13 +31,11 @@ class CellBounds:
     Attributes:
         outside: why no configuration of the cell is allowed, "" where some may be.
         low, high: bounds on the objective, ±∞ where nothing is known.
-        apart: relative distance of neighbouring 1/ω², a lower bound; not above 0 where they may meet.
     """
 
     outside: list[str]
     low: FloatArray
     high: FloatArray
-    apart: FloatArray
 
 
 @dataclass(frozen=True)
@@ -84,16 +82,16 @@ class RedundancyCurve:
         farthest = np.maximum(np.maximum(least, -most), 0.0)
         close = 1.0 - farthest**2 < straight**2 - EDGE
         outside = np.where(beyond, OUT_OF_REACH, np.where(close, TOO_STRAIGHT, "")).astype(object)
-        lows, highs, apart = np.full(n, -np.inf), np.full(n, np.inf), np.full(n, -np.inf)
+        lows, highs = np.full(n, -np.inf), np.full(n, np.inf)
         inside = np.flatnonzero(outside == "")
         if inside.size:
-            why, lows[inside], highs[inside], apart[inside] = self._see_inside(x.at(inside), turned.at(inside), graph)
+            why, lows[inside], highs[inside] = self._see_inside(x.at(inside), turned.at(inside), graph)
             outside[inside] = why
-        return CellBounds([str(word) for word in outside], lows, highs, apart)
+        return CellBounds([str(word) for word in outside], lows, highs)
 
     def _see_inside(
         self, x: TaylorModel, elbow: TaylorModel, graph: TaylorFunction
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         problem = self.problem
         m, n = problem.measures.plant.n_passive, x.c.shape[1]
         posture, stiffness, mass, factors, *rows = graph([x], [elbow], *self._constants)
@@ -101,7 +99,7 @@ class RedundancyCurve:
         turns = [self._turns(k, angle, outside) for k, angle in enumerate(posture)]
         if rows:
             self._constrain(rows[0], outside)
-        w, apart = enclosed_measures(matrix(stiffness, m), matrix(mass, m), matrix(factors, len(factors) // m))
+        w = enclosed_measures(matrix(stiffness, m), matrix(mass, m), matrix(factors, len(factors) // m))
         travel = self._travel(x, posture, turns)
         bounds = (np.full(n, -np.inf), np.full(n, np.inf))
         for j, objective in enumerate(problem.objectives[: len(problem.kept) + 1]):
@@ -119,7 +117,7 @@ class RedundancyCurve:
         # No w_i is positive, and travel costs something.
         high = np.minimum(high, 0.0) if problem.bounded_by_zero else high
         known = np.isfinite(low) & np.isfinite(high) & ~np.isnan(low)
-        return outside, np.where(known, low, -np.inf), np.where(known, high, np.inf), np.broadcast_to(apart, (n,))
+        return outside, np.where(known, low, -np.inf), np.where(known, high, np.inf)
 
     def _turns(self, k: int, angle: TaylorModel, outside: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Whole turns that bring joint k of a cell's postures into its limits: the least and the largest number."""

@@ -39,10 +39,8 @@ class _Nearly:
 
 
 @np.errstate(all="ignore")
-def enclosed_measures(
-    stiffness: TaylorMatrix, mass: TaylorMatrix, factors: TaylorMatrix
-) -> tuple[list[TaylorModel], FloatArray]:
-    """The w_i in order of ascending frequency, and how far from each other 1/ω² are, relative, from below, (N,).
+def enclosed_measures(stiffness: TaylorMatrix, mass: TaylorMatrix, factors: TaylorMatrix) -> list[TaylorModel]:
+    """The w_i in order of ascending frequency.
 
     Unknown (r infinite) where frequencies come too close in a cell.
 
@@ -57,12 +55,13 @@ def enclosed_measures(
     nearly = _nearly_diagonal(h, g, shapes, count)
     f = _product(_turned(factors, middle), shapes)
     boxes = [_box(nearly, i) for i in range(m)]
+    # How far from each other 1/ω² are, relative, from below.
     least = np.full(count, np.inf)
     for i, j in combinations(range(m), 2):
         between = (nearly.mu[i] - nearly.mu[j]).bounds[0] * (1 - 1e-12) - boxes[i][1] - boxes[j][1]
         least = np.minimum(least, between / nearly.mu[i].largest)
     known = np.where(least > _APART, 0.0, np.inf)
-    return [_measure(nearly, f, i, np.maximum(boxes[i][0], known)) for i in range(m)], least
+    return [_measure(nearly, f, i, np.maximum(boxes[i][0], known)) for i in range(m)]
 
 
 def _modes_in_the_middle(stiffness: TaylorMatrix, mass: TaylorMatrix, count: int) -> FloatArray:

@@ -7,3 +7,4 @@ from flexopt.selection.constraints.building import KINDS as KINDS
 from flexopt.selection.constraints.building import ConstraintSet as ConstraintSet
 from flexopt.selection.constraints.building import build_constraints as build_constraints
 from flexopt.selection.constraints.building import constraint_faults as constraint_faults
+from flexopt.selection.constraints.building import constraint_labels as constraint_labels

@@ -84,6 +84,11 @@ def constraint_faults(plant: Plant, constraints: Constraints) -> list[Fault]:
     return [fault for kind in KINDS.values() for fault in kind.faults(plant, constraints)]
 
 
+def constraint_labels(plant: Plant, constraints: Constraints) -> list[str]:
+    """What the rows of constraints without faults are called."""
+    return [row.label for kind in KINDS.values() for group in kind.groups(plant, constraints) for row in group.rows]
+
+
 def build_constraints(plant: Plant, constraints: Constraints, assumed_ground: float | None = None) -> ConstraintSet:
     """The rows that a configuration of this machine must keep.
 

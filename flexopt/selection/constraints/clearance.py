@@ -23,6 +23,8 @@ from flexopt.selection.constraints.segment_distance import from_box, from_sphere
 
 # Capsules shorter than this are balls, m.
 BALL = 1e-9
+# What results call the ground that is asked for.
+GROUND = "ground"
 
 
 def _faults(plant: Plant, constraints: Constraints) -> list[Fault]:
@@ -36,6 +38,11 @@ def _faults(plant: Plant, constraints: Constraints) -> list[Fault]:
         faults.append(Fault("clearance", "names nothing to keep clear of: give ground (height, m) or obstacles"))
     for index, obstacle in enumerate(asked.obstacles):
         faults += _obstacle_faults(plant, obstacle, f"clearance.obstacles[{index}]")
+    names = [*([GROUND] if asked.ground is not None else []), *_names(asked)]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        sentence = "results would tell two by one name, as what has none is called by its number; names must differ"
+        faults.append(Fault("clearance.obstacles", sentence, repr(twice)))
     return faults
 
 
@@ -92,11 +99,15 @@ def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
     groups: list[Group] = []
     if asked.ground is not None:
         lifted = [k for k in chosen if is_moved(plant, capsules[k].body)]
-        groups.append(group(capsules, "ground", lifted, (asked.ground,), "ground", asked.distance))
-    for index, obstacle in enumerate(asked.obstacles):
-        name = obstacle.name or f"obstacle {index + 1}"
+        groups.append(group(capsules, "ground", lifted, (asked.ground,), GROUND, asked.distance))
+    for name, obstacle in zip(_names(asked), asked.obstacles, strict=True):
         groups.append(group(capsules, obstacle.kind, chosen, _numbers(obstacle), name, asked.distance))
     return groups
+
+
+def _names(asked: Clearance) -> list[str]:
+    """What results call each obstacle."""
+    return [obstacle.name or f"obstacle {number}" for number, obstacle in enumerate(asked.obstacles, start=1)]
 
 
 def is_moved(plant: Plant, body: str) -> bool:

@@ -231,8 +231,7 @@ def _search(program: OutcomeProgram, start: Vector, value: float, steps: int) ->
             known[key] = replace(found, slopes=np.nan_to_num(found.slopes), by_level=np.nan_to_num(found.by_level))
         return known[key]
 
-    lower, upper, scale = program.row_bounds
-    equal = lower == upper
+    equal, least, most = _row_ends(program)
     first = np.append(start, program.level(value))
     count, free = len(told(first).values), ~equal
 
@@ -247,7 +246,7 @@ def _search(program: OutcomeProgram, start: Vector, value: float, steps: int) ->
 
     def inequalities(x: Vector) -> Vector:
         rows = place(x)[1][free]
-        return np.concatenate([_finite(rows - (lower / scale)[free]), _finite((upper / scale)[free] - rows)])
+        return np.concatenate([_finite(rows - least[free]), _finite(most[free] - rows)])
 
     def inequality_slopes(x: Vector) -> Vector:
         slopes = np.column_stack([place(x)[2][free], np.zeros(int(free.sum()))])
@@ -303,14 +302,14 @@ def first_order(program: OutcomeProgram, y: Vector, value: float) -> tuple[float
     least, by_level = branches.slopes[chosen], branches.by_level[chosen]
     if not (np.all(np.isfinite(least)) and np.all(np.isfinite(by_level))):
         return math.inf, ()
-    lower, upper, scale = program.row_bounds
+    equal, lowest, highest = _row_ends(program)
     columns, names = list[Vector](), list[str]()
     for number, row_name in enumerate(program.row_names):
-        if lower[number] == upper[number]:
+        if equal[number]:
             columns += [slopes[number], -slopes[number]]
             continue
-        for sign, end in ((1.0, lower[number]), (-1.0, upper[number])):
-            if abs(rows[number] - end / scale[number]) <= ON_ROW:
+        for sign, end in ((1.0, lowest[number]), (-1.0, highest[number])):
+            if abs(rows[number] - end) <= ON_ROW:
                 columns.append(sign * slopes[number])
                 names.append(row_name)
     for i, (name, low, high) in enumerate(zip(program.names, *program.bounds, strict=True)):

@@ -114,7 +114,7 @@ class OutcomeSelection(Selection):
     def nothing_to_gain(self) -> str:
         """A sentence where the present configuration has as much of the measure as the best; else empty."""
         now = self.present
-        if now is None or self.uncertainty or self.present_broken:
+        if now is None or self.uncertainty or self.present_broken or not self._present_keeps_all:
             return ""
         if self.criterion.sign * (self.best.objective - now) > ALIKE * abs(self.best.objective):
             return ""

@@ -63,11 +63,6 @@ class OwnGraphs:
         return any(quantity.modal and not quantity.modes for quantity in self.quantities)
 
     @property
-    def modes(self) -> frozenset[int]:
-        """Numbers of the w_i that take part."""
-        return frozenset(i for quantity in self.quantities for i in quantity.modes)
-
-    @property
     def _z(self) -> ca.SX:
         return ca.vertcat(*self.measures.inputs[:2])
 

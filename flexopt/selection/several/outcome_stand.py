@@ -19,12 +19,11 @@ from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.several.by_loop import Asked, ByLoop, climbs_from, places_by_loop, values_at
 from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.results import Stand
-from flexopt.selection.several.standing import one_placement
+from flexopt.selection.several.standing import one_placement, other_placements
 from flexopt.selection.several.targets import none_reaches_all
 
 # Postures of a target that are looked at from a placement.
 POSTURES = 6
-SAME_BASE = 1e-4
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,11 +64,11 @@ def outcome_stand(
     best, sign = optima[0], chosen.measure.sign
     own = [(target, target.z(part), part) for target, part in chosen.parts(best.y)]
     y = chosen.joined([np.append(unwound(t.problem, z) / t.problem.scale, part[z.size :]) for t, z, part in own])
-    others = [(sign * each.value, chosen.z(each.y)[:n_base]) for each in optima]
+    found_at = [(sign * each.value, chosen.z(each.y)[:n_base]) for each in optima]
     return OutcomeStand(
         places=places_by_loop(chosen, y),
         worth=sign * best.value,
-        alternatives=tuple(_elsewhere(others, first.scale[:n_base])),
+        alternatives=tuple(other_placements(found_at, first.scale[:n_base])),
         stationarity=best.stationarity,
         kinks={},
         attempts=attempts,
@@ -84,16 +83,6 @@ def outcome_stand(
         least=asked.least,
         unverified=unverified,
     )
-
-
-def _elsewhere(found: list[tuple[float, Vector]], scale: Vector) -> list[tuple[float, Vector]]:
-    """Worth and placement of the optima after the first, those at the same place once."""
-    bases, others = [found[0][1]], list[tuple[float, Vector]]()
-    for worth, base in found[1:]:
-        if all(np.abs((base - other) / scale).max(initial=0.0) > SAME_BASE for other in bases):
-            bases.append(base)
-            others.append((worth, base))
-    return others
 
 
 def _looked(program: SharedProgram, found: list[Reached], whole: Any, workers: int) -> list[Vector]:

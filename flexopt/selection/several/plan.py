@@ -24,7 +24,7 @@ from flexopt.foundation.quantities import DURATION
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets
-from flexopt.model.choices import of_loop
+from flexopt.model.choices import asks_for_loop, of_loop
 from flexopt.model.constraints import AnyConstraints
 from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.model.own import OBJECTIVES
@@ -153,7 +153,7 @@ def plan_base(
     now = asked.base if asked.base is not None or begin is None else begin
     alone = asked.model_copy(update={"starts": None, "base": now})
     least, word = least_of(constraints), cast(str, asked.objective)
-    by_loop = of_loop(word) or least is not None
+    by_loop = asks_for_loop(word, constraints)
     if of_loop(word):
         alone = alone.model_copy(update={"objective": "w1", "weights": None})
     problems = build_problems("plan_base", machine, points, "path", alone, without_loop(constraints))

@@ -14,7 +14,7 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets as several_targets
-from flexopt.model.choices import COMBINES, of_loop
+from flexopt.model.choices import COMBINES, asks_for_loop, of_loop
 from flexopt.model.constraints import AnyConstraints
 from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.model.own import OBJECTIVES
@@ -30,20 +30,19 @@ from flexopt.selection.several.outcome_stand import outcome_stand
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.several.results import Stand
 from flexopt.selection.several.solving import End, places_at
-from flexopt.selection.several.standing import best_placements, default_starts, one_placement
+from flexopt.selection.several.standing import best_placements, default_starts, one_placement, other_placements
 from flexopt.selection.several.targets import build_problems, none_reaches_all, sample_bases, single_measure
 from flexopt.selection.solve import least_of, loop_notes, ranges_of, without_loop
 
 # Placements that are looked at, for one coordinate and for more.
 BASES = 401, 512
-SAME_BASE = 1e-4
 
 
 def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
     loop_notes(arguments, given)
     single_measure(arguments, given)
     objective = given["objective"]
-    by_loop = of_loop(objective) or least_of(given["constraints"]) is not None
+    by_loop = asks_for_loop(objective, given["constraints"])
     if by_loop and given["combine"] != "worst":
         arguments.note("combine", "must be 'worst' where the loop is asked: the worst target counts", given["combine"])
     shares, targets = given["shares"], given["targets"]
@@ -106,8 +105,7 @@ def select_stand(
     share = np.array(asked.shares or (1.0,) * len(points))
     share = share / share.sum()
     least, word = least_of(constraints), cast(str, asked.objective)
-    by_loop = of_loop(word) or least is not None
-    if by_loop:
+    if asks_for_loop(word, constraints):
         modes = not of_loop(word)
         asked_of_modes = asked.model_copy(update={} if modes else {"objective": "w1", "weights": None})
         problems = build_problems("select_stand", machine, points, "targets", asked_of_modes, without_loop(constraints))
@@ -129,12 +127,13 @@ def select_stand(
     )
     good = _nearest_first(program, good)
     best = program.packed([unwound(problem, program.of(good[0].x, k)) for k, problem in enumerate(problems)])
-    places = places_at(program, best)
+    places, n_base = places_at(program, best), len(machine.base_coordinates)
+    found_at = [(program.worth(end.x), end.x[:n_base]) for end in good]
     stated = {"combine": asked.combine, "shares": share.tolist(), "targets": points.tolist()}
     return Stand(
         places=places,
         worth=program.worth(best),
-        alternatives=tuple(_alternatives(program, [end.x for end in good])),
+        alternatives=tuple(other_placements(found_at, program.first.scale[:n_base])),
         stationarity=good[0].stationarity,
         kinks=good[0].kinks,
         attempts=attempts,
@@ -156,16 +155,3 @@ def _nearest_first(program: Program, good: list[End]) -> list[End]:
         ordered.append(min((k for k in sorted(left) if worth[k] >= least), key=away.__getitem__))
         left.remove(ordered[-1])
     return [good[k] for k in ordered]
-
-
-def _alternatives(program: Program, points: list[Vector]) -> list[tuple[float, Vector]]:
-    """Worth and placement of the optima after the first, those at the same place once."""
-    n_b = program.first.measures.plant.n_base
-    scale = program.first.scale[:n_b]
-    bases = [points[0][:n_b]]
-    others: list[tuple[float, Vector]] = []
-    for x in points[1:]:
-        if all(np.abs((x[:n_b] - other) / scale).max(initial=0.0) > SAME_BASE for other in bases):
-            bases.append(x[:n_b])
-            others.append((program.worth(x), x[:n_b]))
-    return others

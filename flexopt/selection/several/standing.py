@@ -30,6 +30,8 @@ AGAIN, FINER = 2, 6
 EXCHANGED, GAIN = 2, 1e-7
 # Placements, the best that were looked at, that no answer may be worse than.
 SEEN = 32
+# Placements that differ by less, in scaled variables, are one.
+SAME_BASE = 1e-4
 
 
 def one_placement(problems: tuple[SelectionProblem, ...], share: Vector, *, weighted: bool) -> Program:
@@ -38,6 +40,16 @@ def one_placement(problems: tuple[SelectionProblem, ...], share: Vector, *, weig
     n_b, n = plant.n_base, plant.n_actuated
     places = tuple((*range(n_b), *range(n_b + k * n, n_b + (k + 1) * n)) for k in range(len(problems)))
     return Program(problems, Coupling(places, ()), np.zeros(0), share, "weighted" if weighted else "worst")
+
+
+def other_placements(found: list[tuple[float, Vector]], scale: Vector) -> list[tuple[float, Vector]]:
+    """Worth and placement of the optima after the first, those at the same place once."""
+    bases, others = [found[0][1]], list[tuple[float, Vector]]()
+    for worth, base in found[1:]:
+        if all(np.abs((base - other) / scale).max(initial=0.0) > SAME_BASE for other in bases):
+            bases.append(base)
+            others.append((worth, base))
+    return others
 
 
 class Standing(NamedTuple):

@@ -16,13 +16,12 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import shown
 from flexopt.model import AnyMachine
-from flexopt.model.choices import of_loop
+from flexopt.model.choices import asks_for_loop
 from flexopt.model.constraints import AnyConstraints
 from flexopt.model.problem import SelectionOptions
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.selection.build import build_one
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.solve import least_of
 
 
 def build_problems(
@@ -73,7 +72,7 @@ def build_problems(
 def single_measure(arguments: Arguments, given: Mapping[str, Any]) -> None:
     """Where the loop is asked, there must be one objective."""
     objective = given["objective"]
-    by_loop = of_loop(objective) or least_of(given["constraints"]) is not None
+    by_loop = asks_for_loop(objective, given["constraints"])
     if by_loop and isinstance(objective, str) and "," in objective:
         arguments.note("objective", "must be a single one where several targets belong together", objective)
 

@@ -501,3 +501,19 @@ def test_bodies_and_obstacles_that_do_not_suit():
         build_constraints(build_plant(machines[3]), read_constraints({"clearance": asked | {"bodies": ["arm1"]}}))
     with pytest.raises(InputError, match="give ground"):
         build_constraints(build_plant(machines[3]), read_constraints({"clearance": {"distance": 0.1}}))
+
+
+def test_no_two_obstacles_are_called_alike():
+    """What has no name is called by its number, and the ground the ground: one would hide the other in results."""
+    plant = build_plant(full_machines()[2])
+    ball = {"kind": "sphere", "center": [8, 5], "radius": 0.5}
+    for more, obstacles in (
+        ({}, [ball, ball | {"name": "obstacle 1"}]),
+        ({"ground": 0.0}, [ball | {"name": "ground"}]),
+    ):
+        asked = read_constraints({"clearance": {"distance": 0.1, "obstacles": obstacles} | more})
+        with pytest.raises(InputError, match=r"clearance.obstacles = '\S+.*names must differ"):
+            build_constraints(plant, asked)
+    apart = {"distance": 0.1, "ground": -1.0, "obstacles": [ball, ball, ball | {"name": "pole"}]}
+    rows = build_constraints(plant, read_constraints({"clearance": apart}))
+    assert len(set(rows.labels)) == len(rows.labels)
