@@ -94,6 +94,14 @@ def test_a_border_is_where_the_growth_rate_changes_sign():
     assert by_ratio.largest < 1e3
 
 
+def test_a_border_is_that_of_each_row_of_kv():
+    border = flexopt.stability_border(EXCAVATOR, POSTURE_B, kv=[2e3, 2e2])
+    assert border.kv == (2e3, 2e2)
+    for kp in (1e3, 1e5, 1.2e5, 3e5, 7e5):
+        grows = flexopt.sampled_loop(EXCAVATOR, POSTURE_B, kp=kp, kv=[2e3, 2e2]).growth_rate > 0
+        assert grows != any(low < kp < high for low, high in border.intervals)
+
+
 @pytest.mark.long
 def test_verdicts_agree_with_the_linear_loop_over_a_grid_of_gains():
     """60 s, small start, both by RK4; where they differ the growth rate is within 0.01/s, which such a run does not tell from 0."""
