@@ -192,7 +192,7 @@ def _rests_on(proof: RegionProof | None, looked: int, slowest: float, *, guarant
         return f"sampled at {looked} points; no proof: {proof.sentence}"
     how = f"zero exclusion over {proof.boxes} boxes, {proof.cells} cells of frequency"
     if guaranteed:
-        return f"decays faster than {proof.decay:g}/s by {how}, the exact sampled loop, rounding inflated"
+        return f"decays faster than {DECAY:g}/s by {how}, the exact sampled loop, rounding inflated"
     return f"sampled at {looked} points, none grows; {how} prove {proof.share(True):.1%} of the ranges"
 
 

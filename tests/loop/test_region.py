@@ -10,7 +10,7 @@ import pytest
 import flexopt
 from flexopt.loop import characteristic_cells
 from flexopt.loop.bernstein import bernstein
-from flexopt.loop.certificate import RegionProof, certified_radius, certify
+from flexopt.loop.certificate import DECAY, RegionProof, certified_radius, certify
 from flexopt.loop.characteristic import Characteristic
 from flexopt.loop.characteristic_cells import cells_of
 from flexopt.loop.evaluation import outcome
@@ -46,7 +46,7 @@ def wrong(loop: UncertainLoop, proof: RegionProof, samples: int = 200) -> int:
     decays = loop.decays(u)
     for leaf in proof.leaves:
         here = np.all((u > leaf.low - 1e-15) & (u < leaf.high + 1e-15), axis=1)
-        found += 0 if leaf.decays is None else int(np.sum((decays[here] > proof.decay) != leaf.decays))
+        found += 0 if leaf.decays is None else int(np.sum((decays[here] > DECAY) != leaf.decays))
     return found
 
 
