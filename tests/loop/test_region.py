@@ -223,6 +223,12 @@ def test_an_unstable_corner_is_never_certified() -> None:
     assert not region.guaranteed
 
 
+def test_of_a_loop_that_grows_as_it_is_that_is_told() -> None:
+    region = flexopt.stable_region(EXCAVATOR, (0.9929, -2.6306), loop={"kp": 1e5, "kv": 2e3}, points=4, boxes=0)
+    assert region.radius == 1.0
+    assert "it grows as it is in the file" in repr(region)
+
+
 @pytest.mark.parametrize("seed", [0, 2, 3])
 def test_random_machines(seed: int) -> None:
     source = NumpySource(np.random.default_rng(seed))
