@@ -262,7 +262,9 @@ def simulate_ensemble(
         # What drives brake is brake in every member, on top of its own damping.
         pairs = zip(own.parameters, machine.parameters, strict=True)
         brakes = {before.name: after.value - before.value for before, after in pairs}
-        varied = {name: values + brakes.get(name, 0.0) for name, values in asked.items()}
+        # Gains are those of the loop, which may ask for rates.
+        by = dict.fromkeys(("kp", "kv", "ki"), settings.braking or 1.0)
+        varied = {name: by.get(name, 1.0) * values + brakes.get(name, 0.0) for name, values in asked.items()}
 
     def run(given: dict[str, Any]) -> Ensemble:
         checked = checked_options("simulate_ensemble", machine, given)
