@@ -40,7 +40,7 @@ from flexopt.simulation.behaviour import Behaviour, behaviour
 from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.members import Keep, Plan, member_loops, motion_constants
 from flexopt.simulation.real_loop import in_shorter_steps, with_loop
-from flexopt.simulation.run import OUTGREW, check_residual, grew, moves, note_run, runners, unfollowed
+from flexopt.simulation.run import OUTGREW, check_residual, grew, moves, note_run, runners, signals_at_end, unfollowed
 from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options
 from flexopt.simulation.verdict import LoopVerdict, grounds_of, judge
 
@@ -345,12 +345,7 @@ def _group(plan: Plan, rows: slice, runner: Recurrence, shown: Batch, threads: i
     records = runner(start, c, steps=s.samples, e=e, stride=stride, threads=threads, keep=keep)
     structure = s.loop.structure
     until = _followed(plan, rows, runner, records.monitor)
-    end = np.zeros((s.loop.signals.total, 1))
-    if e is not None:
-        end = (e[-1] if e.ndim == 3 else e[-1][:, None]).copy()
-        for name, path in (("base", s.options.base_path), ("target", s.options.target_path)):
-            if path is not None:
-                end[s.loop.signals.slices[name]] = s.along(name, path, s.times[-1:]).T
+    end = np.zeros((0, 1)) if e is None else signals_at_end(s, e if e.ndim == 3 else e[:, :, None])[0]
     names = shown.function.name_out()
     error = shown(records.last, end, c, threads=threads)[names.index("error")]
     edges = np.concatenate([[0.0], records.k * s.period])
