@@ -31,7 +31,7 @@ from flexopt.foundation.turns import available_cores
 from flexopt.foundation.warned import warn_user
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
-from flexopt.model.loop import Loop, LoopLike
+from flexopt.model.loop import GAINS, Loop, LoopLike
 from flexopt.model.parameter_ranges import parameter_range
 from flexopt.model.simulation import SimulationKeywords, SimulationOptions
 from flexopt.model.simulation_faults import own_loop
@@ -263,8 +263,8 @@ def simulate_ensemble(
         pairs = zip(own.parameters, machine.parameters, strict=True)
         brakes = {before.name: after.value - before.value for before, after in pairs}
         # Gains are those of the loop, which may ask for rates.
-        by = dict.fromkeys(("kp", "kv", "ki"), settings.braking or 1.0)
-        varied = {name: by.get(name, 1.0) * values + brakes.get(name, 0.0) for name, values in asked.items()}
+        gains = {name: (settings.braking or 1.0) * asked[name] for name in GAINS if name in asked}
+        varied = {name: values + brakes.get(name, 0.0) for name, values in asked.items()} | gains
 
     def run(given: dict[str, Any]) -> Ensemble:
         checked = checked_options("simulate_ensemble", machine, given)

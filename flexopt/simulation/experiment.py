@@ -80,4 +80,5 @@ def run_experiment(
         machine, posture, base=base, control=control, gravity=options.gravity, gain=options.gain,
         rate=options.rate if real is None else rate_of(real, machine), **law.model_dump(),
     )  # fmt: skip
-    return simulate(machine, **given | {"base_path": climb.path}, loop=real)
+    whole: dict[str, Any] = given | {"base_path": climb.path}
+    return simulate(machine, **whole, loop=real)
