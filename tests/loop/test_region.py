@@ -96,8 +96,6 @@ def test_the_characteristic_function_is_that_of_the_sampled_loop(loop: dict[str,
         s = 1j * omega - of.decay
         pencil = characteristic_cells._pencil(of, machines, ports, s, here.aliases.at(omega))
         value = complex(np.linalg.det(pencil)[0, 0, 0])
-        if "bandwidth_hz" in loop:
-            assert np.isfinite(value)
         found.append(value / exact(of, complex(s[0]), theta))
     # Scaled by |det Φ_modes|², the same for all.
     assert np.array(found) == pytest.approx(found[0], rel=1e-8)
