@@ -134,6 +134,14 @@ def test_the_optimised_posture_converges_where_a_grows():
     assert flexopt.simulate(EXCAVATOR, best.posture, base=best.base, **gains).verdict == "converges"
 
 
+@pytest.mark.parametrize("kp", [1e5, 1e9, 1e12])
+def test_what_gains_make_of_rounding_is_no_motion(kp):
+    """Servos' torques then change by it at every sample; no weight acts."""
+    for posture in np.random.default_rng(0).uniform([-0.5, -2.6], [1.0, -0.5], (6, 2)):
+        options = {"kp": kp, "kv": 0.02 * kp, "actuator": {"bandwidth_hz": 10.0}}
+        assert np.isfinite(flexopt.sampled_loop(EXCAVATOR, posture, **options).growth_rate)
+
+
 def test_weight_without_compensation_is_no_equilibrium():
     with pytest.raises(InputError, match="no equilibrium"):
         flexopt.sampled_loop(EXCAVATOR, POSTURE_B, gravity=True, gravity_compensation=False)
