@@ -19,7 +19,7 @@ import numpy as np
 import flexopt
 from benchmarks.score import Row
 from flexopt.foundation.turns import one_blas_thread
-from flexopt.loop.certificate import RegionProof, certify
+from flexopt.loop.certificate import DECAY, RegionProof, certify
 from flexopt.loop.evaluation import outcome
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.uncertainty import Uncertainty
@@ -64,7 +64,7 @@ def judged(loop: UncertainLoop, proof: RegionProof, samples: int, seed: int) -> 
         here = np.all((u >= leaf.low) & (u <= leaf.high), axis=1)
         inside += int(here.sum())
         known += int(np.sum(decays[here] > 0)) if leaf.decays else 0
-        wrong += int(np.sum((decays[here] > proof.decay) != leaf.decays))
+        wrong += int(np.sum((decays[here] > DECAY) != leaf.decays))
     stable = int(np.sum(decays > 0))
     return stable, known, inside, wrong
 

@@ -107,7 +107,7 @@ def repeated(
         enough: how many points suffice; all by default.
 
     Returns:
-        z (n, N) and the largest violation (N,), NaN where the rows are no numbers.
+        z (n, N) and the largest violation (N,). A row that is no number counts as kept.
     """
     z = z.copy()
     left = np.full(z.shape[1], np.inf)

@@ -36,7 +36,7 @@ WRITTEN_OUT = 12
 
 
 @lru_cache(maxsize=8)
-def riccati_pair(size: int, doublings: int = DOUBLINGS, *, compact: bool = False, fixed: bool = False) -> ca.Function:
+def riccati_pair(size: int, *, compact: bool = False, fixed: bool = False) -> ca.Function:
     """(A, G, H) -> X, Z, rest: stabilising solutions of AᵀX + XA − XGX + H = 0 and AZ + ZAᵀ − ZHZ + G = 0.
 
     Structure-preserving doubling (Chu, Fan, Lin and Wang, 2004) from a Cayley transform with γ = 3, which suits
@@ -45,7 +45,7 @@ def riccati_pair(size: int, doublings: int = DOUBLINGS, *, compact: bool = False
     """
     step = _doubling(size) if compact else _doubling(size).expand()
     a, g, h = (ca.MX.sym(name, size, size) for name in ("A", "G", "H"))
-    state = _repeated(step, _cayley(size).call([a, g, h]), doublings, fixed=fixed)
+    state = _repeated(step, _cayley(size).call([a, g, h]), DOUBLINGS, fixed=fixed)
     rest = ca.norm_inf(ca.vec(state[0]))
     return ca.Function("riccati_pair", [a, g, h], [state[2], state[1], rest], ["A", "G", "H"], ["X", "Z", "rest"])
 

@@ -20,10 +20,9 @@ import numpy as np
 
 from flexopt.compiled.extended import Exact, largest, rounded
 from flexopt.coprime.decimals import cholesky, unit
-from flexopt.coprime.lyapunov import ExactLyapunov, Lyapunov, NotConverged
+from flexopt.coprime.lyapunov import EPS, ExactLyapunov, Lyapunov, NotConverged
 from flexopt.coprime.system import Matrix
 
-EPS = float(np.finfo(float).eps)
 # Below this a residual is taken for this, so that nothing underflows.
 SMALLEST = 1e-200
 

@@ -19,8 +19,8 @@ import numpy as np
 
 from flexopt.compiled.extended import Exact, exact, largest, rounded
 from flexopt.coprime.decimals import cholesky, solve, symmetric, symmetric_eigen, unit
-from flexopt.coprime.enclosure import EPS, Enclosure, eigenvalue_bound, enclose, factor
-from flexopt.coprime.lyapunov import ExactLyapunov, Lyapunov, NotConverged
+from flexopt.coprime.enclosure import Enclosure, eigenvalue_bound, enclose, factor
+from flexopt.coprime.lyapunov import EPS, ExactLyapunov, Lyapunov, NotConverged
 from flexopt.coprime.system import Matrix, StateSpace
 
 STEPS = 12

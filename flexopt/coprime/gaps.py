@@ -14,7 +14,7 @@ import numpy as np
 from flexopt.coprime import riccati
 from flexopt.coprime.guard import guarded
 from flexopt.coprime.norms import axis_peak
-from flexopt.coprime.scaling import Scaled, balance, hamiltonian, riccati_matrices, scale_for_norm, typical
+from flexopt.coprime.scaling import balance, compose, hamiltonian, riccati_matrices, scale_for_norm, typical
 from flexopt.coprime.symbols import Symbols, graph_symbols, inverse_root
 from flexopt.coprime.system import PAIR, Matrix, StateSpace, SystemLike, system_pair
 from flexopt.foundation.boundary import public
@@ -99,15 +99,9 @@ def _symbol_pair(P1: Any, P2: Any, call: str) -> tuple[Symbols, Symbols]:
     if not first.discrete:
         values = [np.linalg.eigvals(hamiltonian(*riccati_matrices(s.system))) for s in scaled]
         rate = typical(np.abs(np.concatenate(values)))
-        scaled = [_at_rate(s.system, rate) for s in scaled]
+        scaled = [compose(s, rate) for s in scaled]
     one, two = (graph_symbols(s, call) for s in scaled)
     return one, two
-
-
-def _at_rate(s: StateSpace, rate: float) -> Scaled:
-    root = math.sqrt(rate)
-    slow = balance(StateSpace(s.A / rate, s.B / root, s.C / root, s.D, s.dt))
-    return Scaled(slow.system, slow.states, rate)
 
 
 def _series(G: StateSpace, L: StateSpace) -> StateSpace:

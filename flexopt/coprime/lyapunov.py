@@ -114,6 +114,18 @@ class Lyapunov:
         return (found + found.T) / 2
 
 
+def proven_stable(A: Matrix, *, discrete: bool) -> bool:
+    """Whether a solution of its Lyapunov equation proves that A (n, n) is stable, all its rounding included."""
+    try:
+        W = Lyapunov(A, discrete=discrete).solve(np.eye(len(A)))
+    except NotConverged:
+        return False
+    size, rounding = float(np.linalg.norm(A)), 16 * (len(A) + 4) * EPS * float(np.linalg.norm(W))
+    left = A.T @ W @ A - W if discrete else A.T @ W + W @ A
+    off = float(np.linalg.norm(left + np.eye(len(A)))) + rounding * (size**2 + 1 if discrete else size)
+    return off <= 0.25 and bool(np.linalg.eigvalsh(W)[0] > len(A) * EPS * float(np.linalg.norm(W)))
+
+
 class ExactLyapunov(Lyapunov):
     """The same in decimals."""
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from flexopt.compiled.extended import digits, rounded
 from flexopt.coprime import riccati
-from flexopt.coprime.enclosure import EPS, factor
+from flexopt.coprime.enclosure import factor
 from flexopt.coprime.extended import (
     HOPELESS,
     Equation,
@@ -25,6 +25,7 @@ from flexopt.coprime.extended import (
     top_pairs,
 )
 from flexopt.coprime.guard import guarded
+from flexopt.coprime.lyapunov import EPS
 from flexopt.coprime.scaling import Scaled, riccati_matrices, scale_for_riccati
 from flexopt.coprime.stabilizability import Escape, escaping_modes, growth, raise_escapes
 from flexopt.coprime.system import PLANT, Matrix, StateSpace, SystemLike, from_arguments
@@ -39,6 +40,7 @@ GOOD, TOLD = 1e-9, 1e-6
 # ε_max of the rigid plant a/s²: a controller that attains it tolerates every plant nearer than this.
 RIGID_MARGIN = math.sin(math.pi / 8)
 STATES_MAX = 64  # decimals take minutes beyond
+DIGITS_MAX = 10  # of numbers that are shown with a bound
 
 
 @dataclass(frozen=True)
@@ -99,12 +101,12 @@ class RobustMargin(Result):
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
 
-def with_bound(value: float, bound: float, digits_max: int = 10) -> str:
+def with_bound(value: float, bound: float) -> str:
     """A number with as many digits as its bound allows, and a bound that holds for the digits printed."""
     if not (math.isfinite(value) and math.isfinite(bound)):
-        return f"{value:.{digits_max}g} ± {bound:.1e}"
+        return f"{value:.{DIGITS_MAX}g} ± {bound:.1e}"
     places = (
-        digits_max if bound == 0 else max(1, min(digits_max, 1 - math.floor(math.log10(bound / abs(value or 1.0)))))
+        DIGITS_MAX if bound == 0 else max(1, min(DIGITS_MAX, 1 - math.floor(math.log10(bound / abs(value or 1.0)))))
     )
     text = f"{value:.{places}g}"
     total = bound + abs(float(text) - value)

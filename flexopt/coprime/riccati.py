@@ -15,12 +15,11 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.coprime.lyapunov import Lyapunov
+from flexopt.coprime.lyapunov import EPS, Lyapunov
 from flexopt.coprime.scaling import hamiltonian
 from flexopt.coprime.system import Matrix
 
 DOUBLINGS = 60
-EPS = float(np.finfo(float).eps)
 
 
 def doubling(F: Matrix, G: Matrix, H: Matrix, *, discrete: bool) -> tuple[Matrix, Matrix, int] | None:

@@ -67,7 +67,7 @@ def scale_for_riccati(system: StateSpace) -> Scaled:
         return scaled
     for _ in range(2):
         values = np.abs(np.linalg.eigvals(hamiltonian(*riccati_matrices(scaled.system))))
-        scaled = _compose(scaled, typical(values))
+        scaled = compose(scaled, typical(values))
     return scaled
 
 
@@ -76,7 +76,7 @@ def scale_for_norm(system: StateSpace) -> Scaled:
     scaled = balance(system)
     if system.discrete or system.n_states == 0:
         return scaled
-    return _compose(scaled, typical(np.abs(scaled.system.poles())))
+    return compose(scaled, typical(np.abs(scaled.system.poles())))
 
 
 def typical(moduli: NDArray[np.float64]) -> float:
@@ -126,7 +126,7 @@ def _norm_without(vector: Matrix, i: int) -> float:
     return float(np.linalg.norm(off)) if off.size else 0.0
 
 
-def _compose(scaled: Scaled, rate: float) -> Scaled:
+def compose(scaled: Scaled, rate: float) -> Scaled:
     """Scale time by `rate`, and balance again."""
     s, root = scaled.system, float(np.sqrt(rate))
     again = balance(StateSpace(s.A / rate, s.B / root, s.C / root, s.D, s.dt))

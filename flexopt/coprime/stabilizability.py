@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.coprime.riccati import EPS
+from flexopt.coprime.lyapunov import EPS
 from flexopt.coprime.scaling import Scaled
 from flexopt.coprime.system import Matrix
 from flexopt.errors import Fault, NotStabilizable, sentence_list

@@ -151,7 +151,7 @@ def _margin_with_condition(margin: Margin, *, rounding: bool) -> ca.Function:
     symbols = [ca.MX.sym("base", g.base.shape[0]), ca.MX.sym("posture", g.posture.shape[0]),
                ca.MX.sym("p", g.p.shape[0]), ca.MX.sym("kr")]  # fmt: skip
     plant = margin.scaled_plant.call([*symbols, *margin.hold.call(symbols)])
-    solution = riccati_pair(n, margin.doublings, compact=True, fixed=True).call([plant[0], *weights.call(plant[1:])])
+    solution = riccati_pair(n, compact=True, fixed=True).call([plant[0], *weights.call(plant[1:])])
     values, vectors = top_eigenpairs(n, margin.plant.n_task).call(solution[:2])[:2]
     outputs = [1 / ca.sqrt(1 + values), solution[2], *condition.call(solution[:2])]
     if rounding:

@@ -69,14 +69,12 @@ class RegionProof:
         leaves: of it.
         cells: how many cells of frequency were looked at, over all boxes.
         boxes: how many boxes.
-        decay: ρ, 1/s, that holds where a leaf's loop decays.
         sentence: why nothing is proven, where nothing is.
     """
 
     leaves: tuple[Leaf, ...]
     cells: int
     boxes: int
-    decay: float
     sentence: str = ""
 
     def share(self, decays: bool | None) -> float:
@@ -108,14 +106,12 @@ class Search:
 
     Attributes:
         loop: the loop and its box.
-        decay: ρ, 1/s.
         most: boxes that are looked at, less where functions are made again, which cost as many as that takes.
         order: which boxes first, by their ends; the largest by default.
         told: called with how much of `most` is spent, as boxes are looked at.
     """
 
     loop: UncertainLoop
-    decay: float = DECAY
     most: int = BOXES
     order: Callable[[Vector, Vector], float] | None = None
     told: Spent | None = None
@@ -128,7 +124,7 @@ class Search:
             self._begin(low, high)
 
     def _of(self, low: Vector, high: Vector) -> Characteristic:
-        return Characteristic(self.loop, self.loop.box.theta(low), self.loop.box.theta(high), self.decay)
+        return Characteristic(self.loop, self.loop.box.theta(low), self.loop.box.theta(high), DECAY)
 
     def _roots(self, low: Vector, high: Vector) -> Iterator[tuple[Vector, Vector]]:
         """The box in parts within which the dead time stays in one sample."""
@@ -236,28 +232,26 @@ def _failing(cells: Cells) -> Cells:
     return cells.chosen(~cells.exclude_zero) if len(cells.low) else cells
 
 
-def certify(loop: UncertainLoop, *, decay: float = DECAY, boxes: int = BOXES, told: Spent | None = None) -> RegionProof:
+def certify(loop: UncertainLoop, *, boxes: int = BOXES, told: Spent | None = None) -> RegionProof:
     """What is proven of a loop over its box; `told` as of `Search`."""
     try:
-        search = Search(loop, decay, boxes, told=told)
+        search = Search(loop, boxes, told=told)
         ends = list(search.run())
         excluded = [(low + high) / 2 for low, high, each in ends if each]
         decays = iter(loop.decays(np.array(excluded)).tolist() if excluded else ())
-        words = (_word(next(decays), decay) if each else None for _, _, each in ends)
+        words = (_word(next(decays)) if each else None for _, _, each in ends)
         leaves = tuple(Leaf(low, high, word) for (low, high, _), word in zip(ends, words, strict=True))
-        return RegionProof(leaves, search.cells, search.looked, decay)
+        return RegionProof(leaves, search.cells, search.looked)
     except NotCovered as fault:
         k = len(loop.box.uncertainty)
-        return RegionProof((Leaf(np.zeros(k), np.ones(k), None),), 0, 0, decay, str(fault))
+        return RegionProof((Leaf(np.zeros(k), np.ones(k), None),), 0, 0, str(fault))
 
 
-def _word(found: float, decay: float) -> bool | None:
-    return None if math.isnan(found) else found > decay
+def _word(found: float) -> bool | None:
+    return None if math.isnan(found) else found > DECAY
 
 
-def certified_radius(
-    loop: UncertainLoop, size: float, *, decay: float = DECAY, boxes: int = BOXES, told: Spent | None = None
-) -> float:
+def certified_radius(loop: UncertainLoop, size: float, *, boxes: int = BOXES, told: Spent | None = None) -> float:
     """The largest s found, up to e^size, so that the loop is proven to decay with every factor within [1/s, s].
 
     The box of the loop is that of e^size. Boxes are looked at from the nominal machine outwards, until one is not
@@ -269,8 +263,8 @@ def certified_radius(
 
     try:
         # One after another: the first that does not decay ends it.
-        for low, high, excluded in Search(loop, decay, boxes, away, told).run():
-            if not excluded or not loop.decays((low + high)[None] / 2)[0] > decay:
+        for low, high, excluded in Search(loop, boxes, away, told).run():
+            if not excluded or not loop.decays((low + high)[None] / 2)[0] > DECAY:
                 return math.exp(2 * size * away(low, high))
     except NotCovered:
         return 1.0

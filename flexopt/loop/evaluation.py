@@ -26,7 +26,6 @@ from flexopt.robustness.evaluation import evaluate_checked, without_rounding
 
 # Derivatives by measure, then by what: "base", "posture", "parameters", gains, dead time and drives.
 SlopesOfMeasures = Mapping[str, Mapping[str, Vector]]
-SCALARS = tuple(MEASURES)
 
 
 @dataclass(frozen=True)
@@ -49,9 +48,9 @@ class Outcome(Result):
         decay: of the slowest motion of the sampled loop, 1/s; negative where it grows. decay_rounding: one that is
             nearer to 0 than this, 1/s, is neither growth nor decay. frequency_hz: of that motion.
         drift: growth rates of a redundant arm's self-motion, which is no part of the decay, 1/s.
-        allowed_gain: largest stable Kp along the present ratio of the gains; gain_intervals: all stable intervals of
-            it, (k, 2). Where the present gains lie in none, the largest stable ones below, 0 where there are none;
-            infinite (JSON: null) where no border was met up to 10⁴ times the present gains.
+        allowed_gain: largest stable Kp along the present ratio of the gains, NaN where no row has one; gain_intervals:
+            all stable intervals of it, (k, 2). Where the present gains lie in none, the largest stable ones below, 0
+            where there are none; infinite (JSON: null) where no border was met up to 10⁴ times the present gains.
         delay_margin: dead time that may be added to the end-point's measurement, s. Infinite (JSON: null) where none is
             too long; NaN of a loop that grows. Its gradient is NaN where the dead time would exceed 100 samples.
         disk_margin, sensitivity_peak, complementary_peak: α, ‖S‖∞ and ‖T‖∞, the loop broken at the law's force.
@@ -158,8 +157,8 @@ class Outcome(Result):
         lines += [f"  the arm's self-motion drifts, decay {-rate:+.3g}/s" for rate in self.drift if rate > 0]
         stable = ", ".join(self._stable) or "nowhere"
         most = f"above {self.settings.highest_kp:.4g}" if math.isinf(self.allowed_gain) else _told(self.allowed_gain)
-        unit = "" if math.isnan(self.allowed_gain) else f" {self.settings.gain_units[0]}"
-        lines.append(f"  allowed gain Kp {most}{unit} (stable: {stable})")
+        unit = f" {self.settings.gain_units[0]} (stable: {stable})"
+        lines.append(f"  allowed gain Kp {most}{'' if math.isnan(self.allowed_gain) else unit}")
         margin = f"{_told(1e3 * self.delay_margin)}{' ms' if math.isfinite(self.delay_margin) else ''}"
         lines.append(
             f"  delay margin {margin}; disk margin {_told(self.disk_margin)}; "
@@ -288,7 +287,7 @@ def outcome_of(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *
         frequency_hz=outcome.loop.frequency_hz,
         drift=outcome.loop.drift,
         swing_unit=swing_unit(outcome),
-        gain_intervals=tuple((low * kp, high * kp) for low, high in outcome.gain_intervals),
+        gain_intervals=tuple((low * kp, high * kp) for low, high in outcome.gain_intervals if kp),
         gradient={name: {"parameters" if by == "p" else by: x for by, x in found.items()}
                   for name, found in gradient.items()},
         **{name: measured.value for name, measured in scalars.items()},

@@ -51,7 +51,7 @@ def with_servo_gain(machine: AnyMachine, options: SimulationOptions, posture: Ve
 
 def feeble_levers(machine: AnyMachine, options: SimulationOptions, posture: Vector) -> list[str]:
     """A sentence where full levers ask for far less than the joints can give, or where nobody knows what they can."""
-    actuator, wanted = options.actuator, None
+    actuator = options.actuator
     if actuator.levers is None:
         return []
     wanted = servo_gain_of_efforts(machine, posture)

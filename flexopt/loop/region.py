@@ -90,9 +90,8 @@ class Region(Result):
             lines.append("  more `boxes` than it was allowed let the proof go on, in the shell --boxes")
         if not math.isnan(self.radius):
             first = ", ".join(f"{name} {value:.4g}" for name, value in self.radius_critical.items())
-            ends = (
-                f"grows just outside {self.radius:.4g}, at {first}" if first else f"none grows up to {self.radius:.4g}"
-            )
+            ends = f"none grows up to {self.radius:.4g}" if self.radius > 1 else "it grows as it is in the file"
+            ends = f"grows just outside {self.radius:.4g}, at {first}" if first else ends
             proven = self.radius_guaranteed
             bound = f"guaranteed up to a factor of {proven:.4g}" if proven > 1 else "no factor is guaranteed"
             lines.append(f"  radius, of the factors alone, all else as in the file: {bound}; {ends}")
@@ -192,7 +191,7 @@ def _rests_on(proof: RegionProof | None, looked: int, slowest: float, *, guarant
         return f"sampled at {looked} points; no proof: {proof.sentence}"
     how = f"zero exclusion over {proof.boxes} boxes, {proof.cells} cells of frequency"
     if guaranteed:
-        return f"decays faster than {proof.decay:g}/s by {how}, the exact sampled loop, rounding inflated"
+        return f"decays faster than {DECAY:g}/s by {how}, the exact sampled loop, rounding inflated"
     return f"sampled at {looked} points, none grows; {how} prove {proof.share(True):.1%} of the ranges"
 
 

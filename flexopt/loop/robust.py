@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-import numpy as np
-
 from flexopt.coprime import StateSpace, optimal_controller
 from flexopt.foundation.control import Control
+from flexopt.loop.tangent import exponential
 from flexopt.model import AnyMachine
 from flexopt.robustness.margin import build_margin
 
@@ -34,17 +33,6 @@ def robust_law(
     margin = build_margin(machine, control, gravity)
     a, b, c = (x.full() for x in margin.physical_plant.call([base, posture, margin.plant.parameter_values]))
     if period:
-        a, b = _held(a, b, period)
+        a, b = exponential(a, b, period)
     law = optimal_controller(a, gain * b, c, dt=period)
     return StateSpace(law.A, law.B, gain * law.C, gain * law.D, law.dt)
-
-
-def _held(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """A and B of the sampled plant with its input held."""
-    from scipy.linalg import expm  # noqa: PLC0415  (loads slowly)
-
-    n, m = b.shape
-    block = np.zeros((n + m, n + m))
-    block[:n, :n], block[:n, n:] = a, b
-    whole = expm(block * period)
-    return whole[:n, :n], whole[:n, n:]

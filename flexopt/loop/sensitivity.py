@@ -218,6 +218,7 @@ def sensitivity(
     units = (*[residue_unit(settings.control, machine.joint_units)] * of.modes, *(() if loops is None else ("1/s",)))
     options = {"posture": posture, "base": placed, "control": settings.control, "gravity": gravity, "samples": samples}
     options |= {"seed": seed, "ranges": [each.model_dump(exclude_none=True) for each in known]}
+    options |= {} if asked is None else {"loop": settings.to_dict()}
     return Sensitivity(
         machine=machine.name, outputs=outputs, output_units=units, names=box.names, first=first,
         first_interval=first_ends, total=total, total_interval=total_ends, bound=bound / scale,

@@ -226,12 +226,13 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
             gains[name] = _middle(allowed)
             sources[name] = f"the middle of {name}_range"
     chosen = {name for name in ("kp", "kv") if getattr(loop, name) is None and name not in gains}
-    usual = {"kp": VELOCITY_KP, "kv": 0.0} if drive == "velocity" else _suiting(machine, stand, rate, loop, gains, 1.0)
+    told = gains | {name: max(getattr(loop, name)) for name in ("kp", "kv") if getattr(loop, name) is not None}
+    usual = {"kp": VELOCITY_KP, "kv": 0.0} if drive == "velocity" else _suiting(machine, stand, rate, told, 1.0)
     gains |= {name: usual[name] for name in chosen}
     why = USUAL
     if drive == "torque":
-        why = f"{SUITING}: corner at {SHARE:g} of the lowest mode, damping ratio {DAMPING_RATIO:g} on a "
-        why += "rigid base"
+        how = "beside the other gain" if any(told.values()) else f"corner at {SHARE:g} of the lowest mode"
+        why = f"{SUITING}: {how}, damping ratio {DAMPING_RATIO:g} on a rigid base"
     sources |= dict.fromkeys(sorted(chosen), why)
     if "dead_time" not in loop.model_fields_set:
         sources["dead_time"] = "none is given"
@@ -256,15 +257,13 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
         joint_units=tuple(machine.joint_units),
         sources=sources,
     )
-    return found if drive == "velocity" or len(chosen) < 2 else _stable(machine, found, loop, stand, gravity=gravity)
+    return found if drive == "velocity" or len(chosen) < 2 else _stable(machine, found, stand, gravity=gravity)
 
 
-def _stable(
-    machine: AnyMachine, settings: LoopSettings, loop: Loop, stand: Evaluation, *, gravity: bool
-) -> LoopSettings:
+def _stable(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *, gravity: bool) -> LoopSettings:
     """The settings with a corner that is halved until the loop is stable; as they are where it never is."""
     for halvings in range(HALVINGS + 1):
-        gains = _suiting(machine, stand, settings.rate, loop, {}, 0.5**halvings)
+        gains = _suiting(machine, stand, settings.rate, {}, 0.5**halvings)
         tried = replace(settings, **{name: np.full(len(machine.task_rows), value) for name, value in gains.items()})
         if tried.outcome(machine, stand.base, stand.posture, gravity=gravity).loop.stable:
             note = f", halved {halvings} times until it is stable" if halvings else ""
@@ -306,13 +305,12 @@ def _middle(allowed: tuple[float, float]) -> float:
 
 
 def _suiting(
-    machine: AnyMachine, stand: Evaluation, rate: float, loop: Loop, gains: Mapping[str, float], share: float
+    machine: AnyMachine, stand: Evaluation, rate: float, given: Mapping[str, float], share: float
 ) -> dict[str, float]:
-    """Gains of the arm's masses; beside one that is given the other of the same damping ratio."""
+    """Gains of the arm's masses; beside one that is given, and not 0, the other of the same damping ratio."""
     found = rigid_gains(machine, stand, rate, share)
-    kp, kv = (gains.get(name) if given is None else max(given) for name, given in (("kp", loop.kp), ("kv", loop.kv)))
-    if kp is not None:
+    if kp := given.get("kp"):
         found["kv"] *= math.sqrt(kp / found["kp"])
-    elif kv is not None:
+    elif kv := given.get("kv"):
         found["kp"] *= (kv / found["kv"]) ** 2
     return {name: found[name] for name in ("kp", "kv")}

@@ -16,13 +16,11 @@ class Tableau:
 
     Attributes:
         a (s, s), b (s,), c (s,): the coefficients.
-        order: of convergence.
     """
 
     a: Array
     b: Array
     c: Array
-    order: int
 
 
 def stability_polynomial(tableau: Tableau) -> Array:
@@ -37,21 +35,21 @@ def stability_polynomial(tableau: Tableau) -> Array:
 def classical() -> Tableau:
     """Kutta's fourth-order method (1901)."""
     a = np.diag([0.5, 0.5, 1.0], -1)
-    return Tableau(a, np.array([1.0, 2.0, 2.0, 1.0]) / 6, np.array([0.0, 0.5, 0.5, 1.0]), 4)
+    return Tableau(a, np.array([1.0, 2.0, 2.0, 1.0]) / 6, np.array([0.0, 0.5, 0.5, 1.0]))
 
 
 def gauss(stages: int = 3) -> Tableau:
     """Gauss–Legendre collocation of order 2s: symmetric, symplectic, |R(iω)| = 1 (Butcher 1964)."""
     nodes, weights = np.polynomial.legendre.leggauss(stages)
     c = (nodes + 1) / 2
-    return Tableau(_collocation(c), weights / 2, c, 2 * stages)
+    return Tableau(_collocation(c), weights / 2, c)
 
 
 def radau() -> Tableau:
     """Radau IIA of three stages, order 5: R(−∞) = 0, 1 − |R(iω)| of order ω⁶ (Hairer and Wanner 1996, IV.5)."""
     root = math.sqrt(6)
     a = _collocation(np.array([(4 - root) / 10, (4 + root) / 10, 1.0]))
-    return Tableau(a, a[-1], a.sum(axis=1), 5)
+    return Tableau(a, a[-1], a.sum(axis=1))
 
 
 def _collocation(c: Array) -> Array:
@@ -66,4 +64,4 @@ def dormand_prince() -> Tableau:
     from scipy.integrate import DOP853  # noqa: PLC0415  (loads in 0.2 s)
 
     n = DOP853.n_stages
-    return Tableau(np.array(DOP853.A)[:n, :n], np.array(DOP853.B), np.array(DOP853.C)[:n], 8)
+    return Tableau(np.array(DOP853.A)[:n, :n], np.array(DOP853.B), np.array(DOP853.C)[:n])

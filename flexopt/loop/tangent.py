@@ -23,6 +23,8 @@ from flexopt.loop.structure import LoopStructure
 
 # Newton steps to the state of rest, and the largest remainder of what counts as rest, m, rad or relative.
 STEPS, REST = 12, 1e-9
+# Rounding of a state, in units of itself or of 1: gains make much of it.
+ROUNDING = 64 * float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Tangent:
         law: L (n_law, n_x), the sampled law's states at the next sample.
         queue: Q (n_queue, n_x), measurements on their way at the next sample.
         moved: how far the state of rest is from being one: what one sample changes, (n_x,).
+        rounding: how much of that may be what the loop makes of rounding, (n_x,).
         measured: rows of one measurement, the last of the queue being the newest.
     """
 
@@ -44,6 +47,7 @@ class Tangent:
     law: Vector
     queue: Vector
     moved: Vector
+    rounding: Vector
     measured: int
 
     def sample(self, period: float, early: float = 0.0) -> Vector:
@@ -102,7 +106,10 @@ def tangent(structure: LoopStructure, x: Vector, e: Vector, c: Vector) -> Tangen
     period = float(c[closed_loop(structure).constants.slices["h"]][0]) * structure.substeps
     laws, queue = x[n : n + len(kept)], x[n + len(kept) :]
     moved = np.concatenate([period * rates.ravel(), kept.ravel() - laws, waiting.ravel() - queue])
-    return Tangent(flow, drive, by_command, by_kept, by_waiting, moved, 2 * structure.n_task)
+    by_x = np.abs(drive) @ np.abs(by_command)
+    by_x[:, :n] += np.abs(flow)
+    rounding = ROUNDING * np.vstack([period * by_x, np.abs(by_kept), np.abs(by_waiting)]) @ (1.0 + np.abs(x))
+    return Tangent(flow, drive, by_command, by_kept, by_waiting, moved, rounding, 2 * structure.n_task)
 
 
 def at_rest(structure: LoopStructure, x: Vector, e: Vector, c: Vector) -> tuple[Vector, Tangent] | None:
@@ -130,7 +137,7 @@ def at_rest(structure: LoopStructure, x: Vector, e: Vector, c: Vector) -> tuple[
 def still(structure: LoopStructure, here: Tangent, x: Vector) -> bool:
     """Whether one sample leaves the state where it is, but for rounding; torques and laws relative to their size."""
     n = 2 * closed_loop(structure).shape.n
-    moved = np.abs(here.moved)
+    moved = np.abs(here.moved) - here.rounding
     return bool(np.all(moved[:n] <= REST) and np.all(moved[n:] <= REST * (1.0 + np.abs(x[n:]))))
 
 

@@ -5,15 +5,34 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from flexopt.errors import InputError
+from flexopt.errors import InputError, NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.plant.plant import OperatingPoint, Plant
+
+# Of what the static deflection may leave over, relative to the weight.
+STATIC_TOLERANCE = 1e-8
 
 
 def left_over(plant: Plant, at: OperatingPoint) -> ca.SX:
     """Force that the deflection of an operating point leaves over, relative to the weight; a graph of base and p."""
     weight = ca.norm_inf(plant.gravity(at.q, plant.graph.base, plant.graph.p)[: plant.n_passive])
     return ca.norm_inf(at.static_residual) / (1 + weight)
+
+
+def check_settled(plant: Plant, q: Vector, base: Vector) -> None:
+    """Raise `NoSolutionFound` where a configuration (n_q,) is no static equilibrium; `base`: placement (n_b,)."""
+    if not np.all(np.isfinite(q)):
+        raise NoSolutionFound("the static deflection under gravity diverged", violations={}, iterate={})
+    p, m = plant.parameter_values, plant.n_passive
+    weight = plant.gravity(q, base, p).full().ravel()[:m]
+    rest = plant.rest(base, q[m:], p).full().ravel()
+    left = float(np.abs(plant.stiffness(p).full()[:m, :m] @ (q - rest)[:m] + weight).max())
+    if not left <= STATIC_TOLERANCE * (1 + float(np.abs(weight).max())):
+        raise NoSolutionFound(
+            f"the static deflection under gravity did not converge: {left:.3g} N or N m left over",
+            violations={"static equilibrium": left},
+            iterate=dict(zip(plant.coordinates, q.tolist(), strict=True)),
+        )
 
 
 def check_held(plant: Plant, q: Vector, base: Vector) -> Vector:

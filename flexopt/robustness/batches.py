@@ -110,6 +110,7 @@ def w_at(
     """
     quick = quick or (measures.quick_batch_with_gradient if gradient else measures.quick_batch)
     w, gap, *slopes = quick(bases, postures, p, threads=threads)
+    n = measures.plant.n_actuated
     # A NaN is not trusted either.
     doubtful = np.flatnonzero(~(gap[0] >= TRUSTED_GAP))
     if doubtful.size:
@@ -118,9 +119,9 @@ def w_at(
         w[:, doubtful] = measures.w.call(points)[0].full()
         if gradient:
             flat = measures.w_with_gradient.call(points)[1].full()
-            m, n = slopes[0].shape[0] // measures.plant.n_actuated, measures.plant.n_actuated
-            slopes[0][:, doubtful] = flat.reshape(m, doubtful.size, n).transpose(2, 0, 1).reshape(m * n, -1)
-    w_posture = slopes[0].reshape(-1, w.shape[0], w.shape[1]).transpose(1, 0, 2) if gradient else None
+            each = flat.reshape(len(w), doubtful.size, n).transpose(2, 0, 1)
+            slopes[0][:, doubtful] = each.reshape(len(w) * n, doubtful.size)
+    w_posture = slopes[0].reshape(n, *w.shape).transpose(1, 0, 2) if gradient else None
     singular, unheld = unsound(measures, bases, postures, p, threads=threads, sound=sound)
     # Points that fit every input alone are one.
     none = np.flatnonzero(np.broadcast_to(singular | unheld, w.shape[1]))

@@ -24,7 +24,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.plant.hydraulics import CylinderState, build_hydraulics
 from flexopt.plant.singularity import check_regular
-from flexopt.plant.statics import check_held
+from flexopt.plant.statics import check_held, check_settled
 from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
 from flexopt.robustness.plausibility import warn_implausible
@@ -455,18 +455,9 @@ def _check_solved(measures: Measures, v: dict[str, Vector], base: Vector) -> Non
     plant, p = measures.plant, measures.plant.parameter_values
     q, modes, values = v["q"].ravel(), v["modes"], v["omega_squared"].ravel()
     m = plant.n_passive
-    if not np.all(np.isfinite(q)):
-        raise NoSolutionFound("the static deflection under gravity diverged", violations={}, iterate={})
     stiffness = plant.stiffness(p).full()
     if measures.gravity:
-        force = np.abs(plant.gravity(q, base, p).full()[:m]).max()
-        residual = float(np.abs(v["static_residual"]).max())
-        if not residual <= SOLVE_TOLERANCE * (1.0 + force):
-            raise NoSolutionFound(
-                f"the static deflection under gravity did not converge: {residual:.3g} N or N m left over",
-                violations={"static equilibrium": residual},
-                iterate=dict(zip(plant.coordinates, q.tolist(), strict=True)),
-            )
+        check_settled(plant, q, base)
         stiffness = check_held(plant, q, base)
     _check_finite(modes, values, v["w"], v["a"], v["b"], v["rigid"])
     mass = plant.mass(q, base, p).full()

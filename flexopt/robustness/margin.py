@@ -26,7 +26,7 @@ import casadi as ca
 
 from flexopt import compiled
 from flexopt.algebra import apply_pseudo_inverse, diagonal, safe_norm, solve_spd
-from flexopt.algebra.riccati import DOUBLINGS, lyapunov, riccati_pair, top_eigenpairs
+from flexopt.algebra.riccati import lyapunov, riccati_pair, top_eigenpairs
 from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
 from flexopt.plant.control import task_to_joints
@@ -53,8 +53,6 @@ class Margin:
         plant, control, gravity: as in `Measures`.
         keeps_joint_rates: whether all joint rates stay states, because joint damping couples a redundant arm's
             self-motion to the rest (and stabilises it).
-        doublings: how many of the Riccati equations' doublings are done. The default suits poles close to the axis;
-            fewer are faster, and `values` says by `rest` where they were too few.
         compact: whether the Functions are meant for C rather than for CasADi's virtual machine (same results).
     """
 
@@ -62,7 +60,6 @@ class Margin:
     control: Control
     gravity: bool
     keeps_joint_rates: bool
-    doublings: int = DOUBLINGS
     compact: bool = False
 
     @property
@@ -291,7 +288,7 @@ class Margin:
         """Symbols, scaled A, B, C, the solutions X and Z and what the doubling left."""
         _, symbols = self._symbols()
         a, b, c = self.scaled_plant.call([*symbols, *self.hold.call(symbols)])
-        x, z, rest = riccati_pair(self.n_states, self.doublings, compact=self.compact).call([a, b @ b.T, c.T @ c])
+        x, z, rest = riccati_pair(self.n_states, compact=self.compact).call([a, b @ b.T, c.T @ c])
         return symbols, (a, b, c), x, z, rest
 
     def _function(self, name: str, symbols: list[ca.MX], outputs: list[ca.MX], names: list[str]) -> ca.Function:
@@ -303,13 +300,12 @@ def build_margin(
     machine: AnyMachine,
     control: Control = "inverse",
     gravity: bool = False,
-    doublings: int = DOUBLINGS,
     compact: bool = False,
 ) -> Margin:
     """The margin of a machine (built once for each machine and set of options, and kept)."""
     plant = build_plant(machine)
     redundant = plant.n_actuated > plant.n_task
-    return Margin(plant, control, gravity, redundant and machine.damped_joints, doublings, compact)
+    return Margin(plant, control, gravity, redundant and machine.damped_joints, compact)
 
 
 def riccati_residual(a: ca.MX, b: ca.MX, c: ca.MX, x: ca.MX) -> tuple[ca.MX, list[ca.MX]]:

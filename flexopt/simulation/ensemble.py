@@ -31,7 +31,7 @@ from flexopt.foundation.turns import available_cores
 from flexopt.foundation.warned import warn_user
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
-from flexopt.model.loop import Loop, LoopLike
+from flexopt.model.loop import GAINS, Loop, LoopLike
 from flexopt.model.parameter_ranges import parameter_range
 from flexopt.model.simulation import SimulationKeywords, SimulationOptions
 from flexopt.model.simulation_faults import own_loop
@@ -40,7 +40,7 @@ from flexopt.simulation.behaviour import Behaviour, behaviour
 from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.members import Keep, Plan, member_loops, motion_constants
 from flexopt.simulation.real_loop import in_shorter_steps, with_loop
-from flexopt.simulation.run import OUTGREW, check_residual, grew, moves, note_run, runners, unfollowed
+from flexopt.simulation.run import OUTGREW, check_residual, grew, moves, note_run, runners, signals_at_end, unfollowed
 from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options
 from flexopt.simulation.verdict import LoopVerdict, grounds_of, judge
 
@@ -234,8 +234,8 @@ def simulate_ensemble(
         keep: `"measures"` (default), or `"trajectories"` for every sample of every member, too.
         threads: among how many the members are divided; all cores by default. The results do not depend on it.
         progress: called with the number of members done and N.
-        loop: the real controller, as of `flexopt.simulate`; gains in `vary` stand in place of its own. By default the
-            machine's `[loop]`, unless an option or `vary` says of the loop.
+        loop: the real controller, as of `flexopt.simulate`; gains in `vary` stand in place of its own, in their units.
+            By default the machine's `[loop]`, unless an option or `vary` says of the loop.
 
     Raises:
         InputError: arguments are not usable (all faults in one message); the samples to keep exceed 4 GB.
@@ -262,7 +262,9 @@ def simulate_ensemble(
         # What drives brake is brake in every member, on top of its own damping.
         pairs = zip(own.parameters, machine.parameters, strict=True)
         brakes = {before.name: after.value - before.value for before, after in pairs}
-        varied = {name: values + brakes.get(name, 0.0) for name, values in asked.items()}
+        # Gains are those of the loop, which may ask for rates.
+        gains = {name: (settings.braking or 1.0) * asked[name] for name in GAINS if name in asked}
+        varied = {name: values + brakes.get(name, 0.0) for name, values in asked.items()} | gains
 
     def run(given: dict[str, Any]) -> Ensemble:
         checked = checked_options("simulate_ensemble", machine, given)
@@ -343,12 +345,7 @@ def _group(plan: Plan, rows: slice, runner: Recurrence, shown: Batch, threads: i
     records = runner(start, c, steps=s.samples, e=e, stride=stride, threads=threads, keep=keep)
     structure = s.loop.structure
     until = _followed(plan, rows, runner, records.monitor)
-    end = np.zeros((s.loop.signals.total, 1))
-    if e is not None:
-        end = (e[-1] if e.ndim == 3 else e[-1][:, None]).copy()
-        for name, path in (("base", s.options.base_path), ("target", s.options.target_path)):
-            if path is not None:
-                end[s.loop.signals.slices[name]] = s.along(name, path, s.times[-1:]).T
+    end = np.zeros((0, 1)) if e is None else signals_at_end(s, e if e.ndim == 3 else e[:, :, None])[0]
     names = shown.function.name_out()
     error = shown(records.last, end, c, threads=threads)[names.index("error")]
     edges = np.concatenate([[0.0], records.k * s.period])

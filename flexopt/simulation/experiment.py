@@ -15,11 +15,10 @@ from flexopt.model.boundary import holding_machine
 from flexopt.model.loop import Loop, LoopLike, rate_of
 from flexopt.model.simulation import Experiment, OverrideKeywords
 from flexopt.model.simulation_faults import own_loop
-from flexopt.plant import inverse_kinematics
 from flexopt.selection import nullspace_trajectory
 from flexopt.simulation.real_loop import note_loop
 from flexopt.simulation.run import simulate
-from flexopt.simulation.scenario import checked_options
+from flexopt.simulation.scenario import checked_options, design_configuration
 from flexopt.simulation.trajectory import Trajectory
 
 HELD = holding_machine(Experiment, "an Experiment, from flexopt.load_experiment")
@@ -74,13 +73,12 @@ def run_experiment(
         return simulate(machine, **given, loop=real)
     if given.get("base_path") is not None:
         raise InputError(f"{experiment.name}: base_path and [nullspace] both move the base; give one of them")
-    base, posture = given.get("base", 0.0), given.get("posture")
-    gravity, control = bool(given.get("gravity", False)), given.get("control") or (real and real.control) or "inverse"
-    if posture is None:
-        elbow = given.get("elbow", "up")
-        posture = inverse_kinematics(machine, given["end_point"], base=base, gravity=gravity, elbow=elbow)[0]
+    options = checked_options("run_experiment", machine, given)
+    posture, base = design_configuration(machine, options)
+    control = given.get("control") or (real and real.control) or "inverse"
     climb = nullspace_trajectory(
-        machine, posture, base=base, control=control, gravity=gravity, gain=given.get("gain", 5e5),
-        rate=given.get("rate", 200.0) if real is None else rate_of(real, machine), **law.model_dump(),
+        machine, posture, base=base, control=control, gravity=options.gravity, gain=options.gain,
+        rate=options.rate if real is None else rate_of(real, machine), **law.model_dump(),
     )  # fmt: skip
-    return simulate(machine, **given, base_path=climb.path, loop=real)
+    whole: dict[str, Any] = given | {"base_path": climb.path}
+    return simulate(machine, **whole, loop=real)

@@ -41,13 +41,13 @@ class StabilityBorder:
     Attributes:
         intervals: (lower, upper) in N/m and the like; the ends of the search where it did not meet a border.
         searched: (lower, upper) of the search.
-        kv: the other gain, or its ratio to Kp where that was held, s.
+        kv: the other gain, one for each task row where these differ, or its ratio to Kp where that was held, s.
         ratio: whether Kv / Kp was held instead of Kv.
     """
 
     intervals: tuple[tuple[float, float], ...]
     searched: tuple[float, float]
-    kv: float
+    kv: float | tuple[float, ...]
     ratio: bool
 
     @property
@@ -124,17 +124,17 @@ def stability_border(
         800000.0
     """
     scenario = linear_scenario(machine, {"posture": posture} | keywords, "stability_border")
-    kv = float(scenario.options.kv[0])
+    kv, rows = scenario.options.kv, scenario.loop.structure.n_task
 
     def growth(exponent: float) -> float:
         kp = 10.0**exponent
-        rows = scenario.loop.structure.n_task
-        parts = {"kp": np.full(rows, kp), "kv": np.full(rows, ratio * kp if ratio is not None else kv)}
+        parts = {"kp": np.full(rows, kp), "kv": np.broadcast_to(kv if ratio is None else ratio * kp, rows)}
         return linearised(replace(scenario, parts={**scenario.parts, **parts})).growth_rate
 
     found = stable_intervals(growth, math.log10(KP_LOW), math.log10(KP_HIGH), KP_POINTS)
     intervals = tuple((10**lower, 10**upper) for lower, upper in found)
-    return StabilityBorder(intervals, (KP_LOW, KP_HIGH), kv if ratio is None else ratio, ratio is not None)
+    held = kv[0] if len(set(kv)) == 1 else kv
+    return StabilityBorder(intervals, (KP_LOW, KP_HIGH), held if ratio is None else ratio, ratio is not None)
 
 
 def linearised(scenario: Scenario) -> SampledLoop:

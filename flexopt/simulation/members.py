@@ -57,7 +57,9 @@ class Plan:
         q[m:] += self.varied["offset"][rows].T if "offset" in self.varied else s.offset[:, None]
         if "deflection" in self.varied:
             q[:m] += self.varied["deflection"][rows].T
-        x = start_states(s.machine, s.loop, s.parts, q)
+        # What has been measured before the start is of the member itself.
+        own = parameters_of_members(s.machine, {name: values[rows] for name, values in self.varied.items()}, width)
+        x = start_states(s.machine, s.loop, s.parts, q, own)
         if "rates" in self.varied:
             x[s.loop.states.slices["w"]] = np.linalg.solve(s.loop.to_q, self.varied["rates"][rows].T)
         return x
@@ -100,6 +102,12 @@ def member_loops(plan: Plan, ends: Vector | None, among: Sequence[int] | None = 
     return found
 
 
+def parameters_of_members(machine: AnyMachine, varied: Mapping[str, Vector], n: int) -> Vector:
+    """Parameters (n_par, n), those that vary in the place of the machine's own."""
+    own = [varied.get(name, np.full(n, value)) for name, value, _ in machine.parameters]
+    return np.array(own)
+
+
 def motion_constants(
     machine: AnyMachine, varied: Mapping[str, Vector], n: int
 ) -> tuple[frozenset[str] | None, dict[str, Vector]]:
@@ -107,10 +115,7 @@ def motion_constants(
     if not varied:
         return None, {}
     function = constants(machine)
-    p = np.repeat(np.array([[parameter.value] for parameter in machine.parameters]), n, axis=1)
-    names = [parameter.name for parameter in machine.parameters]
-    for name, values in varied.items():
-        p[names.index(name)] = values
+    p = parameters_of_members(machine, varied, n)
     # By the virtual machine, as those of one simulation are: the same bits, and sooner than they could be compiled.
     columns = dict(zip(constant_names(machine), Interpreter(function)(p)[0], strict=True))
     zeros = frozenset(name for name, value in columns.items() if not np.any(value))

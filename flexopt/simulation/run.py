@@ -183,11 +183,14 @@ def shown_at(scenario: Scenario, shown: Batch, x: Vector, signals: Vector | None
 
 
 def signals_at_end(scenario: Scenario, signals: Vector) -> Vector:
-    """Signals (1, n_e) at the end of the last sample: where the paths have come to, and no noise."""
+    """Signals (1, n_e) at the end of the last sample: where the paths have come to, and no noise.
+
+    Of signals (K, n_e, members) (1, n_e, members).
+    """
     layout, last = scenario.loop.signals, signals[-1:].copy()
     for name, path in (("base", scenario.options.base_path), ("target", scenario.options.target_path)):
         if path is not None:
-            last[0, layout.slices[name]] = scenario.along(name, path, scenario.times[-1:])[0]
+            last[0, layout.slices[name]].T[...] = scenario.along(name, path, scenario.times[-1:])[0]
     if "noise" in layout.sizes:
         last[0, layout.slices["noise"]] = 0.0
     return last

@@ -14,7 +14,7 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from flexopt.errors import InputError, NoSolutionFound, raise_if_any
+from flexopt.errors import InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import Keywords
@@ -30,17 +30,16 @@ from flexopt.model.file_model import read_table, validated
 from flexopt.model.plausibility import warn_weightless
 from flexopt.model.simulation import Path, SimulationKeywords, SimulationOptions, dead_time, placement_of
 from flexopt.model.simulation_faults import simulation_faults
-from flexopt.plant import Plant, build_plant, inverse_kinematics
+from flexopt.plant import build_plant, inverse_kinematics
 from flexopt.plant.machine_motion import constant_values, constants_at, motion_of
 from flexopt.plant.motion import Motion
 from flexopt.plant.singularity import check_regular
-from flexopt.plant.statics import check_held
+from flexopt.plant.statics import check_held, check_settled
 from flexopt.simulation.base_path import driven_structure, moved, path_faults
 from flexopt.simulation.behaviour import STILL, Grounds
 from flexopt.simulation.stepping import Fastest, Stepping, stepping
 
 OFFSET = 0.05  # rad or m
-STATIC_TOLERANCE = 1e-8
 
 
 @dataclass(frozen=True)
@@ -324,7 +323,7 @@ def _design(
     stiffness = plant.stiffness(p).full()
     if gravity:
         q[:m] = plant.deflected(placement, angles, p).full().ravel()
-        _check_static(plant, q, placement)
+        check_settled(plant, q, placement)
         stiffness = check_held(plant, q, placement)
     mass: Vector = plant.mass.call([q, placement, p])[0].full()
     frequencies, modes = _flexible_modes(stiffness, mass, m)
@@ -335,20 +334,6 @@ def _design(
         [[np.zeros_like(mass), np.eye(len(mass))], [-np.linalg.solve(mass, np.hstack([stiffness, dampers]))]]
     )
     return _Design(angles, placement, q, target, frequencies, modes, np.linalg.eigvals(motion).astype(complex), damper)
-
-
-def _check_static(plant: Plant, q: Vector, base: Vector) -> None:
-    p, m = plant.parameter_values, plant.n_passive
-    weight = plant.gravity(q, base, p).full().ravel()[:m]
-    rest = plant.rest(base, q[m:], p).full().ravel()
-    residual = plant.stiffness(p).full()[:m, :m] @ (q - rest)[:m] + weight
-    left = float(np.abs(residual).max())
-    if not left <= STATIC_TOLERANCE * (1 + float(np.abs(weight).max())):
-        raise NoSolutionFound(
-            f"the static deflection under gravity did not converge: {left:.3g} N or N m left over",
-            violations={"static equilibrium": left},
-            iterate=dict(zip(plant.coordinates, q.tolist(), strict=True)),
-        )
 
 
 def _flexible_modes(stiffness: Vector, mass: Vector, m: int) -> tuple[Vector, Vector]:
@@ -397,10 +382,13 @@ def default_offset(n: int) -> Vector:
     return np.array([OFFSET if k % 2 == 0 else -OFFSET for k in range(n)])
 
 
-def start_states(machine: AnyMachine, loop: ClosedLoop, parts: Mapping[str, Any], q: Vector) -> Vector:
-    """States x (n_x, N) at rest in configurations q (n_q, N)."""
+def start_states(
+    machine: AnyMachine, loop: ClosedLoop, parts: Mapping[str, Any], q: Vector, p: Vector | None = None
+) -> Vector:
+    """States x (n_x, N) at rest in configurations q (n_q, N); p (n_par, N): None of the machine itself."""
     function = _at_rest(machine, loop.structure)
-    x: Vector = function(q, np.atleast_1d(parts["base"]), build_plant(machine).parameter_values).full()
+    numbers = build_plant(machine).parameter_values if p is None else p
+    x: Vector = function(q, np.atleast_1d(parts["base"]), numbers).full()
     return x
 
 

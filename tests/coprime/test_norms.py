@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 
-from flexopt.coprime import StateSpace, hinf_norm, hinf_peak, state_space
+from flexopt.coprime import StateSpace, hinf_norm, hinf_peak, ncf_margin, state_space
 from tests.coprime.oracles import responses
 from tests.coprime.plants import in_coordinates, orders, random_plant, sampled_twin, seeds
 
@@ -47,6 +47,18 @@ def test_first_order_all_pass_and_gain():
 )
 def test_unstable_is_infinite(system):
     assert hinf_norm(system) == math.inf
+
+
+@pytest.mark.parametrize("fast", [1e2, 1e4, 1e6])
+@pytest.mark.parametrize("count", [2, 4])
+def test_equal_poles_behind_a_fast_one_decay(count, fast):
+    """1/(s + 1)ᵏ and its like in sampled time: rounding scatters such poles, and proves nothing."""
+    A = np.diag([-1.0] * count + [-fast]) + np.diag([1.0] * count, 1)
+    B, C = fast * np.eye(count + 1)[:, [-1]], np.eye(count + 1)[[0]]
+    assert hinf_norm((A, B, C)) == pytest.approx(1.0, rel=1e-9)
+    assert ncf_margin((A, B, C), 0.0) == pytest.approx(math.sqrt(0.5), rel=1e-9)
+    assert hinf_norm(sampled_twin(StateSpace(A, B, C, np.zeros((1, 1))))) == pytest.approx(1.0, rel=1e-9)
+    assert hinf_norm((A + np.eye(count + 1), B, C)) == math.inf
 
 
 @settings(derandomize=True, deadline=None, max_examples=30)

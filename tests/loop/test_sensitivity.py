@@ -94,9 +94,11 @@ def test_what_is_no_loops(tmp_path: Path) -> None:
         flexopt.sensitivity(machine, POSTURE, samples=100)
     one = flexopt.sensitivity(machine, POSTURE, samples=64, loop={"kp": 1e4, "kv": 1e3})
     assert one.most == ("", "", "", "stiffness")
+    assert one.to_dict()["provenance"]["options"]["loop"]["kp"] == [1e4, 1e4]
     assert one.total[3, 0] == pytest.approx(1.0, abs=0.2)
     found = flexopt.sensitivity(machine, POSTURE, samples=64)
     assert found.most == ("", "", "")  # one factor of all springs: nothing varies
+    assert "loop" not in found.provenance["options"]
     assert "does not vary" in repr(found)
     found.plot(tmp_path / "what.png")
     assert (tmp_path / "what.png").stat().st_size > 10_000

@@ -11,6 +11,7 @@ import pytest
 
 import flexopt
 from flexopt.errors import FlexoptWarning, InputError, ModelError
+from flexopt.loop.gains import rigid_gains
 from flexopt.loop.outcome import MEASURES
 from flexopt.loop.settings import loop_settings
 from flexopt.model.loop import drive_of, rate_of
@@ -126,6 +127,23 @@ def test_what_is_left_out_follows_from_the_machine():
     )
     ranged = settings_of(EXCAVATOR, POSTURE_B, kp_range=[1e3, 1e5], kv_range=[0.0, 3e3])
     assert (ranged.kp[0], ranged.kv[0]) == pytest.approx((1e4, 1.5e3))
+
+
+def test_a_gain_of_0_says_nothing_of_the_other():
+    both = rigid_gains(EXCAVATOR, flexopt.evaluate(EXCAVATOR, POSTURE_B), 200.0)
+    for zero, other in (("kp", "kv"), ("kv", "kp")):
+        found = settings_of(EXCAVATOR, POSTURE_B, **{zero: 0.0})
+        np.testing.assert_array_equal(getattr(found, other), both[other])
+        assert "corner at 0.3" in found.sources[other]
+        # Beside a gain that is given the corner is that gain's.
+        assert "corner" not in settings_of(EXCAVATOR, POSTURE_B, **{zero: 1e4}).sources[other]
+
+
+def test_without_kp_there_are_no_intervals_of_it():
+    found = flexopt.outcome(EXCAVATOR, POSTURE_B, loop={"kp": 0.0, "kv": 1e3})
+    assert math.isnan(found.allowed_gain)
+    assert found.gain_intervals == ()
+    assert "allowed gain Kp –\n" in repr(found)
 
 
 def test_drive_and_rate():

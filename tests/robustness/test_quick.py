@@ -110,6 +110,14 @@ def test_close_frequencies_agree_as_long_as_they_are_trusted(wanted, seed):
 
 
 @pytest.mark.usefixtures("_interpreted")
+@pytest.mark.parametrize("gradient", [False, True])
+def test_no_points_have_no_measures(gradient):
+    result = evaluate_w(build_measures(flexopt.load("excavator")), [0.0], np.zeros((2, 0)), gradient=gradient)
+    assert result.w.shape == (3, 0)
+    assert result.w_posture is None if not gradient else result.w_posture.shape == (3, 2, 0)
+
+
+@pytest.mark.usefixtures("_interpreted")
 @pytest.mark.parametrize("gap", [0.0, 1e-14, 1e-8, 1e-5, 0.9e-3])
 def test_doubtful_points_are_computed_again(gap):
     case = near_repeated(np.random.default_rng(1), gap, condition=20.0)

@@ -48,6 +48,44 @@ def test_trajectories_of_members():
     assert kept.dataset["time"].to_numpy() == pytest.approx(one.time)
 
 
+def test_what_was_measured_before_the_start_is_of_the_member():
+    """At rest a late measurement is the same as one in time."""
+    options = {"vary": {"stick.length": [1.097, 1.2]}, "kp": 1e4, "kv": 1e3, "duration": 0.05, "keep": "trajectories"}
+    now, late = (
+        flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, **options, sensor={"delay": delay}).dataset["torque"].to_numpy()
+        for delay in (0.0, 0.02)
+    )
+    np.testing.assert_allclose(late[:, 0], now[:, 0], rtol=1e-9)
+    assert abs(now[0, 0, 0] - now[1, 0, 0]) > 100.0
+
+
+def test_members_start_in_the_same_posture_whatever_varies():
+    """On a base that cannot turn, too, whose angle at rest then varies."""
+    base = EXCAVATOR.to_dict()["base"] | {"stiffness": {"x": 4e7}, "damping": {"x": 50.0}}
+    rigid = machine_from_dict(EXCAVATOR.to_dict() | {"base": base})
+    angles = {"base.rest_angle": [1.2451, 1.0]}
+    kept = flexopt.simulate_ensemble(rigid, POSTURE_B, vary=angles, duration=0.01, keep="trajectories").dataset
+    np.testing.assert_allclose(kept["q"].to_numpy()[:, 0, 1:] - POSTURE_B, [[0.05, -0.05]] * 2, atol=1e-12)
+    other = machine_from_dict(EXCAVATOR.to_dict() | {"base": base | {"rest_angle": 1.0}})
+    alone = flexopt.simulate(other, POSTURE_B, duration=0.01)
+    np.testing.assert_allclose(kept["end_point"].to_numpy()[1, 0], alone.end_point[0], rtol=1e-12)
+
+
+def test_noise_ends_with_the_last_sample():
+    """As of one run: the torques at the end are those of the end-point as it is."""
+    options = {"kp": 1e4, "kv": 0.0, "sensor": {"noise": 1e-3}, "duration": 0.05}
+    noisy = flexopt.simulate_ensemble(
+        EXCAVATOR, POSTURE_B, vary={"offset": OFFSETS[:2]}, keep="trajectories", **options
+    )
+    for q, error, torque in zip(
+        *(noisy.dataset[name].to_numpy()[:, -1] for name in ("q", "error", "torque")), strict=True
+    ):
+        plant = flexopt.build_plant(EXCAVATOR)
+        known = np.concatenate([plant.rest([0.0], POSTURE_B, plant.parameter_values).full().ravel()[:3], q[3:]])
+        jacobian = plant.rigid_jacobian(known, [0.0], plant.parameter_values).full()
+        np.testing.assert_allclose(torque, np.linalg.solve(jacobian, 1e4 * error), rtol=1e-9)
+
+
 def test_parameters_vary_the_machine_and_not_the_controller():
     masses = np.array([0.0, 150.0, 900.0])
     many = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"payload.mass": masses}, keep="trajectories").dataset

@@ -94,6 +94,14 @@ def test_a_border_is_where_the_growth_rate_changes_sign():
     assert by_ratio.largest < 1e3
 
 
+def test_a_border_is_that_of_each_row_of_kv():
+    border = flexopt.stability_border(EXCAVATOR, POSTURE_B, kv=[2e3, 2e2])
+    assert border.kv == (2e3, 2e2)
+    for kp in (1e3, 1e5, 1.2e5, 3e5, 7e5):
+        grows = flexopt.sampled_loop(EXCAVATOR, POSTURE_B, kp=kp, kv=[2e3, 2e2]).growth_rate > 0
+        assert grows != any(low < kp < high for low, high in border.intervals)
+
+
 @pytest.mark.long
 def test_verdicts_agree_with_the_linear_loop_over_a_grid_of_gains():
     """60 s, small start, both by RK4; where they differ the growth rate is within 0.01/s, which such a run does not tell from 0."""
@@ -124,6 +132,14 @@ def test_the_optimised_posture_converges_where_a_grows():
     assert flexopt.simulate(EXCAVATOR, POSTURE_A, **gains).verdict == "grows"
     assert flexopt.simulate(EXCAVATOR, POSTURE_B, **gains).verdict == "converges"
     assert flexopt.simulate(EXCAVATOR, best.posture, base=best.base, **gains).verdict == "converges"
+
+
+@pytest.mark.parametrize("kp", [1e5, 1e9, 1e12])
+def test_what_gains_make_of_rounding_is_no_motion(kp):
+    """Servos' torques then change by it at every sample; no weight acts."""
+    for posture in np.random.default_rng(0).uniform([-0.5, -2.6], [1.0, -0.5], (6, 2)):
+        options = {"kp": kp, "kv": 0.02 * kp, "actuator": {"bandwidth_hz": 10.0}}
+        assert np.isfinite(flexopt.sampled_loop(EXCAVATOR, posture, **options).growth_rate)
 
 
 def test_weight_without_compensation_is_no_equilibrium():

@@ -261,6 +261,17 @@ def test_members_of_an_ensemble_are_runs_with_the_loop(name: str) -> None:
     np.testing.assert_array_equal(several.dataset["boom.joint_damping"], varied["boom.joint_damping"])
 
 
+def test_gains_that_vary_are_those_of_the_loop() -> None:
+    """Of drives that serve rates 1/s, as the loop's own."""
+    machine, loop = flexopt.load("excavator"), {"drive": "velocity", "servo_gain": 2e5, "kv": 0.0}
+    several = flexopt.simulate_ensemble(machine, POSTURE, vary={"kp": [1.0, 2.0]}, loop=loop, duration=0.1)
+    for k, kp in enumerate((1.0, 2.0)):
+        alone = flexopt.simulate(machine, POSTURE, loop=loop | {"kp": kp}, duration=0.1)
+        assert several.linear_growth_rate[k] == pytest.approx(alone.linear_growth_rate, rel=1e-9)
+        assert float(several.dataset["end_error"][k]) == pytest.approx(alone.end_error, rel=1e-9)
+    np.testing.assert_array_equal(several.dataset["kp"], [1.0, 2.0])
+
+
 def test_an_ensemble_falls_back_on_the_loop_of_its_machine() -> None:
     machine = with_own_loop(**LOOPS["torque"])
     vary = {"payload.mass": [0.0, 100.0]}

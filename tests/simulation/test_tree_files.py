@@ -87,6 +87,26 @@ def test_an_end_point_names_a_posture(command: Command) -> None:
     np.testing.assert_allclose(made.target[0], point, atol=1e-6)
 
 
+@pytest.mark.long
+def test_the_nullspace_law_goes_from_an_end_point_in_space(command: Command) -> None:
+    """With no word on the base, which then stands at the origin."""
+    gives = MACHINE.replace("x = 2e6,", "x = 2e6, y = 2e6, yaw = 3e6,")
+    (command.folder / "arm.toml").write_text(gives, encoding="utf-8")
+    machine = flexopt.load("arm.toml")
+    plant = flexopt.build_plant(machine)
+    p, base = plant.parameter_values, np.zeros(3)
+    point = plant.end_point(plant.rest(base, [0.2, 0.3, 0.4], p), base, p).full().ravel().tolist()
+    law = f"end_point = {point}\nduration = 0.2\nkp = 1e4\nkv = 1e3\n\n[nullspace]\nduration = 0.2\n"
+    command.write("way.toml", f'name = "way"\nmachine = "arm.toml"\n\n[simulation]\n{law}')
+    experiment = flexopt.load_experiment("way.toml")
+    made = flexopt.run_experiment(experiment)
+    np.testing.assert_allclose(made.target[0], point, atol=1e-6)
+    assert np.any(made.base[-1] != made.base[0])
+    still = flexopt.SimulationOptions(end_point=point, duration=0.2, kp=1e4, kv=1e3, base_path=None)
+    same = flexopt.run_experiment(experiment.model_copy(update={"simulation": still}))
+    np.testing.assert_array_equal(same.base, made.base)
+
+
 def test_faults_of_an_experiment(command: Command) -> None:
     faulty = EXPERIMENT.replace("kv = 1e3", "kv = [1.0, 2.0]").replace("base = [1.0, -2.0, 0.5]", "base = [1.0]")
     command.write("run.toml", faulty.replace("posture = [0.2, 0.3, 0.4]", "posture = [0.2, 3.0, 0.4]"))

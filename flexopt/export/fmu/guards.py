@@ -16,7 +16,7 @@ from flexopt.loop.structure import LoopStructure
 from flexopt.model.machine import Parameter
 from flexopt.plant import Plant
 from flexopt.plant.singularity import CONDITION_MAX
-from flexopt.simulation.scenario import STATIC_TOLERANCE
+from flexopt.plant.statics import STATIC_TOLERANCE
 
 # Squarings of M⁻¹K: its trace then bounds the fastest mode from above, for m modes by m^(1/512).
 SQUARINGS = 8
