@@ -202,7 +202,9 @@ def verdict(
         members=len(points),
         judged=len(others),
         selection=chosen,
-        provenance=provenance(machine, members=members, runs=runs, duration=duration),
+        provenance=provenance(
+            machine, members=members, runs=runs, duration=duration, selection=chosen.provenance["options"]
+        ),
     )
 
 

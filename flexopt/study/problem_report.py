@@ -156,7 +156,7 @@ def report(
         verdict=judged,
         no_verdict=why_not,
         notes=tuple(notes),
-        provenance=provenance(machine, points=size, simulation=given),
+        provenance=provenance(machine, points=size, simulation=given, selection=selection.provenance["options"]),
     )
 
 
