@@ -41,7 +41,7 @@ class StabilityBorder:
     Attributes:
         intervals: (lower, upper) in N/m and the like; the ends of the search where it did not meet a border.
         searched: (lower, upper) of the search.
-        kv: the other gain, or its ratio to Kp where that was held, s.
+        kv: the other gain, of the first task row where they differ; or its ratio to Kp where that was held, s.
         ratio: whether Kv / Kp was held instead of Kv.
     """
 
@@ -124,16 +124,16 @@ def stability_border(
         800000.0
     """
     scenario = linear_scenario(machine, {"posture": posture} | keywords, "stability_border")
-    kv = float(scenario.options.kv[0])
 
     def growth(exponent: float) -> float:
         kp = 10.0**exponent
         rows = scenario.loop.structure.n_task
-        parts = {"kp": np.full(rows, kp), "kv": np.full(rows, ratio * kp if ratio is not None else kv)}
+        parts = {"kp": np.full(rows, kp)} | ({} if ratio is None else {"kv": np.full(rows, ratio * kp)})
         return linearised(replace(scenario, parts={**scenario.parts, **parts})).growth_rate
 
     found = stable_intervals(growth, math.log10(KP_LOW), math.log10(KP_HIGH), KP_POINTS)
     intervals = tuple((10**lower, 10**upper) for lower, upper in found)
+    kv = float(scenario.options.kv[0])
     return StabilityBorder(intervals, (KP_LOW, KP_HIGH), kv if ratio is None else ratio, ratio is not None)
 
 

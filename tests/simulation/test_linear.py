@@ -94,6 +94,15 @@ def test_a_border_is_where_the_growth_rate_changes_sign():
     assert by_ratio.largest < 1e3
 
 
+def test_a_border_is_that_of_the_rows_own_gains():
+    """Rows with other Kv are another loop than one with the first row's in all of them."""
+    border = flexopt.stability_border(EXCAVATOR, POSTURE_B, kv=[500.0, 1e3])
+    ((_, high),) = border.intervals
+    for kp, stable in ((0.99 * high, True), (1.01 * high, False)):
+        assert flexopt.sampled_loop(EXCAVATOR, POSTURE_B, kp=kp, kv=[500.0, 1e3]).stable == stable
+    assert flexopt.stability_border(EXCAVATOR, POSTURE_B, kv=[1e3, 5e3]).intervals == ()
+
+
 @pytest.mark.long
 def test_verdicts_agree_with_the_linear_loop_over_a_grid_of_gains():
     """60 s, small start, both by RK4; where they differ the growth rate is within 0.01/s, which such a run does not tell from 0."""
