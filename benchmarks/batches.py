@@ -16,7 +16,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +25,7 @@ import numpy as np
 import scipy.linalg
 
 import flexopt
-from benchmarks.score import Row, means
+from benchmarks.score import Row, has_avx512, means
 from benchmarks.timing import least_of, table
 from flexopt.compiled import Batch, batch
 from flexopt.robustness.batches import evaluate_w
@@ -79,18 +78,6 @@ def peers(measures: Measures, postures: np.ndarray) -> Peers:
     return Peers(plant.stiffness(p).full(), mass, jacobian, np.linalg.inv(jacobian[:, :, m:]), m)
 
 
-def least_seconds(works: dict[str, Callable[[], object]]) -> dict[str, float]:
-    """The least time of a call of each, over interleaved rounds of three calls, so that caches are warm for all."""
-    least = dict.fromkeys(works, np.inf)
-    for _ in range(ROUNDS):
-        for name, work in works.items():
-            for _ in range(3):
-                start = time.perf_counter()
-                work()
-                least[name] = min(least[name], time.perf_counter() - start)
-    return least
-
-
 def random_postures(count: int) -> np.ndarray:
     """Of the excavator, away from its singular ones."""
     rng = np.random.default_rng(0)
@@ -137,7 +124,7 @@ def rows(quick: bool) -> list[Row]:
             {"value": lambda: value([0.0], postures, p), "both": lambda: both([0.0], postures, p)}, 2 if quick else 15
         )
         least = {name: min(least[name], found[name]) for name in least}
-    bar = 60.0 if _has_avx512() else 20.0
+    bar = 60.0 if has_avx512() else 20.0
     return [
         Row("NumPy / flexopt, all w_i, excavator", theirs / least["value"], bar, at_least=True, ran=means(value)),
         Row(
@@ -177,7 +164,7 @@ def main() -> None:
         "evaluate_w, with Jacobian": lambda: evaluate_w(measures, [0.0], postures, gradient=True).w,
     }
     reference = others.numpy_batched()
-    seconds = least_seconds(works)
+    seconds = least_of(works, ROUNDS)
     per_posture = {name: seconds[name] / (FEW if "loop" in name else POSTURES) for name in works}
     rows: list[tuple[str, ...]] = [("who", "µs a posture", "NumPy / this", "largest difference from NumPy / |w|max")]
     for name, function in works.items():
@@ -188,17 +175,10 @@ def main() -> None:
     print(table(f"All w_i of {POSTURES} random postures of the excavator, one core; {measures.quick_batch}", rows))
     speed = per_posture["NumPy eigh, batched"] / per_posture[VALUE]
     quotient = per_posture[BOTH] / per_posture[VALUE]
-    bar = 60 if _has_avx512() else 20
+    bar = 60 if has_avx512() else 20
     print(f"batched NumPy / {VALUE}: {speed:.1f} (bar: at least {bar})")
     print(f"value with Jacobian / value: {quotient:.2f} (bar: at most 4)")
     print(f"instructions {measures.quick.n_instructions()}, {measures.quick_with_gradient.n_instructions()}")
-
-
-def _has_avx512() -> bool:
-    try:
-        return "avx512f" in Path("/proc/cpuinfo").read_text(encoding="utf-8")
-    except OSError:
-        return False
 
 
 if __name__ == "__main__":

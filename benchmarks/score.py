@@ -67,21 +67,29 @@ def modules() -> tuple[list[str], list[str]]:
     return with_rows, others
 
 
-def this_machine() -> dict[str, str]:
-    """What the numbers were taken on."""
-    compiler = find_compiler()
+def _processor() -> dict[str, str]:
+    """What the system tells of it, by name; of cores that say the same thing what the last says."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
-        lines = []
-    told = dict(reversed([part.strip() for part in line.split(":", 1)]) for line in lines if ":" in line)
-    by_name = {name: value for value, name in told.items()}
+        return {}
+    return dict([part.strip() for part in line.split(":", 1)] for line in lines if ":" in line)
+
+
+def has_avx512() -> bool:
+    """Whether the processor says that it has AVX-512."""
+    return "avx512f" in _processor().get("flags", "").split()
+
+
+def this_machine() -> dict[str, str]:
+    """What the numbers were taken on."""
+    compiler, by_name = find_compiler(), _processor()
     # A name alone may be that of many: "AMD EPYC" runs vectors of 512 bits in halves or whole.
     kind = [f"{name.removeprefix('cpu ')} {by_name[name]}" for name in ("cpu family", "model") if name in by_name]
     packages = ["numpy", "scipy", "casadi", "slycot", "numba", "mujoco"]
     return {
         "processor": ", ".join([by_name.get("model name", platform.processor() or platform.machine()), *kind]),
-        "vectors": "AVX-512" if "avx512f" in by_name.get("flags", "").split() else "no AVX-512",
+        "vectors": "AVX-512" if has_avx512() else "no AVX-512",
         "cores": str(os.cpu_count()),
         "compiler": " ".join(compiler.command) if compiler else "none",
         "python": platform.python_version(),

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from benchmarks.score import Row, means
+from benchmarks.score import Row, has_avx512, means
 from benchmarks.simulation.ours import Ours, first_use, large_ensemble, python_call
 from benchmarks.simulation.peers import (
     WITHOUT_AVX512,
@@ -26,7 +26,6 @@ from benchmarks.simulation.peers import (
     NumbaLoop,
     Run,
     flags,
-    has_avx512,
     start,
     worst_difference,
 )

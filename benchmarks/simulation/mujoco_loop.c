@@ -43,10 +43,6 @@ PUBLIC simulation *excavator_load(const char *path) {
   return s;
 }
 
-PUBLIC void excavator_free(simulation *s) {
-  mj_deleteData(s->data), mj_deleteModel(s->model), mju_free(s);
-}
-
 PUBLIC void excavator_run(simulation *s, double *q, double *v, const double *goal, long steps) {
   mj_resetData(s->model, s->data);
   mju_copy(s->data->qpos, q, 5), mju_copy(s->data->qvel, v, 5);

@@ -171,9 +171,6 @@ class MujocoLoop:
 class NumbaLoop:
     """Numba: the closed form with sin and cos at each stage, strict arithmetic, one compiled loop.
 
-    Attributes:
-        compilation: seconds that the first call took.
-
     Raises:
         Missing: no Numba.
     """
@@ -184,7 +181,7 @@ class NumbaLoop:
         except ImportError as error:
             raise Missing(f"no Numba ({error})") from error
         self._run: Callable[..., None] = numba_loop.run
-        self.compilation = self.run(*start(), 1).seconds
+        self.run(*start(), 1)  # compiled before it is timed
 
     def run(self, q: np.ndarray, v: np.ndarray, goal: np.ndarray, steps: int) -> Run:
         """`steps` steps from (q, v)."""
@@ -202,14 +199,6 @@ def worst_difference(a: Run, b: Run) -> float:
 def flags() -> str:
     """How the hand-written programs are compiled, beside -march=native."""
     return " ".join((*_hand_flags(), *_wide()))
-
-
-def has_avx512() -> bool:
-    """Whether the processor says that it has AVX-512."""
-    try:
-        return "avx512f" in Path("/proc/cpuinfo").read_text(encoding="utf-8")
-    except OSError:
-        return False
 
 
 _Doubles = ctypes.POINTER(ctypes.c_double)

@@ -1,13 +1,13 @@
-"""Figures 9 to 12 of the article, and the gains that its postures allow.
+"""Figure 10 of the article, and the gains that its postures allow.
 
-In: trajectories, base trajectories, a map of growth rates over two gains. Out: matplotlib figures.
+In: base trajectories, a map of growth rates over two gains. Out: matplotlib figures.
 """
 
 # pyright: reportUnknownMemberType=false
 # (the stubs of matplotlib leave keyword arguments untyped)
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,27 +15,19 @@ from matplotlib.axes import Axes
 from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
-from flexopt.foundation.palette import Theme, colors
-from flexopt.foundation.pictures import Size
+from flexopt.foundation.palette import colors
 from flexopt.plotting.fields import cell_edges, draw_border, signed_colors
 from flexopt.plotting.panels import Panel, draw_panel
 from flexopt.plotting.scene import Actor, draw_scene, legend_above
 from flexopt.plotting.shape import chain, views
 from flexopt.plotting.sheet import SettledLayout, sized
-from flexopt.plotting.trajectory import plot_trajectories
 from flexopt.plotting.units import labelled
 from flexopt.robustness.residues import residue_unit
 from flexopt.selection.base_trajectory import BaseTrajectory
-from flexopt.simulation.trajectory import Trajectory
 from flexopt.study.gains import GainMap
 
 # Growth rates below this are drawn on a linear scale, above RATE_SHOWN in one colour, 1/s.
 RATE_LINEAR, RATE_SHOWN = 0.01, 10.0
-
-
-def plot_figure9(runs: Mapping[str, Trajectory], *, theme: Theme = "light", size: Size = "screen") -> Figure:
-    """End-point error and base oscillation at each posture."""
-    return plot_trajectories(runs, theme=theme, size=size)
 
 
 @sized
@@ -75,11 +67,6 @@ def plot_figure10(stopped: BaseTrajectory, climb: BaseTrajectory) -> Figure:
     drawn[0].set_xlim(0.0, 1.02 * float(climb.time[-1]))
     drawn[-1].set_xlabel("time, s")
     return figure
-
-
-def plot_figures11and12(runs: Mapping[str, Trajectory], *, theme: Theme = "light", size: Size = "screen") -> Figure:
-    """End-point error (Fig. 11) on the left, base oscillation (Fig. 12) on the right."""
-    return plot_trajectories(runs, theme=theme, size=size)
 
 
 @sized

@@ -117,6 +117,7 @@ class Reproduction(Result):
         """The article's figures by name, on light or dark ground, of a size as in `plot` of results."""
         from flexopt.article import loop_pictures as draw_loops  # noqa: PLC0415
         from flexopt.article import pictures as draw  # noqa: PLC0415  (matplotlib is slow to import)
+        from flexopt.plotting import plot_trajectories  # noqa: PLC0415
 
         transpose, inverse = (self.maps[c].dataset for c in ("transpose", "inverse"))
         marks = {"A": PRINTED_WORKSPACE["A"][0], "B, printed point": PRINTED_WORKSPACE["B"][0]}
@@ -128,9 +129,9 @@ class Reproduction(Result):
             "figure6": draw.plot_figure6(transpose, inverse, self.arms, **look),
             "figure7": draw.plot_figure7(transpose, inverse, **look),
             "figure8": draw.plot_figure8(*curves, marks, **look),
-            "figure9": draw_loops.plot_figure9(self.loops.figure9, **look),
+            "figure9": plot_trajectories(self.loops.figure9, **look),
             "figure10": draw_loops.plot_figure10(self.loops.stopped, self.loops.climb, **look),
-            "figures11and12": draw_loops.plot_figures11and12(self.loops.adjustment, **look),
+            "figures11and12": plot_trajectories(self.loops.adjustment, **look),
             "gains": draw_loops.plot_gains(self.gains, self.loops.pairs, kv=KV_HELD, ratios=RATIOS, **look),
             "gaps": draw.plot_gaps(self.gaps, **look),
         }

@@ -82,6 +82,12 @@ def _ranges(ctx: click.Context) -> list[str]:
     return [f"{word}=" for word in ("stiffness", "damping", "dead_time", *_parameters(ctx))]
 
 
+def _varied(ctx: click.Context) -> list[str]:
+    from flexopt.model.loop import GAINS  # noqa: PLC0415  (only this value needs it)
+
+    return [*(f"{gain}=" for gain in GAINS), *_ranges(ctx)]
+
+
 def _shipped(*kinds: Any) -> WordsOf:
     return lambda _: sorted({name for kind in kinds for name in shipped_names(kind)})
 
@@ -96,7 +102,7 @@ OPTIONS: dict[str, Complete] = {
     "objective": _of(lambda ctx: (*_modes(ctx), "V", "epsilon_max", *OUTCOMES)),
     "ranges": _of(_ranges),
     "unknown": _of(lambda ctx: ("stiffness", "damping", *_parameters(ctx))),
-    "vary": _of(lambda ctx: [word for word in _loop_keys(ctx) if word.endswith("=")]),
+    "vary": _of(_varied),
 }
 ARGUMENTS: dict[str, Complete] = {
     "file": _of(_shipped("models", "problems"), files=True),

@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -29,6 +29,9 @@ from flexopt.foundation.plain import counted
 from flexopt.foundation.quantities import ANGLE, INERTIA, LENGTH, LENGTH_OR_ZERO, MASS, Quantity
 from flexopt.foundation.quantities import several as entries_or_one
 from flexopt.foundation.writing import write_file
+
+if TYPE_CHECKING:
+    from flexopt.study.new_machine import Ground, NewMachine
 
 LINKS = (2, 8)
 FROM_MODE, FROM_RATIO, FREE, NONE = "frequency", "ratio", "free", "none"
@@ -165,8 +168,8 @@ def _of_ground(
     ]  # fmt: skip
 
 
-def _of_plane(name: str) -> list[Question]:
-    """A planar machine."""
+def _of_plane(name: str, count: str) -> list[Question]:
+    """A planar machine; `count`: of its links, as proposed."""
 
     def links(known: Mapping[str, Any]) -> int:
         return known["links"]
@@ -176,7 +179,7 @@ def _of_plane(name: str) -> list[Question]:
 
     return [
         Question("name", "Name of the machine", _name, lambda _: name),
-        Question("links", f"Number of links with a driven joint, {LINKS[0]} to {LINKS[1]}", _count, lambda _: "2"),
+        Question("links", f"Number of links with a driven joint, {LINKS[0]} to {LINKS[1]}", _count, lambda _: count),
         Question(
             "lengths", "Lengths of the links, m, greater than 0", several(LENGTH, links),
             lambda known: ",".join(f"{2 * 0.6**k:.3g}" for k in range(known["links"])),
@@ -208,6 +211,13 @@ def _of_plane(name: str) -> list[Question]:
         ),
         *_of_ground(",".join(PLANAR), PLANAR, 1, lambda known: known["base_length"] + sum(known["lengths"])),
     ]  # fmt: skip
+
+
+def _links_given(options: Mapping[str, Any]) -> str:
+    """How many links those options tell of that have a number for each; 2 where none does."""
+    given = (options[word] for word in ("lengths", "masses", "inertias") if options[word] is not None)
+    count = len(numbers(next(given, "")))
+    return str(count if LINKS[0] <= count <= LINKS[1] else LINKS[0])
 
 
 def answers(questions: list[Question], options: Mapping[str, Any], *, ask: bool) -> dict[str, Any]:
@@ -286,8 +296,6 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
 
     Each question has an option, for scripts; --yes asks nothing. What is written can be read, checked and evaluated.
     """
-    from flexopt.study.new_machine import Ground, planar_file  # noqa: PLC0415  (only this command needs it)
-
     robot, end = options.pop("from"), ""
     if file is not None and out is not None:
         raise InputError("new: give the file to write once", [Fault("--out", "is given as FILE, too", out)])
@@ -298,20 +306,15 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
     if robot is None:
         alone = [Fault(f"--{word}", "goes with --from", options[word]) for word in ("actuated", "tip") if options[word]]
         raise_if_any(InputError, "new", alone)
-        known = answers(_of_plane(stem or "machine"), options, ask=not yes)
+        questions = _of_plane(stem or "machine", _links_given(options))
+        known = answers(questions, options, ask=not yes)
         path = target or _file_name(known["name"])
         _refuse_existing(path, force)
-        ground = _ground(Ground, known, _of_plane(""))
-        given = {word: known[word] for word in ("lengths", "masses", "limits", "base_length", "base_mass")}
-        # A proposal that was not touched is called one in the file.
-        for word in ("inertias", "base_inertia"):
-            proposal = next(q for q in _of_plane("") if q.name == word).proposal(known)
-            given[word] = None if _same(known[word], proposal) else known[word]
-        made = planar_file(name=known["name"], ground=ground, **given)
+        made = _planar(known, questions, options)
     else:
         from flexopt.study.new_overlay import overlay_file, read_chain  # noqa: PLC0415
 
-        own = {q.name for q in _of_plane("")} - {"name", "gives", "stiffness", "damping", "frequency", "ratio"}
+        own = {q.name for q in _of_plane("", "")} - {"name", "gives", "stiffness", "damping", "frequency", "ratio"}
         planar = [Fault(_spelt(word), "goes with a planar machine, without --from", options[word])
                   for word in sorted(own) if options[word] is not None]  # fmt: skip
         raise_if_any(InputError, "new", planar)
@@ -330,7 +333,7 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
         known = answers(questions, options, ask=not yes)
         path = target or _file_name(known["name"])
         _refuse_existing(path, force)
-        ground = _ground(Ground, known, questions, alone=chain.sprung)
+        ground = _ground(known, _proposed(known, questions, options), alone=chain.sprung)
         made = overlay_file(chain, known["name"], Path(path).parent, ground)
     write_output("FILE", path, lambda: write_file(path, made.text))
     posture = ",".join(f"{x:g}" for x in made.posture)
@@ -347,18 +350,28 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
     say("\n".join(f"  {step}" for step in steps))
 
 
-def _ground(
-    kind: Callable[..., Any], known: Mapping[str, Any], questions: list[Question], *, alone: bool = False
-) -> Any:
+def _planar(known: Mapping[str, Any], questions: list[Question], options: Mapping[str, Any]) -> NewMachine:
+    """The machine of these answers."""
+    from flexopt.study.new_machine import planar_file  # noqa: PLC0415  (only this command needs it)
+
+    given = {word: known[word] for word in ("name", "lengths", "masses", "limits", "base_length", "base_mass")}
+    proposed = _proposed(known, questions, options)
+    given |= {word: None if word in proposed else known[word] for word in ("inertias", "base_inertia")}
+    return planar_file(ground=_ground(known, proposed), **given)
+
+
+def _ground(known: Mapping[str, Any], proposed: set[str], *, alone: bool = False) -> Ground:
+    from flexopt.study.new_machine import Ground  # noqa: PLC0415
+
     words = ("gives", "stiffness", "damping", "frequency", "ratio")
     given = {word: known[word] for word in words if known[word] is not None}
-    of_swing = [q for q in questions if q.name in given and q.name in {"frequency", "ratio"}]
-    proposed = tuple(q.name for q in of_swing if _same(known[q.name], q.proposal(known)))
-    return kind(alone=alone, proposed=proposed, **given)
+    return Ground(alone=alone, proposed=tuple(word for word in ("frequency", "ratio") if word in proposed), **given)
 
 
-def _same(answer: Any, proposal: str) -> bool:
-    return entries_or_one(answer) == numbers(proposal)
+def _proposed(known: Mapping[str, Any], questions: list[Question], options: Mapping[str, Any]) -> set[str]:
+    """Which answers are proposals that nobody touched, and are called so in the file."""
+    open_ones = [q for q in questions if options.get(q.name) is None and known[q.name] is not None]
+    return {q.name for q in open_ones if entries_or_one(known[q.name]) == numbers(q.proposal(known))}
 
 
 def _file_name(name: str) -> str:

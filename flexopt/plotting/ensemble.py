@@ -92,9 +92,11 @@ def _draw_rates(axes: Axes, ensemble: Ensemble) -> None:
 
 def _varied(ensemble: Ensemble) -> tuple[str, Array]:
     """What the members are drawn over: the one number in which they differ, or else their own number."""
-    differ = {name: np.asarray(values, dtype=float) for name, values in ensemble.plan.varied.items()}
-    if len(differ) == 1:
-        (name, values), *_ = differ.items()
+    name, *others = ensemble.plan.varied
+    if not others:
+        # As they were asked for: the plan's have in them what drives brake.
+        data, told = ensemble.dataset, f"varied.{name}"
+        values = np.asarray(data[told if told in data else name], dtype=float)
         if values.ndim == 1:
             scenario = ensemble.plan.scenario
             units = {parameter.name: parameter.unit for parameter in scenario.machine.parameters}

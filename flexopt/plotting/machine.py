@@ -126,11 +126,6 @@ def draw_target(
         )  # fmt: skip
 
 
-def reach(skeleton: Points) -> float:
-    """Length of all bodies, m."""
-    return float(np.linalg.norm(np.diff(skeleton, axis=1), axis=0).sum())
-
-
 def bars(skeleton: Points) -> list[Points]:
     """Outlines of the links of a planar machine, a body without a length as a point."""
     shape = chain(skeleton)

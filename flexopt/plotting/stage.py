@@ -8,6 +8,7 @@ In: a `Film`, the rows of a run that are drawn. Out: pictures, one for each row.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,17 +18,21 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.palette import colors
-from flexopt.plotting.machine import bars, draw_ground, reach
+from flexopt.plotting.machine import bars, draw_ground
 from flexopt.plotting.panels import draw_panel
-from flexopt.plotting.shape import spring_line
+from flexopt.plotting.shape import chain, spring_line
 from flexopt.plotting.trajectory import deflection_panel, error_panel, title
 from flexopt.simulation.trajectory import Trajectory
 
+# Left, bottom, width and height, shares of the figure.
+AxesPlace = tuple[float, float, float, float]
 DPI, SIZE, SCENE = 100, (7.2, 4.6), (0.075, 0.11, 0.43, 0.77)
+PANELS = ((0.605, 0.56, 0.365, 0.32), (0.605, 0.11, 0.365, 0.32))
 # Share of the time for which each point of the machine is surely in the picture; a run that flies away leaves it.
 USUAL = 0.97
 # Shares of the machine's length: height of the undercarriage's half, of the springs; half its width.
@@ -65,15 +70,65 @@ def decimals(film: Film) -> int:
     return max(1, math.ceil(-math.log10(float(steps[steps > 0].min()))))
 
 
-class Stage:
+class Shots:
+    """What films have in common: panels beside the scene, each with a cursor, a clock, a background drawn once."""
+
+    def __init__(self, film: Film, size: tuple[float, float]) -> None:
+        self.film = film
+        self.figure = Figure(figsize=size, dpi=DPI)
+        self.canvas = FigureCanvasAgg(self.figure)
+        self.decimals = decimals(film)
+
+    def _finish(self, moving: list[Artist], clock: Text, places: Sequence[AxesPlace], shown: int, top: float) -> None:
+        """Draw what stays.
+
+        Args:
+            moving: what moves in the scene, in the order it is drawn.
+            clock: text of the time.
+            places: of the panels.
+            shown: which passive coordinate the second of them shows.
+            top: where the title stands.
+        """
+        t = self.film.trajectory
+        panels = error_panel(t), deflection_panel({"deflection": t}, shown)
+        self.clock, self.cursors = clock, list[tuple[Axes, Any]]()
+        for place, panel in zip(places, panels, strict=True):
+            axes = self.figure.add_axes(place)
+            draw_panel(axes, panel)
+            (cursor,) = axes.plot([], [], color=colors().text, linewidth=1.0, zorder=5)
+            self.cursors.append((axes, cursor))
+        self.cursors[-1][0].set_xlabel("time, s", fontsize=8)
+        self.figure.text(0.5, top, title(t), fontsize=9.5, ha="center", va="top")
+        self.moving: list[Artist] = [*moving, clock, *(cursor for _, cursor in self.cursors)]
+        for artist in self.moving:
+            artist.set_animated(True)
+        self.canvas.draw()
+        self.background: Any = self.canvas.copy_from_bbox(self.figure.bbox)
+
+    def shot(self, k: int) -> NDArray[np.uint8]:
+        """The picture at row k, (height, width, 3)."""
+        self.canvas.restore_region(self.background)
+        self._move(k)
+        self.clock.set_text(f"t = {self.film.time[k]:.{self.decimals}f} s")
+        for axes, cursor in self.cursors:
+            cursor.set_data([self.film.time[k]] * 2, axes.get_ylim())
+        for artist in self.moving:
+            artist.draw(self.canvas.get_renderer())
+        picture: Any = self.canvas.buffer_rgba()
+        rgba: NDArray[np.uint8] = np.array(picture)
+        return rgba[..., :3].copy()
+
+    def _move(self, k: int) -> None:
+        """Put everything where it is in row k."""
+        raise NotImplementedError
+
+
+class Stage(Shots):
     """The figure: what stays in it, and the artists that move."""
 
     def __init__(self, film: Film) -> None:
-        self.film = film
-        self.length = reach(film.skeleton[0].T)
-        self.figure = Figure(figsize=SIZE, dpi=DPI)
-        self.canvas = FigureCanvasAgg(self.figure)
-        t = film.trajectory
+        super().__init__(film, SIZE)
+        self.length = chain(film.skeleton[0].T).size
         self.scene = self.figure.add_axes(SCENE)
         self._draw_scene(self.scene)
         bodies = film.skeleton.shape[1] - 1
@@ -87,24 +142,9 @@ class Stage:
         )
         (self.trace,) = self.scene.plot([], [], color=inks.chosen, linewidth=0.8, zorder=5)
         (self.target,) = self.scene.plot([], [], "+", color=inks.target, markersize=11, markeredgewidth=1.3, zorder=6)
-        self.clock = self.scene.text(0.03, 0.965, "", transform=self.scene.transAxes, fontsize=9, va="top")
-        panels = [error_panel(t), *([deflection_panel({"deflection": t}, _widest(t))] if t.n_passive else [])]
-        self.cursors: list[tuple[Axes, Any]] = []
-        for k, panel in enumerate(panels):
-            axes = self.figure.add_axes((0.605, 0.56 - 0.45 * k, 0.365, 0.32))
-            draw_panel(axes, panel)
-            (cursor,) = axes.plot([], [], color=colors().text, linewidth=1.0, zorder=5)
-            self.cursors.append((axes, cursor))
-        self.cursors[-1][0].set_xlabel("time, s", fontsize=8)
-        self.figure.text(0.5, 0.975, title(t), fontsize=9.5, ha="center", va="top")
-        self.decimals = decimals(film)
-        # In the order they are drawn.
-        self.moving: list[Artist] = [self.springs, self.bodies, self.joints, self.trace, self.target, self.clock]
-        self.moving += [cursor for _, cursor in self.cursors]
-        for artist in self.moving:
-            artist.set_animated(True)
-        self.canvas.draw()
-        self.background: Any = self.canvas.copy_from_bbox(self.figure.bbox)
+        clock = self.scene.text(0.03, 0.965, "", transform=self.scene.transAxes, fontsize=9, va="top")
+        moving: list[Artist] = [self.springs, self.bodies, self.joints, self.trace, self.target]
+        self._finish(moving, clock, PANELS, _widest(film.trajectory), 0.975)
 
     def _draw_scene(self, axes: Axes) -> None:
         """Ground, limits and labels; limits hold the machine's usual motion, not a run that flies away."""
@@ -129,18 +169,7 @@ class Stage:
         axes.tick_params(labelsize=7.5)
         axes.set_title(self.film.caption, fontsize=8, pad=3)
 
-    def shot(self, k: int) -> NDArray[np.uint8]:
-        """The picture at row k, (height, width, 3)."""
-        self.canvas.restore_region(self.background)
-        self._move(k)
-        for artist in self.moving:
-            artist.draw(self.canvas.get_renderer())
-        picture: Any = self.canvas.buffer_rgba()
-        rgba: NDArray[np.uint8] = np.array(picture)
-        return rgba[..., :3].copy()
-
     def _move(self, k: int) -> None:
-        """Put everything where it is in row k."""
         film, length = self.film, self.length
         # Farther away than this nothing is in sight.
         skeleton = np.clip(film.skeleton[k], film.anchor[k] - 50 * length, film.anchor[k] + 50 * length)
@@ -155,9 +184,6 @@ class Stage:
         points = np.clip(film.skeleton[: k + 1, -1], film.anchor[k] - 50 * length, film.anchor[k] + 50 * length)
         self.trace.set_data(points[:, 0], points[:, 1])
         self.target.set_data(film.target[k, :1], film.target[k, 1:2])
-        self.clock.set_text(f"t = {film.time[k]:.{self.decimals}f} s")
-        for axes, cursor in self.cursors:
-            cursor.set_data([film.time[k]] * 2, axes.get_ylim())
 
     def _springs(self, k: int, ground: Vector, wide: Vector, high: Vector) -> tuple[Vector, Vector]:
         """Two from below and one from the side, straight where the base does not give; from plates that stay put."""

@@ -13,20 +13,15 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from flexopt.foundation.arrays import Vector
 from flexopt.foundation.palette import colors
 from flexopt.plant import build_plant
 from flexopt.plotting.machine import draw_ground
-from flexopt.plotting.panels import draw_panel
+from flexopt.plotting.scene import target_point
 from flexopt.plotting.shape import Shape, View, bars_of, capsule_outline, shape_at, views
-from flexopt.plotting.stage import DPI, USUAL, Film, decimals
-from flexopt.plotting.trajectory import deflection_panel, error_panel, title
+from flexopt.plotting.stage import USUAL, AxesPlace, Film, Shots
 from flexopt.simulation.trajectory import Trajectory
 
 SIZE = (8.6, 6.4)
@@ -52,40 +47,24 @@ class _Scene:
         return [self.capsules, self.bars, self.joints, self.trace, self.target]
 
 
-class SpaceStage:
+class SpaceStage(Shots):
     """The figure: what stays in it, and the artists that move."""
 
     def __init__(self, film: Film) -> None:
-        self.film = film
+        super().__init__(film, SIZE)
         t = film.trajectory
         self.shapes = {int(k): shape_at(t.model, film.q[k], film.base[k]) for k in np.unique(film.frames)}
-        self.target = _target_points(t, film)
-        self.figure = Figure(figsize=SIZE, dpi=DPI)
-        self.canvas = FigureCanvasAgg(self.figure)
+        self.target = [
+            target_point(tip, t.model.task_rows, at) for tip, at in zip(film.skeleton[:, -1], film.target, strict=True)
+        ]
         first = self.shapes[int(film.frames[0])]
         seen = views(first)
         self.scenes = [self._scene(place, view, first) for place, view in zip(SCENES, seen, strict=True)]
-        self.clock = self.scenes[0].axes.text(
-            0.03, 0.955, "", transform=self.scenes[0].axes.transAxes, fontsize=9, va="top"
-        )
-        panels = [error_panel(t), *([deflection_panel({"deflection": t}, _widest(t))] if t.n_passive else [])]
-        self.cursors: list[tuple[Axes, Any]] = []
-        for place, panel in zip(PANELS, panels, strict=False):
-            axes = self.figure.add_axes(place)
-            draw_panel(axes, panel)
-            (cursor,) = axes.plot([], [], color=colors().text, linewidth=1.0, zorder=5)
-            self.cursors.append((axes, cursor))
-        self.cursors[-1][0].set_xlabel("time, s", fontsize=8)
-        self.figure.text(0.5, 0.985, title(t), fontsize=9.5, ha="center", va="top")
-        self.decimals = decimals(film)
-        self.moving: list[Artist] = [artist for scene in self.scenes for artist in scene.moving]
-        self.moving += [self.clock, *(cursor for _, cursor in self.cursors)]
-        for artist in self.moving:
-            artist.set_animated(True)
-        self.canvas.draw()
-        self.background: Any = self.canvas.copy_from_bbox(self.figure.bbox)
+        clock = self.scenes[0].axes.text(0.03, 0.955, "", transform=self.scenes[0].axes.transAxes, fontsize=9, va="top")
+        moving = [artist for scene in self.scenes for artist in scene.moving]
+        self._finish(moving, clock, PANELS, _widest(t), 0.985)
 
-    def _scene(self, place: tuple[float, float, float, float], view: View, first: Shape) -> _Scene:
+    def _scene(self, place: AxesPlace, view: View, first: Shape) -> _Scene:
         axes = self.figure.add_axes(place)
         self._set_limits(axes, place, view, first)
         color = to_rgb(colors().present)
@@ -100,7 +79,7 @@ class SpaceStage:
         (target,) = axes.plot([], [], "+", color=colors().target, markersize=10, markeredgewidth=1.3, zorder=6)
         return _Scene(axes, view, capsules, bars, joints, trace, target)
 
-    def _set_limits(self, axes: Axes, place: tuple[float, float, float, float], view: View, first: Shape) -> None:
+    def _set_limits(self, axes: Axes, place: AxesPlace, view: View, first: Shape) -> None:
         """Limits that hold the machine's usual motion, not a run that flies away; the same scale on both axes."""
         film, size = self.film, first.size
         points = np.einsum("ij,kpj->kpi", view.axes, film.skeleton)
@@ -125,22 +104,12 @@ class SpaceStage:
         axes.tick_params(labelsize=7.5)
         axes.set_title(f"{view.name}; {film.caption}" if view.upright else view.name, fontsize=8, pad=3)
 
-    def shot(self, k: int) -> NDArray[np.uint8]:
-        """The picture at row k, (height, width, 3)."""
-        self.canvas.restore_region(self.background)
+    def _move(self, k: int) -> None:
         for scene in self.scenes:
-            self._move(scene, k)
-        self.clock.set_text(f"t = {self.film.time[k]:.{self.decimals}f} s")
-        for axes, cursor in self.cursors:
-            cursor.set_data([self.film.time[k]] * 2, axes.get_ylim())
-        for artist in self.moving:
-            artist.draw(self.canvas.get_renderer())
-        picture: Any = self.canvas.buffer_rgba()
-        rgba: NDArray[np.uint8] = np.array(picture)
-        return rgba[..., :3].copy()
+            self._move_scene(scene, k)
 
-    def _move(self, scene: _Scene, k: int) -> None:
-        """Put everything where it is in row k."""
+    def _move_scene(self, scene: _Scene, k: int) -> None:
+        """What one view shows in row k."""
         shape, view = self.shapes[k], scene.view
         scene.capsules.set_verts([capsule_outline(view.of(a), view.of(b), radius) for a, b, radius in shape.capsules])
         scene.bars.set_verts(bars_of(shape, view))
@@ -149,15 +118,6 @@ class SpaceStage:
         scene.trace.set_data(tips[0], tips[1])
         target = view.of(self.target[k])
         scene.target.set_data(target[:1], target[1:])
-
-
-def _target_points(t: Trajectory, film: Film) -> Vector:
-    """Where the end-point shall be (K, 3); of position rows that are no part of the task, where it is."""
-    points = film.skeleton[:, -1].copy()
-    for k, row in enumerate(t.model.task_rows):
-        if row in ("x", "y", "z"):
-            points[:, "xyz".index(row)] = film.target[:, k]
-    return points
 
 
 def _widest(t: Trajectory) -> int:

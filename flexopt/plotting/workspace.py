@@ -28,9 +28,6 @@ from flexopt.plotting.sheet import SettledLayout, Sheet, picture, themed
 from flexopt.plotting.units import labelled
 from flexopt.robustness.residues import written_unit
 
-# Up to where ratios of an axis are equal.
-EVEN = 1e-9
-
 
 def dataset_plane(dataset: Any) -> FieldPlane:
     """The axes of a map's dataset."""
@@ -48,8 +45,10 @@ def dataset_plane(dataset: Any) -> FieldPlane:
 
 
 def _geometric(values: Array) -> bool:
-    """Whether an axis is evenly spaced in its logarithm."""
-    return bool(values[0] > 0 and values.size > 2 and abs(values[0] * values[2] / values[1] ** 2 - 1) < EVEN)
+    """Whether an axis is evenly spaced in its logarithm; over a narrow range it nearly is, too, where it is even."""
+    half = (values.size - 1) // 2
+    low, middle, high = values[[0, half, 2 * half]].tolist()
+    return low > 0 and abs(low * high - middle**2) < abs(low - 2 * middle + high) * middle
 
 
 def _each(plane: FieldPlane) -> float:

@@ -411,6 +411,23 @@ class SelectionProblem:
         """
         return packed_parameters((self,), alone(self.scale.size), np.ones(1), 0.0, self.shift)
 
+    @property
+    def stated(self) -> Document:
+        """What was asked beside target and objective, as provenance has it."""
+        places = self.variables[: len(self.machine.base_coordinates)]
+        present = {"base": self.present_base, "posture": self.present_posture}
+        return {
+            "control": self.control,
+            "gravity": self.gravity,
+            "gain": self.gain,
+            "constraints": self.asked.model_dump(exclude_none=True),
+            "placements": {place.name: [place.lower, place.upper] for place in places},
+            "singularity_margin": self.singularity_margin,
+            **{name: None if value is None else value.tolist() for name, value in present.items()},
+            "starts": self.starts,
+            "seed": self.seed,
+        }
+
     def to_dict(self) -> Document:
         """Target, objective, variables with bounds, constraints.
 

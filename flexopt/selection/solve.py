@@ -200,9 +200,8 @@ def solved(
     )
     # What may still be wrong with it shows here, not when it is first asked for.
     assert candidates[0].evaluation is not None
-    options = {"target": problem.target.tolist(), "objective": problem.name, "control": problem.control}
+    options = {"target": problem.target.tolist(), "objective": problem.name, "slack": problem.slack} | problem.stated
     options |= {"weights": [objective.weights.tolist() for objective in problem.sought]}
-    options |= {"gravity": problem.gravity, "gain": problem.gain, "seed": problem.seed, "slack": problem.slack}
     options |= {"assumed": [vars(assumption) for assumption in problem.assumed]}
     return Selection(
         best=candidates[0],

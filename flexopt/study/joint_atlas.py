@@ -16,26 +16,17 @@ import numpy as np
 from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, PointsLike, PostureLike, RangeLike
-from flexopt.foundation.boundary import anything, by, public
+from flexopt.foundation.boundary import anything, public
 from flexopt.foundation.control import Control
 from flexopt.foundation.plain import counted, shown
-from flexopt.foundation.quantities import entries
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.robustness.atlas import ROWS, Atlas, Rectangle, Slice, survey
 from flexopt.robustness.plausibility import warn_implausible
-from flexopt.study.planes import Plane, read_plane
+from flexopt.study.planes import Plane, read_plane, two_counts
 
 CELLS = 128, 128
 CELLS_MIN, CELLS_MAX = 8, 2000
-
-
-def _check_cells(value: Any) -> tuple[int, int]:
-    parts = entries(value)
-    whole = [part for part in parts if type(part) is int and CELLS_MIN <= part <= CELLS_MAX]
-    if len(parts) != 2 or len(whole) != 2:
-        raise ValueError(f"must be two whole numbers between {CELLS_MIN} and {CELLS_MAX}: cells along x and along y")
-    return whole[0], whole[1]
 
 
 def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
@@ -85,7 +76,7 @@ def _read(arguments: Arguments, machine: AnyMachine, given: Mapping[str, Any]) -
     base=anything,
     x_range=anything,
     y_range=anything,
-    cells=by(_check_cells),
+    cells=two_counts("cells", CELLS_MIN, CELLS_MAX),
     together=_together,
 )
 def atlas(

@@ -16,7 +16,7 @@ import numpy as np
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, PointsLike, PostureLike, Progress, RangeLike, Vector
-from flexopt.foundation.boundary import by, of_machine, public
+from flexopt.foundation.boundary import of_machine, public
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
@@ -31,7 +31,7 @@ from flexopt.model.loop import GAINS, LOOP_GAIN, Loop, LoopLike, loop_of_varied
 from flexopt.model.uncertainty import LATE, Uncertainty, kind_of, parameters_of, uncertainty_faults
 from flexopt.robustness.evaluation import in_words
 from flexopt.study.grid import Axis, Grid
-from flexopt.study.workspace import check_points
+from flexopt.study.workspace import TWO_POINTS
 from flexopt.study.workspace_map import WorkspaceMap, loop_dataset
 
 POINTS = (200, 200)
@@ -99,7 +99,7 @@ def _of_machine(arguments: Arguments, machine: AnyMachine, field: str, name: Any
     return [Varied(str(name), low, high, unit or "1", f"factor of {name}" if each.factor else str(name), each)]
 
 
-@public(vary=of_machine(_varied), points=by(check_points))
+@public(vary=of_machine(_varied), points=TWO_POINTS)
 def map_loop(
     machine: AnyMachine,
     posture: PostureLike,

@@ -153,8 +153,8 @@ def verdict(
     each = {name: place.decays(points) for name, place in loops.items()}
     decays: dict[str, Vector] = {name: own.min(axis=0) for name, own in each.items()}
     others = [name for name in ranked(decays) if name != STAY]
-    told = [name for name in (STAY, *others[:TOLD], FIRST) if name in stands]
-    told = list(dict.fromkeys(told))
+    told = list(dict.fromkeys(name for name in (STAY, *others[:TOLD], FIRST) if name in stands))
+    told += overlooked(decays, told)
     slowest = {name: loops[name].slowest(points, each[name]) for name in told}
     drives = {name: drive_to(stands[name], cast(Vector, now)) for name in told}
     stages.next()
@@ -203,9 +203,24 @@ def verdict(
         members=len(points),
         judged=len(others),
         selection=chosen,
-        provenance=provenance(machine, members=members, runs=runs, duration=duration),
+        provenance=provenance(
+            machine, members=members, runs=runs, duration=duration, selection=chosen.provenance["options"]
+        ),
         present_breaks=breaks,
     )
+
+
+def overlooked(decays: Mapping[str, Vector], told: Sequence[str]) -> list[str]:
+    """The place that is better than the present one on the most grounds, where those told of are so on too few.
+
+    These are stable on the most grounds; what speaks against staying may be another, which grows on some.
+    """
+    stay = decays.get(STAY)
+    if stay is None:
+        return []
+    shares = {name: float(np.mean(faster(own, stay))) for name, own in decays.items()}
+    first = max(shares, key=lambda name: shares[name])
+    return [first] if shares[first] > 1 - MOST >= max(shares[name] for name in told) else []
 
 
 def _chosen(problem: Any, target: Any, constraints: Any, keywords: dict[str, Any]) -> Chosen:

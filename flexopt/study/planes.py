@@ -14,8 +14,9 @@ import numpy as np
 from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Interval, Vector
+from flexopt.foundation.boundary import ArgumentCheck, by
 from flexopt.foundation.plain import counted, shown
-from flexopt.foundation.quantities import COORDINATE, Quantity, coordinate_max, pair, several
+from flexopt.foundation.quantities import COORDINATE, Quantity, coordinate_max, entries, pair, several
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.plant import build_plant
@@ -43,6 +44,19 @@ BELONGS: dict[str, tuple[Over, ...]] = {
     "coordinates": ("base",),
     "end_point": ("end_point", "base"),
 }
+
+
+def two_counts(what: str, least: int, most: int) -> ArgumentCheck:
+    """How many of something there are along x and along y."""
+
+    def check(value: Any) -> tuple[int, int]:
+        parts = entries(value)
+        whole = [part for part in parts if type(part) is int and least <= part <= most]
+        if len(parts) != 2 or len(whole) != 2:
+            raise ValueError(f"must be two whole numbers between {least} and {most}: {what} along x and along y")
+        return whole[0], whole[1]
+
+    return by(check)
 
 
 @dataclass

@@ -156,7 +156,7 @@ def report(
         verdict=judged,
         no_verdict=why_not,
         notes=tuple(notes),
-        provenance=provenance(machine, points=size, simulation=given),
+        provenance=provenance(machine, points=size, simulation=given, selection=selection.provenance["options"]),
     )
 
 
@@ -243,9 +243,9 @@ def _run(machine: AnyMachine, stand: Evaluation, given: Mapping[str, Any], real:
 
 
 def _borders(machine: AnyMachine, name: str, stand: Evaluation, given: dict[str, Any]) -> list[BorderRow]:
-    """Stable Kp with Kv held, and with the ratio held, of a loop with these two gains alone."""
+    """Stable Kp with Kv held, and with the ratio held, of a loop with these two gains alone, the same in all rows."""
     options = checked_options("report", machine, given | {"posture": stand.posture})
-    if options.feedback != "pd":
+    if options.feedback != "pd" or len(set(options.kp)) > 1 or len(set(options.kv)) > 1:
         return []
     kp, kv = float(options.kp[0]), float(options.kv[0])
     # The loop itself, whatever integrates the runs.

@@ -69,8 +69,7 @@ def constraints(report: Report) -> ConstraintTables | None:
     told = f"{len(far)} more of {' and '.join(several)}, farther from their bounds"
 
     left = len(selection.candidates if one else selection.places) - len(shown)
-    what = "candidate" if one else "target"
-    more = f"1 more {what} keeps" if left == 1 else f"{left} more {what}s keep"
+    more = f"1 more {kind} keeps" if left == 1 else f"{left} more {kind}s keep"
     others = f"{more} within them, too; the values are in report.json."
 
     def table(names: list[str]) -> PageTable:

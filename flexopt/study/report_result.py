@@ -214,8 +214,7 @@ class Report(Tabled):
     @property
     def gain_unit(self) -> str:
         """Of the gains Kp in `borders`."""
-        solved = problem_of(self.selection)
-        return gain_units(solved.control, solved.machine.joint_units)[0]
+        return gain_units(self.problem.control, self.machine.joint_units)[0]
 
     def __repr__(self) -> str:
         lines = [f"Report on {self.name!r}", repr(self.selection)]

@@ -14,7 +14,7 @@ import numpy as np
 from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
-from flexopt.study.decision import BETTER, gains_in_words, spoken
+from flexopt.study.decision import BETTER
 from flexopt.study.page import PageTable, Picture, begun, coordinate, number, picture, sentence, with_minus
 from flexopt.study.places import MOVE, STAY, allowed, told
 
@@ -82,7 +82,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
     """What the template of a verdict takes."""
     return {
         "verdict": verdict,
-        "head": _head(verdict),
+        "head": begun(verdict.advice),
         "reason": sentence(verdict.reason),
         "drawbacks": sentence(verdict.drawbacks),
         "measure": sentence(verdict.measure),
@@ -116,17 +116,6 @@ def target_of(problem: SelectionProblem) -> str:
     """Where the end-point is to be."""
     rows = zip(problem.machine.task_rows, problem.target, strict=True)
     return ", ".join(f"{row} = {number(x)}" for row, x in rows) + " m"
-
-
-def _head(verdict: Verdict) -> str:
-    """The word, and what it speaks of."""
-    word = verdict.word.capitalize()
-    if verdict.word == "move":
-        return f"{word} to {verdict.place}"
-    if verdict.word == "change gains":
-        gains = gains_in_words(verdict.gains, verdict.settings.gain_units)
-        return f"{word} to {gains}, at {spoken(verdict.place)}"
-    return word
 
 
 def _stand(verdict: Verdict) -> list[tuple[str, BoxNumber, str]]:

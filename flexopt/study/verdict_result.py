@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
     from flexopt.selection import SelectionProblem
 
+# Why a place is told of that is none of the best, if it is not the selection's first.
+MOST_OFTEN = "decays faster than the present place on the most grounds"
+
 
 @dataclass(frozen=True)
 class Band(Result):
@@ -114,7 +117,8 @@ class Verdict(Pictured, Result):
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
         gains: those to change to.
         rule: by which the word was found.
-        places: the present one first, then the best of the candidates, and candidate 1 where it is none of these;
+        places: the present one first, then the best of the candidates, candidate 1 where it is none of these, and where
+            none of all these is better than staying on more than 5 % of the grounds, one that is, if there is any;
             table: a row of numbers for each;  judged: how many candidates were looked at.
         settings: of the loop, the same in every place.
         uncertainty: intervals by name;  members: how many points of them were looked at;  proven: False: bands are what
@@ -162,18 +166,22 @@ class Verdict(Pictured, Result):
         stay, there = self._stay, next((place for place in self.places if place.name == self.place), None)
         if self.word != "move" or stay is None or there is None:
             return ""
+        highest = f"above {self.settings.highest_kp:.4g}"
         compared = (
-            ("settles in {}", "settling", "greatest", 1.0, "s"),
-            (f"moves the base by {{}} in a move of {MOVE:g} m", "swing", "greatest", 1e3, f"m{there.swing_unit}"),
-            ("bears Kp up to {}", "allowed_gain", "least", 1.0, self.settings.gain_units[0]),
-            ("bears {} more of dead time", "delay_margin", "least", 1e3, "ms"),
+            ("settles in {}", "settling", "greatest", 1.0, "s", ""),
+            (f"moves the base by {{}} in a move of {MOVE:g} m", "swing", "greatest", 1e3, f"m{there.swing_unit}", ""),
+            ("bears Kp up to {}", "allowed_gain", "least", 1.0, self.settings.gain_units[0], highest),
+            ("bears {} more of dead time", "delay_margin", "least", 1e3, "ms", "any number of"),
         )
         found = list[str]()
-        for words, measure, worst, factor, unit in compared:
+        for words, measure, worst, factor, unit, endless in compared:
             value, before = (getattr(getattr(place, measure), worst) for place in (there, stay))
             sense = 1.0 if worst == "greatest" else -1.0
-            if sense * value > sense * before + FASTER * abs(before):
-                found.append(words.format(f"{factor * value:.4g} instead of {factor * before:.4g} {unit}"))
+            # Whatever has a border is worse than what has none.
+            much = FASTER * abs(before) if math.isfinite(before) else 0.0
+            if sense * value > sense * before + much:
+                instead = endless if math.isinf(before) else f"{factor * before:.4g}"
+                found.append(words.format(f"{factor * value:.4g} instead of {instead} {unit}"))
             elif measure == "settling" and math.isnan(value) and not math.isnan(before):
                 found.append(f"does not settle in a minute instead of in {before:.4g} s")
         return f"in the worst case it {', '.join(found)} there" if found else ""
@@ -214,13 +222,18 @@ class Verdict(Pictured, Result):
         return "; ".join(filter(None, (elsewhere(problem, z), broken(problem, z), of_loop)))
 
     @property
-    def sentence(self) -> str:
-        """See the class."""
+    def advice(self) -> str:
+        """The word, and where to or to which gains."""
         gains = gains_in_words(self.gains, self.settings.gain_units)
         where = {"move": f" to {self.place}", "change gains": f" to {gains}, at {spoken(self.place)}"}.get(
             self.word, ""
         )
-        return f"{self.word}{where}: {self.reason}"
+        return f"{self.word}{where}"
+
+    @property
+    def sentence(self) -> str:
+        """See the class."""
+        return f"{self.advice}: {self.reason}"
 
     @property
     def table(self) -> list[Document]:
@@ -260,12 +273,13 @@ class Verdict(Pictured, Result):
         names = [place.name for place in self.places if place.name != STAY]
         if len(names) == self.judged:
             return ""
-        first = f", and {FIRST}, which comes first by {self.selection.objective}" if len(names) > TOLD else ""
+        whys = {FIRST: f"comes first by {self.selection.objective}"}
+        more = [f", and {name}, which {whys.get(name, MOST_OFTEN)}" for name in names[TOLD:]]
         found = found_in(self.selection)
         of_all = f" of {found}" if found > self.judged else ""
         return (
             f"{self.judged}{of_all} candidates were judged; shown are the {TOLD} that are stable on the most grounds "
-            f"and, of these, decay fastest in the worst case{first}"
+            f"and, of these, decay fastest in the worst case{''.join(more)}"
         )
 
     @property

@@ -14,10 +14,9 @@ import numpy as np
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, PointsLike, PostureLike, Progress, RangeLike, TargetLike, Vector
-from flexopt.foundation.boundary import anything, by, flag, public, words
+from flexopt.foundation.boundary import anything, flag, public, words
 from flexopt.foundation.control import Control, gain_units
 from flexopt.foundation.documents import provenance
-from flexopt.foundation.quantities import entries
 from flexopt.loop.many import Decays, decays, expect_decays
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.model import AnyMachine
@@ -26,7 +25,7 @@ from flexopt.model.loop import Loop, LoopLike
 from flexopt.plant import build_plant
 from flexopt.robustness import evaluate
 from flexopt.study.grid import Grid, Over
-from flexopt.study.planes import Plane, read_plane
+from flexopt.study.planes import Plane, read_plane, two_counts
 from flexopt.study.points import evaluate_points, expect_points
 from flexopt.study.workspace_map import WorkspaceMap, workspace_dataset
 
@@ -36,15 +35,7 @@ POINTS_MAX = 10_000
 POINTS, FEW_POINTS = (400, 400), (60, 60)
 # Task rows of a machine in the plane, and passive coordinates: of more of either a map takes long.
 IN_PLANE, MANY_PASSIVE = 2, 3
-
-
-def check_points(value: Any) -> tuple[int, int]:
-    """Two whole numbers."""
-    parts = entries(value)
-    whole = [part for part in parts if type(part) is int and 2 <= part <= POINTS_MAX]
-    if len(parts) != 2 or len(whole) != 2:
-        raise ValueError(f"must be two whole numbers between 2 and {POINTS_MAX}: points along x and along y")
-    return whole[0], whole[1]
+TWO_POINTS = two_counts("points", 2, POINTS_MAX)
 
 
 def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
@@ -62,7 +53,7 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
     base=anything,
     x_range=anything,
     y_range=anything,
-    points=by(check_points),
+    points=TWO_POINTS,
     measures=flag,
     epsilon_max=flag,
     together=_together,

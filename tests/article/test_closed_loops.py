@@ -11,6 +11,7 @@ from flexopt.article import closed_loops, loop_findings
 from flexopt.article import loop_pictures as draw
 from flexopt.article.closed_loops import OPTIMUM, WITH, WITHOUT
 from flexopt.foundation.documents import json_ready
+from flexopt.plotting import plot_trajectories
 from flexopt.plotting.panels import thinned
 from flexopt.simulation import StabilityBorder
 from flexopt.simulation.linear import EXACT
@@ -275,8 +276,8 @@ def test_findings_follow_the_numbers(loops, gain_map):
 
 def test_pictures_show_the_results(loops, gain_map):
     for figure, runs in (
-        (draw.plot_figure9(loops.figure9), loops.figure9),
-        (draw.plot_figures11and12(loops.adjustment), loops.adjustment),
+        (plot_trajectories(loops.figure9), loops.figure9),
+        (plot_trajectories(loops.adjustment), loops.adjustment),
     ):
         quantities = [run.error.T for run in runs.values()], [run.deflection.T for run in runs.values()]
         panels = [np.stack(rows) for group in quantities for rows in zip(*group, strict=True)]

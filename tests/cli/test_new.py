@@ -442,6 +442,29 @@ def test_bad_answers_are_named_together(command: Command, arguments: tuple[str, 
     assert not list(command.folder.glob("*.toml"))
 
 
+def test_numbers_of_links_say_how_many_there_are(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where questions are still to be asked, of which the number of links is one."""
+    document, _ = followed(command, "mine.toml", "--lengths", "2,1.2,0.6")
+    assert len(document["joints"]) == 3
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n" * 20))
+    outcome = command("new", "other.toml", "--masses", "400,200,100", "--json")
+    assert outcome.code == 0, outcome.stderr
+    assert [link.mass for link in flexopt.load("other.toml").links] == [400.0, 200.0, 100.0]
+
+
+def test_what_was_given_is_not_called_proposed(command: Command) -> None:
+    """Though it is the number that would have been."""
+    given = ("--frequency", "2", "--ratio", "0.02", "--inertias", "133.333,24", "--base-inertia", "900")
+    followed(command, "given.toml", "--lengths", "2,1.2", "--masses", "400,200", "--base-mass", "3600", *given)
+    told = [line for line in Path("given.toml").read_text(encoding="utf-8").splitlines() if "(proposed: " in line]
+    assert told
+    assert all("half its length" in line for line in told)
+    followed(command, "bare.toml", "--lengths", "2,1.2", "--masses", "400,200", "--base-mass", "3600")
+    bare = Path("bare.toml").read_text(encoding="utf-8")
+    for words in ("proposed: so that", "proposed: a slender rod", "proposed: radius of gyration"):
+        assert words in bare
+
+
 def test_questions_are_asked_again_until_the_answer_can_be_used(
     command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -217,6 +217,17 @@ def test_members_that_differ_in_much_stand_side_by_side():
     np.testing.assert_array_equal(ticks, np.round(ticks))
 
 
+def test_a_damping_that_varies_is_shown_as_it_was_asked_for():
+    """Drives that serve rates brake their joints beside it."""
+    dampings, loop = [0.0, 200.0, 400.0], {"drive": "velocity", "servo_gain": 1e5, "kp": 1.0, "kv": 0.0}
+    ensemble = flexopt.simulate_ensemble(
+        flexopt.load("excavator"), (0.0448, -2.0499), vary={"boom.joint_damping": dampings}, loop=loop, duration=0.2
+    )
+    (panel,) = ensemble.plot().axes
+    shown = np.concatenate([line.get_xdata() for line in panel.get_lines()[:-1]])
+    assert sorted(shown.tolist()) == dampings
+
+
 def test_bands_hold_the_quantiles():
     ensemble = made("ensemble excavator")
     error = ensemble.plot().axes[1]

@@ -229,3 +229,16 @@ def test_a_logarithmic_axis_has_numbers_to_read_it_by(ends):
     assert len(told) >= 2
     if ends[1] < 100 * ends[0]:
         assert all(ends[0] * 0.999 <= float(number) <= ends[1] * 1.001 for number in told)
+
+
+def test_an_even_axis_over_a_narrow_range_is_no_logarithmic_one(excavator):
+    """Its numbers are told apart: in three digits, as those of gains, all of them were 1.5."""
+    ends = {"x_range": (1.5, 1.5001), "y_range": (-2.0, -1.0)}
+    chart = flexopt.map_workspace(excavator, over="posture", points=(8, 4), measures=False, epsilon_max=False, **ends)
+    axes = chart.plot().axes[0]
+    left, right = axes.get_xlim()
+    assert (left, right) == (pytest.approx(1.5, abs=1e-5), pytest.approx(1.5001, abs=1e-5))
+    low, high = 1e4, 1.0005e4
+    gains = {"kp": (low, high), "dead_time": (0.0, 0.01)}
+    loop = flexopt.map_loop(excavator, (0.0448, -2.0499), gains, loop={"kv": 1e3}, points=(5, 3))
+    assert loop.plot().axes[0].get_xlim()[1] == pytest.approx(np.log10(high), abs=1e-4)

@@ -205,6 +205,39 @@ def test_selections_and_verdicts(command: Command, tmp_path: Path) -> None:
     assert units["its place: largest base swing, move of 0.1 m"] == "rad"
 
 
+def asked_differently(command: Command, tmp_path: Path, *results: Any) -> dict[str, list[str]]:
+    """What the table begins with, by name."""
+    files = [save(tmp_path, f"{k}", each) for k, each in enumerate(results)]
+    return dict(command("compare", *files, "--json").document["differences"])
+
+
+def test_selections_that_were_asked_differently_say_so(command: Command, tmp_path: Path) -> None:
+    """Constraints, allowed placements and where the machine stands now are part of the question, as the target is."""
+    machine, target = flexopt.load("excavator"), (0.0, 1.6)
+    free = flexopt.select(machine, target, starts=2)
+    kept = flexopt.select(machine, target, starts=2, constraints={"keep_out": [[1.0, 2.0]]})
+    assert asked_differently(command, tmp_path, free, kept) == {"constraints.keep_out": ["–", "[[1.0, 2.0]]"]}
+    near = flexopt.select(machine, target, starts=2, base_range=(-1.0, 1.0))
+    assert asked_differently(command, tmp_path, free, near)["placements.base.x"][1] == "[-1.0, 1.0]"
+    stands = flexopt.select(machine, target, starts=2, base=0.5)
+    assert asked_differently(command, tmp_path, free, stands)["base"] == ["null", "[0.5]"]
+    stand = [flexopt.select_stand(machine, [target, (0.2, 1.4)], starts=1, constraints=each, workers=1)
+             for each in (None, {"joint_margin": 0.1})]  # fmt: skip
+    assert stand[0].provenance["options"]["constraints"] != stand[1].provenance["options"]["constraints"]
+
+
+@pytest.mark.long
+def test_loops_and_targets_that_differ_are_told(command: Command, tmp_path: Path) -> None:
+    machine, target = flexopt.load("excavator"), (0.0, 1.6)
+    fast = [
+        flexopt.select(machine, target, objective="decay", loop={"kp": kp, "kv": 1e3}, workers=1) for kp in (1e4, 2e4)
+    ]
+    assert asked_differently(command, tmp_path, *fast) == {"loop.kp": ["[10000.0]", "[20000.0]"]}
+    few: dict[str, Any] = {"base": 0.0, "starts": 2, "loop": {"kp": 1e4, "kv": 1e3}, "members": 2, "runs": 0}
+    verdicts = [flexopt.verdict(machine, (x, 1.6), **few) for x in (0.0, 0.1)]
+    assert asked_differently(command, tmp_path, *verdicts)["selection.target"] == ["[0.0, 1.6]", "[0.1, 1.6]"]
+
+
 def test_faults(command: Command, tmp_path: Path) -> None:
     machine = flexopt.load("excavator")
     good = save(tmp_path, "good", flexopt.evaluate(machine, POSTURES["chosen"]))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from flexopt.study.decision import Place, decide, deciding, faster, ranked
+from flexopt.study.move_verdict import overlooked
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
 
@@ -96,6 +97,19 @@ def test_what_a_move_alone_brings_is_no_merit_of_other_gains() -> None:
     other = decide(STAY, [move], Place("near", 1.6 * GROUNDS, 0.8, 1.1))
     assert other.word == "change gains"
     assert other.reason.endswith("with the present ones 0.62/s at most, at near")
+
+
+def test_no_place_is_said_to_be_better_nowhere_without_a_look_at_all() -> None:
+    """Three places are as good as staying; a fourth, which grows on one ground, decays faster on all others."""
+    alike = {f"candidate {k}": GROUNDS for k in (1, 2, 3)}
+    grows = np.where(np.arange(40) == 0, -1.0, 2.0) * GROUNDS
+    decays = {"stay": GROUNDS, **alike, "candidate 4": grows}
+    told = ["stay", *ranked(alike)]
+    assert overlooked(decays, told) == ["candidate 4"]
+    assert overlooked({**decays, "candidate 4": GROUNDS}, told) == []
+    # What is told of speaks against staying itself, or there is no staying.
+    assert overlooked({**decays, "candidate 2": 1.2 * GROUNDS}, told) == []
+    assert overlooked({**alike, "candidate 4": grows}, told[1:]) == []
 
 
 def test_a_place_that_grows_fast_on_one_ground_goes_before_one_that_grows_slowly_on_most() -> None:

@@ -168,6 +168,22 @@ def test_a_place_that_is_not_allowed_is_none_to_stay_at(tmp_path: Path) -> None:
     assert f"<p>Stay: {breaks}.</p>" in words
 
 
+@pytest.mark.long
+def test_staying_is_said_against_all_places_that_were_judged() -> None:
+    """Three are stable on more grounds than another that decays faster on three of five: by the rule that decides."""
+    base, posture = 1.8625277871038002, (1.8981784500546635, -1.4650435368568973)
+    loop = {"kp": 1e5, "kv": 1e3, "dead_time": 0.005, "drive": "torque"}
+    ground = {"stiffness": (0.5, 2.0), "damping": (0.5, 2.0), "payload.mass": (0.0, 300.0)}
+    machine, target = flexopt.load("excavator"), (0.0, 1.6)
+    found = flexopt.verdict(machine, target, base=base, posture=posture, loop=loop, ranges=ground, runs=0)
+    assert found.word == "cannot tell"
+    assert "but not stable on every one" in found.reason
+    other = found.places[-1]
+    assert (other.name, len(found.places)) == (found.place, 5)
+    assert other.better > 0.5
+    assert f"and {other.name}, which decays faster than the present place on the most grounds" in repr(found)
+
+
 def test_no_border_of_the_gain_is_one_above_the_highest_that_was_tried() -> None:
     assert allowed(math.inf, "N m", 1e8) == "above 1e+08 N m"
     assert allowed(5e4, "N m", 1e8) == "5e+04 N m"
@@ -432,3 +448,11 @@ def test_what_is_worse_where_it_moves_is_told() -> None:
     )
     assert told_of(allowed_gain=1e4) == "in the worst case it bears Kp up to 1e+04 instead of 2e+04 N m there"
     assert "drawbacks" in found.to_dict()
+    # What has no border where it stands has one there.
+    endless = replace(band, least=math.inf)
+    stay = replace(stay, allowed_gain=endless, delay_margin=endless)
+    assert told_of() == ""
+    assert told_of(allowed_gain=1e4, delay_margin=0.01) == (
+        f"in the worst case it bears Kp up to 1e+04 instead of above {found.settings.highest_kp:.4g} N m, "
+        "bears 10 instead of any number of ms more of dead time there"
+    )

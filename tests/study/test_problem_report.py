@@ -186,6 +186,15 @@ def test_machine_in_space():
 
 
 @pytest.mark.long
+def test_no_borders_are_told_of_rows_with_other_gains():
+    """They are told by one Kv, of all rows."""
+    problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), starts=2)
+    result = made(problem, simulation={"kp": 1e4, "kv": [1e3, 2e3], "duration": 0.5})
+    assert list(result.loops) == ["chosen"]
+    assert result.borders == ()
+
+
+@pytest.mark.long
 @pytest.mark.usefixtures("words_alone")
 def test_what_cannot_be_run_is_noted():
     problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))

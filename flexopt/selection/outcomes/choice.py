@@ -35,7 +35,7 @@ from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.climb import Climbed, climbed
 from flexopt.selection.outcomes.measures import MEASURES, OfModes
 from flexopt.selection.outcomes.program import OutcomeProgram, points_of
-from flexopt.selection.outcomes.result import OutcomeSelection
+from flexopt.selection.outcomes.result import OutcomeSelection, asked_by_loop
 from flexopt.selection.outcomes.starting import Seed, separation, starting_points
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import Attempt, Candidate, Kept
@@ -116,7 +116,9 @@ def outcome_selection(
         attempts=attempts,
         kept=kept,
         problem=problem,
-        provenance=provenance(machine, objective=name, target=problem.target.tolist(), seed=problem.seed),
+        provenance=provenance(
+            machine, target=problem.target.tolist(), **asked_by_loop(problem, name, loop, uncertainty)
+        ),
         criterion=measure,
         present=None if initial is None else _present(program, initial, distinct[0]),
         present_broken=() if initial is None else _breaks(program, initial, distinct[0]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +15,7 @@ from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.measures import MEASURES
+from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import Selection, units_of_columns, unverified_told
 
 # Of the best value, by which the present one may be less and nothing is to gain.
@@ -26,6 +28,14 @@ def asked_of_loop(document: Document, objective: str) -> Document:
     objectives = [known.get(word, {"name": word, "weights": None, "scale": None}) for word in objective.split(",")]
     weights = next((each["weights"] for each in objectives if each["name"] == document["objective"]), None)
     return document | {"objective": objective, "weights": weights, "objectives": objectives}
+
+
+def asked_by_loop(
+    problem: SelectionProblem, objective: str, loop: Loop, uncertainty: Sequence[Uncertainty]
+) -> Document:
+    """What was asked beside the target, as provenance has it."""
+    known = [each.model_dump(exclude_none=True) for each in uncertainty]
+    return problem.stated | {"objective": objective, "loop": loop.model_dump(exclude_unset=True), "ranges": known}
 
 
 @dataclass(frozen=True, repr=False)

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.foundation.arrays import Progress, Vector
+from flexopt.foundation.arrays import Document, Progress, Vector
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.processes import in_parallel
 from flexopt.loop.evaluation import with_outcome
@@ -36,7 +36,7 @@ from flexopt.selection.outcomes.choice import (
 from flexopt.selection.outcomes.climb import Climbed
 from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.outcomes.program import OutcomeProgram
-from flexopt.selection.outcomes.result import asked_of_loop
+from flexopt.selection.outcomes.result import asked_by_loop, asked_of_loop
 from flexopt.selection.outcomes.shared import SharedProgram
 from flexopt.selection.outcomes.starting import starts_from
 from flexopt.selection.problem import SelectionProblem
@@ -133,6 +133,10 @@ class Asked:
     uncertainty: tuple[Uncertainty, ...]
     name: str
     least: LeastOutcomes | None
+
+    def stated(self, first: SelectionProblem) -> Document:
+        """What was asked beside the targets, as provenance has it; `first`: the first target's problem."""
+        return asked_by_loop(first, self.name, self.loop, self.uncertainty)
 
     def program(
         self,

@@ -121,8 +121,8 @@ def outcome_plan(
         attempts=attempts,
         problems=problems,
         provenance=provenance(
-            first.machine, path=[p.target.tolist() for p in problems], times=due.tolist(), objective=asked.name,
-            start=None if begin is None else begin.tolist(), control=first.control, seed=first.seed,
+            first.machine, path=[p.target.tolist() for p in problems], times=due.tolist(),
+            start=None if begin is None else begin.tolist(), **asked.stated(first),
         ),
         criterion=chosen.measure,
         settings=chosen.at(y).settings,

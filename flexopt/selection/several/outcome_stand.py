@@ -73,9 +73,7 @@ def outcome_stand(
         kinks={},
         attempts=attempts,
         problems=problems,
-        provenance=provenance(
-            first.machine, objective=asked.name, targets=[p.target.tolist() for p in problems], seed=first.seed
-        ),
+        provenance=provenance(first.machine, targets=[p.target.tolist() for p in problems], **asked.stated(first)),
         criterion=chosen.measure,
         settings=chosen.at(best.y).settings,
         loop=asked.loop,

@@ -17,7 +17,7 @@ import numpy as np
 
 from flexopt.errors import Fault, FlexoptError, NoSolutionFound
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import ArrayLike, BaseLike, Progress, TargetsLike, Vector
+from flexopt.foundation.arrays import ArrayLike, BaseLike, Document, Progress, TargetsLike, Vector
 from flexopt.foundation.boundary import Keywords, by, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import DURATION
@@ -189,7 +189,12 @@ def plan_base(
     end = _shortest(program, good)
     best = program.unwound(end.x)
     places = places_at(program, best)
-    stated = {"path": points.tolist(), "times": due.tolist(), "max_base_rate": base_rates.tolist()}
+    stated: Document = {
+        "objective": problems[0].name,
+        "path": points.tolist(),
+        "times": due.tolist(),
+        "max_base_rate": base_rates.tolist(),
+    }
     stated |= {"max_joint_rate": joint_rates.tolist(), "start": None if begin is None else begin.tolist()}
     return BasePlan(
         time=due,
@@ -206,7 +211,7 @@ def plan_base(
         beside=len(begins) - drawn,
         problems=problems,
         unverified=unverified,
-        provenance=provenance(machine, **stated, objective=problems[0].name, control=asked.control, seed=seed),
+        provenance=provenance(machine, **problems[0].stated | stated),
     )
 
 

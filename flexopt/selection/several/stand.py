@@ -8,7 +8,7 @@ from typing import Any, Unpack, cast
 import numpy as np
 
 from flexopt.foundation.arguments import Arguments
-from flexopt.foundation.arrays import Progress, TargetsLike, Vector
+from flexopt.foundation.arrays import Document, Progress, TargetsLike, Vector
 from flexopt.foundation.boundary import Keywords, by, public, words
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.turns import available_cores
@@ -129,7 +129,12 @@ def select_stand(
     best = program.packed([unwound(problem, program.of(good[0].x, k)) for k, problem in enumerate(problems)])
     places, n_base = places_at(program, best), len(machine.base_coordinates)
     found_at = [(program.worth(end.x), end.x[:n_base]) for end in good]
-    stated = {"combine": asked.combine, "shares": share.tolist(), "targets": points.tolist()}
+    stated: Document = {
+        "objective": problems[0].name,
+        "combine": asked.combine,
+        "shares": share.tolist(),
+        "targets": points.tolist(),
+    }
     return Stand(
         places=places,
         worth=program.worth(best),
@@ -140,7 +145,7 @@ def select_stand(
         further=len(good) - attempts[1],
         problems=problems,
         unverified=unverified,
-        provenance=provenance(machine, **stated, objective=problems[0].name, control=asked.control, seed=asked.seed),
+        provenance=provenance(machine, **problems[0].stated | stated),
     )
 
 
