@@ -35,7 +35,10 @@ def write_fmu(machine: str, options: dict[str, Any], as_json: bool) -> None:
     asked |= given({"version": options["fmi"], "kind": options["kind"]})
     real = real_loop(loaded.loop, entries)
     tell_gains(loaded, real, asked, sampled=asked.get("kind") != "model-exchange")
-    with option_names(options | {"path": options["fmu"], "version": options["fmi"], "loop": entries}), warnings_to_stderr(as_json):
+    with (
+        option_names(options | {"path": options["fmu"], "version": options["fmi"], "loop": entries}),
+        warnings_to_stderr(as_json),
+    ):
         report = export_fmu(loaded, options["fmu"], loop=real, **asked)
     if as_json:
         print_json(report.to_dict())

@@ -254,8 +254,8 @@ def simulate_ensemble(
     asked = dict(cast(Mapping[str, Vector], vary))
     varied, real = asked, cast("Loop | None", loop) or own_loop(machine, given | asked)
     settings: LoopSettings | None = None
+    own = machine
     if real is not None:
-        own = machine
         machine, given, settings, sentences = with_loop(machine, real, given, "simulate_ensemble")
         for sentence in sentences:
             warn_user(sentence, FlexoptWarning)
@@ -281,7 +281,7 @@ def simulate_ensemble(
         shapes = {name: list(np.shape(value)) for name, value in asked.items()}
         return Ensemble(
             _dataset(plan, asked, shares),
-            provenance(machine, vary=shapes, keep=keep, **checked.model_dump(exclude_unset=True)),
+            provenance(own, vary=shapes, keep=keep, **checked.model_dump(exclude_unset=True)),
             plan,
             tuple(share.measures for share in shares),
             np.concatenate([share.last for share in shares], axis=1) if moves(s) else None,

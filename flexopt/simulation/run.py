@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Unpack, cast
 
@@ -96,12 +97,15 @@ def simulate(
     """
     given: dict[str, Any] = {"posture": posture} | keywords
     settings, sentences, real = None, tuple[str, ...](), cast("Loop | None", loop) or own_loop(machine, given)
+    own = machine
     if real is not None:
         machine, given, settings, sentences = with_loop(machine, real, given, "simulate")
 
     def run(given: dict[str, Any]) -> Trajectory:
         scenario = build_scenario(machine, checked_options("simulate", machine, given), settings=settings)
-        return simulate_checked(scenario, settings, sentences)
+        found = simulate_checked(scenario, settings, sentences)
+        # What its drives brake makes no other machine of it.
+        return replace(found, provenance=found.provenance | {"machine_sha256": own.content_hash})
 
     return in_shorter_steps(run, given, real)
 

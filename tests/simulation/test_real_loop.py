@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -333,3 +334,15 @@ def test_limits_go_with_what_the_control_makes_of_the_drive() -> None:
             run = flexopt.simulate(machine, posture, duration=0.05, **asked)
         assert np.abs(run.torque).max() <= 1e5
     flexopt.machine_from_dict(machine.to_dict() | {"loop": limits})
+
+
+def test_a_run_is_of_the_machine_that_was_given(tmp_path: Path) -> None:
+    """However its drives brake it, so that runs with other gains are compared as those of one machine."""
+    machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
+    asked: dict[str, Any] = {"loop": {"drive": "velocity", "servo_gain": 2e5}, "duration": 0.1}
+    run = flexopt.simulate(machine, posture, **asked)
+    ensemble = flexopt.simulate_ensemble(machine, posture, vary={"payload.mass": [0.0, 10.0]}, **asked)
+    fmu = flexopt.export_fmu(machine, tmp_path / "loop.fmu", posture, **asked)
+    told = flexopt.evaluate(machine, posture).provenance["machine_sha256"]
+    assert told == machine.content_hash
+    assert {each.provenance["machine_sha256"] for each in (run, ensemble, fmu)} == {told}

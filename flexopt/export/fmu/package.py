@@ -190,8 +190,8 @@ def export_fmu(
     real = cast("Loop | None", loop) or (own_loop(machine, given) if kind == "co-simulation" else None)
     numbers: LoopSettings | None = None
     served: Served | None = None
+    own = machine
     if real is not None:
-        own = machine
         machine, given, numbers, sentences = with_loop(machine, real, given, "export_fmu")
         if numbers.braking:
             served = Served(numbers, _changed(own, machine))
@@ -228,7 +228,7 @@ def export_fmu(
         outputs=tuple(variable.name for variable in model.outputs),
         files=tuple(files),
         warnings=_warnings(model.run),
-        provenance=provenance(machine, version=version, kind=kind, **checked.model_dump(exclude_defaults=True)),
+        provenance=provenance(own, version=version, kind=kind, **checked.model_dump(exclude_defaults=True)),
     )
 
 
