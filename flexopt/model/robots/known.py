@@ -7,7 +7,7 @@ The tables are the files `formats/urdf.txt` and `formats/mjcf.txt`, which tell t
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
@@ -93,7 +93,7 @@ class _Check:
         self.faults = faults
         self.strict = strict
         self.namespaces = namespaces
-        self.foreign: Counter[str] = Counter()
+        self.foreign = defaultdict[str, list[str]](list)
         self.count = 0
 
     def element(self, element: Element, known: Known, parent: Element | None = None, *, read: bool) -> Element:
@@ -107,7 +107,7 @@ class _Check:
             name = key
             if self._is_foreign(key, known):
                 if not key.startswith("xmlns"):
-                    self.foreign[f"{element.tag} {key}"] += 1
+                    self.foreign[f"{element.tag} {key}"].append(element.place)
                 continue
             if key not in known.attributes:
                 name = self._unknown(
@@ -121,7 +121,7 @@ class _Check:
 
     def _child(self, element: Element, owner: str, child: Element, known: Known, read: bool) -> Element | None:
         if self._is_foreign(child.tag, known):
-            self.foreign[f"<{child.tag}>"] += 1
+            self.foreign[f"<{child.tag}>"].append(child.place)
             return None
         tag = child.tag
         if tag not in known.children:
@@ -165,17 +165,23 @@ def check_known(root: Element, name: str, faults: Faults, *, strict: bool = True
         root = _without_foreign(root, known, check.foreign)
     checked = check.element(root, known, read=True)
     if check.foreign:
-        listed = ", ".join(f"{word} ({count})" for word, count in check.foreign.items())
+        listed = ", ".join(f"{word} ({_places(places, root.file)})" for word, places in check.foreign.items())
         faults.warnings.insert(0, f"{root.file}: left out, as not part of the format: {listed}")
     return checked
 
 
-def _without_foreign(root: Element, known: Known, foreign: Counter[str]) -> Element:
+def _places(places: list[str], file: str) -> str:
+    """How many there are, and where the first stands; of the file itself the line."""
+    first = places[0].replace(f"{file}:", "line ", 1)
+    return f"1, {first}" if len(places) == 1 else f"{len(places)}, from {first}"
+
+
+def _without_foreign(root: Element, known: Known, foreign: defaultdict[str, list[str]]) -> Element:
     """Without what stands below <robot> for other programs; what looks like a misspelt element of URDF stays."""
     kept: list[Element] = []
     for child in root.children:
         if child.tag in known.children or nearest(child.tag, sorted(known.children), MISSPELT):
             kept.append(child)
         else:
-            foreign[f"<{child.tag}>"] += 1
+            foreign[f"<{child.tag}>"].append(child.place)
     return replace(root, children=kept)

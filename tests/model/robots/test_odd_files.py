@@ -74,14 +74,14 @@ WARNED: dict[str, tuple[str, str, list[str]]] = {
     "dry friction": ('damping="0.7"', 'damping="0.7" friction="2"', ["arm.urdf:16: joint 'slew' <dynamics>", "dry friction 2"]),
     "links of a simulator": (
         "<material", '<gazebo><link name="tool"/><joint name="boom"/></gazebo><gazebo/><transmission name="t"/><material',
-        ["arm.urdf: left out, as not part of the format: <gazebo> (2), <transmission> (1)"],
+        ["arm.urdf: left out, as not part of the format: <gazebo> (2, from line 93), <transmission> (1, line 93)"],
     ),
     "left-over macros": (
         '<link name="tool"/>', '<xacro:property name="m" value="${3*4}"/><link name="tool"><xacro:inertial m="${m}"/></link>',
-        ["left out", "<xacro:property> (1)", "<xacro:inertial> (1)"],
+        ["left out", "<xacro:property> (1, line 92)", "<xacro:inertial> (1, line 92)"],
     ),
     "another program's words": (
-        'damping="0.7"', 'damping="0.7" K="7000" drake:gear="3"', ["left out", "dynamics K (1), dynamics drake:gear (1)"],
+        'damping="0.7"', 'damping="0.7" K="7000" drake:gear="3"', ["left out", "dynamics K (1, line 16), dynamics drake:gear (1, line 16)"],
     ),
     "a misspelt visual": ("<visual>", '<visual nome="a"><orgin/>', ["link 'chassis' <visual>", "'nome' is left out", "'name'?", "<orgin>"]),
     "limit without ends": (
