@@ -186,7 +186,8 @@ class Selection(Pictured, Result):
         candidates: all distinct local optima found, one of each continuum, ranked by objective; of several in order by
             the last, as all of them keep those before. Ties within 1e-9 of |a||b| go by the earlier objectives, then by
             the worst of the other w_i, then by ε_max, then by the distance from the present base if one was given.
-        initial: the posture at the present base, where one was given and reaches the target.
+        initial: the present configuration; where no posture was given one that reaches the target from the present
+            base, if there is one.
         attempts: every start and its outcome.
         kept: of objectives in order, what those before the last keep.
         problem: what was solved.
@@ -322,7 +323,7 @@ class Selection(Pictured, Result):
         if short < -NOTHING * problem.objective_scale:
             more = f"{-short:.3g} more {problem.name} than what is chosen"
             return f"the present configuration has {more}: where climbs from it end could not be verified"
-        return f"nothing to gain: the present configuration has as much {problem.name}, to {NOTHING:g} of |a||b|"
+        return f"nothing to gain: the present configuration has as much {problem.name}, to {NOTHING:g} of its scale"
 
     @property
     def _present_keeps_all(self) -> bool:

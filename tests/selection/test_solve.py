@@ -313,3 +313,12 @@ def test_what_the_present_configuration_breaks_is_told(machine) -> None:
     assert "breaks" not in repr(allowed)
     ranged = flexopt.select(machine, (0.0, 1.6), base=0.0, base_range=(-3.0, -1.0), starts=1, workers=1)
     assert "breaks limits of base.x" in repr(ranged)
+
+
+def test_nothing_to_gain_is_told_in_the_scale_of_what_was_sought(machine) -> None:
+    """That of ε_max is no |a||b|."""
+    found = flexopt.select(machine, TARGET, objective="epsilon_max", starts=1, workers=1)
+    again = flexopt.select(
+        machine, TARGET, objective="epsilon_max", base=found.best.z[:1], posture=found.best.z[1:], starts=1, workers=1
+    )
+    assert again.nothing_to_gain.endswith("has as much epsilon_max, to 0.0001 of its scale")

@@ -347,7 +347,7 @@ class BasePlan(Pictured, ConfigurationSet):
         still: the best single placement, or the given start; None where it does not reach all targets. It may be better
             by 1e-4 of the objective's scale: among ways that are as good to within that the shortest is taken.
         between: the smallest V between the targets, where base and end-point move along straight lines, and the time
-            at which it is met;  −∞ where the end-point cannot be kept on its line.
+            at which it is met;  −∞ where the end-point cannot be kept on its line, or V is no number.
         travelled: length of the base's way, m, (first in the plane of the ground), and its turning, rad.
 
     Example:

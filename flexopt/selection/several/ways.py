@@ -107,7 +107,10 @@ def _shortest_turn(step: Vector) -> Vector:
 def on_lines(
     problems: Sequence[SelectionProblem], due: Vector, zs: list[Vector], values: Callable[[int, Vector], Vector]
 ) -> tuple[float, float]:
-    """The smallest value on straight lines between the targets, and when; `values` of z (n_z, N) towards target k."""
+    """The smallest value on straight lines between the targets, and when; `values` of z (n_z, N) towards target k.
+
+    −∞ where it is no number, or the end-point cannot be kept on its line.
+    """
     plant, n_b = problems[0].measures.plant, problems[0].measures.plant.n_base
     worst, when = np.inf, float(due[0])
     along = np.linspace(0.0, 1.0, BETWEEN + 1)
@@ -119,7 +122,7 @@ def on_lines(
         reached = left <= REACHED
         if not reached.all():
             return -np.inf, float(due[k] + (due[k + 1] - due[k]) * along[int(np.argmin(reached))])
-        found = values(k, np.vstack([z[:n_b], postures]))
+        found = np.nan_to_num(values(k, np.vstack([z[:n_b], postures])), nan=-np.inf, posinf=np.inf, neginf=-np.inf)
         low = int(found.argmin())
         if found[low] < worst:
             worst, when = float(found[low]), float(due[k] + (due[k + 1] - due[k]) * along[low])

@@ -16,6 +16,7 @@ from flexopt.robustness import evaluate_w
 from flexopt.selection.several import BasePlan, plan_base, select_stand
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.several.results import FixedPlacement
+from flexopt.selection.several.ways import on_lines
 
 PATH = np.array([[x, 1.6] for x in np.linspace(0.0, 1.5, 7)])
 
@@ -89,6 +90,21 @@ def test_between_the_targets(excavator: flexopt.Machine, plan: BasePlan) -> None
     there = next(p for p in postures if float(np.abs(p - plan.posture[k]).max()) == best)
     assert evaluate(excavator, there, base=base).w.sum() == pytest.approx(value, rel=1e-6)
     assert value <= plan.worth + 1e-12
+
+
+def test_where_v_is_no_number_between_the_targets_nothing_is_promised(
+    excavator: flexopt.Machine, plan: BasePlan
+) -> None:
+    """Whatever it is elsewhere, as of an own Function with a root that has none there."""
+    zs = [np.concatenate([place.evaluation.base, place.evaluation.posture]) for place in plan.places]
+    half = (plan.base[0, 0] + plan.base[1, 0]) / 2
+
+    def values(_: int, z: np.ndarray) -> np.ndarray:
+        return np.where(np.abs(z[0] - half) < 1e-9, np.nan, 1.0)
+
+    value, when = on_lines(plan.problems[:2], plan.time, zs[:2], values)
+    assert value == -math.inf
+    assert when == pytest.approx((plan.time[0] + plan.time[1]) / 2)
 
 
 @pytest.mark.long
