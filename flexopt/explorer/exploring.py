@@ -36,8 +36,8 @@ from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.measures import build_measures
 from flexopt.selection import SelectionProblem, select, select_stand, solve_selection
-from flexopt.selection.solve import initial_evaluation
 from flexopt.study.asked import one_placement
+from flexopt.study.place_loops import held_from
 
 # What a problem would say.
 NOTHING_ASKED: dict[str, Any] = {"target": None, "which": "", "objective": None, "weights": None}
@@ -209,7 +209,9 @@ def _solved(
         stand = select_stand(**asked.select_arguments(), progress=progress)
         problem, best = stand.problems[number - 1], stand.places[number - 1].evaluation
         which = f"target {number} of {len(stand.places)}"
-        return problem, {PRESENT: initial_evaluation(problem), BEST: best}, which
+        # As a verdict has it.
+        held = None if problem.present_base is None else held_from([problem], problem.present_base, allowed=False)
+        return problem, {PRESENT: held and held[0], BEST: best}, which
     else:
         found = select(**asked.select_arguments(), progress=progress)
     return found.problem, {PRESENT: found.initial, BEST: found.best.evaluation}, ""

@@ -124,9 +124,10 @@ def _matrix_faults(
     least = float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0])
     if (definite and least <= 1e-12) or least < -1e-12:
         word = "positive definite" if definite else "positive semidefinite"
-        faults.append(
-            Fault(f"{field}.matrix", f"must be {word}; its least eigenvalue, scaled by its diagonal, is {least:.3g}")
-        )
+        sentence = f"must be {word}; its least eigenvalue, scaled by its diagonal, is {least:.3g}"
+        if definite and not diagonal.all():
+            sentence += ": what is rigid is left out, of a [base] by a table of the directions that give"
+        faults.append(Fault(f"{field}.matrix", sentence))
     return faults
 
 

@@ -5,7 +5,7 @@ In: a plant, a target and a placement for each cell, and a reference posture. Ou
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -26,6 +26,9 @@ STEP, TOLERANCE, STILL = 0.3, 1e-11, 1e-9
 LOST = 1e-10
 # How many of the cells nearest to the start are tried at once as the first, then twice as many, and so on.
 SEEDS = 64
+# Axis of the grid, and which way along it.
+Side = tuple[int, int]
+SIDES: tuple[Side, ...] = ((1, 1), (1, -1), (0, 1), (0, -1))
 
 
 @dataclass(frozen=True)
@@ -85,17 +88,25 @@ def follow(plant: Plant, cells: MapPoints, reference: Vector, told: Callable[[in
             at = nearest[0][first : first + 1], nearest[1][first : first + 1]
             posture[:, *at], done[at] = found[:, first : first + 1], True
             break
+
+    def spread(of: Mask, sides: Sequence[Side]) -> Mask:
+        """Cells beside these that are reached from there."""
+        rows, columns, starts = _beside(of, done, posture, sides)
+        fresh = np.zeros(shape, dtype=bool)
+        if rows.size:
+            found, reached, _ = solver.solve(cells.target[:, rows, columns], cells.base[:, rows, columns], starts)
+            fresh[rows[reached], columns[reached]] = True
+            posture[:, rows[reached], columns[reached]] = found[:, reached]
+            np.logical_or(done, fresh, out=done)
+            told(int(done.sum()))
+        return fresh
+
     fresh = done.copy()
     while fresh.any():
-        rows, columns, starts = _beside(fresh, done, posture)
-        if rows.size == 0:
-            break
-        found, reached, _ = solver.solve(cells.target[:, rows, columns], cells.base[:, rows, columns], starts)
-        fresh = np.zeros(shape, dtype=bool)
-        fresh[rows[reached], columns[reached]] = True
-        posture[:, rows[reached], columns[reached]] = found[:, reached]
-        done |= fresh
-        told(int(done.sum()))
+        while fresh.any():
+            fresh = spread(fresh, SIDES)
+        # A cell beside several fresh ones was tried from one of them, which may stand at a joint's limit.
+        fresh = np.any([spread(done, [side]) for side in SIDES], axis=0)
     return Followed(posture, done, bool(held_there[0]), float(miss[0]))
 
 
@@ -108,11 +119,13 @@ def _nearest_first(distance: Vector) -> Iterator[tuple[NDArray[np.int64], ...]]:
         done, size = done + size, 2 * size
 
 
-def _beside(fresh: Mask, done: Mask, posture: Vector) -> tuple[NDArray[np.int64], NDArray[np.int64], Vector]:
-    """Rows and columns of the cells beside fresh ones that are not done, and postures of those neighbours (n, k)."""
+def _beside(
+    fresh: Mask, done: Mask, posture: Vector, sides: Sequence[Side]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Vector]:
+    """Rows and columns of cells on these sides of fresh ones that are not done; postures of those neighbours (n, k)."""
     start = np.full_like(posture, np.nan)
     wanted = np.zeros_like(done)
-    for axis, shift in ((1, 1), (1, -1), (0, 1), (0, -1)):
+    for axis, shift in sides:
         towards = np.roll(fresh, shift, axis)
         # What was rolled over the edge is no neighbour.
         towards[(slice(None),) * axis + (0 if shift == 1 else -1,)] = False

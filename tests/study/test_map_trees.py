@@ -399,3 +399,18 @@ def test_command(capsys, tmp_path, monkeypatch):
     assert "--joints = ['boom', 'boom']: names the same one twice" in outcome.stderr
     outcome = command("map", "excavator", "--over", "base", "--posture", "1,-1", "--coordinates", "x,y")
     assert "--over = 'base': needs two placement coordinates" in outcome.stderr
+
+
+@pytest.mark.long
+def test_a_cell_beside_a_joints_limit_is_reached_from_its_other_side():
+    """Where the slew's two ends meet, cells about one that was missed hold it near either end."""
+    crane = flexopt.load("truck-crane")
+    found = flexopt.map_workspace(crane, posture=(0.6, 0.5, -1.0, 0.8), epsilon_max=False, points=(40, 40))
+    reached = found.dataset.reachable.values
+    beside = sum(np.roll(reached, shift, axis).astype(int) for axis in (0, 1) for shift in (1, -1))
+    assert not np.any((beside >= 3) & ~reached)
+    slew = found.array("posture")[0]
+    assert np.nanmax(slew) > 3.0 > -2.0 > np.nanmin(slew)
+    for row, column in random_cells(found, 6):
+        there = flexopt.evaluate(crane, found.array("posture")[:, row, column])
+        assert there.end_point[:2] == pytest.approx([found.array("x")[column], found.array("y")[row]], abs=1e-9)

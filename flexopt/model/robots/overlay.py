@@ -86,9 +86,10 @@ class BaseTable(FileModel):
 
     Attributes:
         stiffness: by direction (x, y, z in N/m; roll, pitch, yaw in N m/rad; one left out is rigid), six
-            numbers in this order, or a symmetric 6 × 6 matrix.
+            numbers in this order, or a symmetric 6 × 6 matrix of a base that gives in all of them.
         damping: likewise, in N s/m and N m s/rad; 0 where left out.
-        point: where the springs act, in the root link's frame.
+        point: where the springs act, in the root link's frame; of axles apart from each other the elastic centre, where
+            a force tilts nothing.
         position: of the root link at rest in the anchor frame; from the robot file where left out.
         rotation: of the root link at rest: roll, pitch, yaw in rad, or a rotation matrix.
     """
