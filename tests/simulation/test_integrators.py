@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import flexopt
 from flexopt import build_plant
 from flexopt.errors import InputError
 from flexopt.loop.closed import closed_loop
@@ -231,6 +232,17 @@ def test_dampers_of_robot_files_meet_the_ode(seed, structure, control):
     missed.append(np.abs(final(finer, samples) - exact).max() / np.abs(exact).max())
     assert missed[0] < 1e-4
     assert missed[1] < missed[0] / 10 or missed[1] < 1e-7
+
+
+@pytest.mark.usefixtures("interpreted")
+def test_what_a_stiff_base_makes_of_rounding_is_no_change_of_an_iteration():
+    """A mode at 906 Hz; towards rest nothing but rounding is left, and the run goes on."""
+    source = NumpySource(np.random.default_rng(512))
+    machine = machine_from_dict(draw_machine(source, Structure(2, ("x", "y", "rotation"), ())))
+    posture = source.uniform(-1, 1), source.uniform(0.5, 1.5)
+    assert flexopt.evaluate(machine, posture).frequencies_hz[-1] > 900.0
+    run = flexopt.simulate(machine, posture, kp=1e4, kv=320.0, offset=(1e-5, 0.0), duration=0.1, integrator="gauss")
+    assert run.end_error < 1e-5
 
 
 def test_radau_s_method():
