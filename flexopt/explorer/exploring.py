@@ -211,7 +211,7 @@ def _solved(
         which = f"target {number} of {len(stand.places)}"
         # As a verdict has it.
         held = None if problem.present_base is None else held_from([problem], problem.present_base, allowed=False)
-        return problem, {PRESENT: held and held[0], BEST: best}, which
+        return problem, {PRESENT: None if held is None else held[0], BEST: best}, which
     else:
         found = select(**asked.select_arguments(), progress=progress)
     return found.problem, {PRESENT: found.initial, BEST: found.best.evaluation}, ""

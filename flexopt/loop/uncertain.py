@@ -185,12 +185,12 @@ class UncertainLoop:
             self.box.machine, self.base, self.posture, gravity=self.gravity, parameters=p, dead_time=late
         )
 
-    def decays(self, members: Vector, factors: Sequence[float] = (1.0,)) -> Vector:
+    def decays(self, members: Vector, factors: Vector | None = None) -> Vector:
         """Of every member with all gains times each of the factors, one factor after the other (n_f n,), 1/s."""
-        each = [self.box.numbers(u) for u in members] * len(factors)
+        each = [self.box.numbers(u) for u in members] * (1 if factors is None else len(factors))
         varied = {"p": np.array([p for p, _ in each]).T, DEAD_TIME: np.array([[late for _, late in each]])}
         varied |= {"base": np.tile(self.base[:, None], len(each)), "posture": np.tile(self.posture[:, None], len(each))}
-        if tuple(factors) != (1.0,):
+        if factors is not None:
             times = np.repeat(factors, len(members))
             varied |= {name: np.outer(getattr(self.settings, name), times) for name in GAINS}
         return decays(self.box.machine, self.settings, varied, gravity=self.gravity).decay
@@ -259,7 +259,7 @@ class UncertainLoop:
         present, found, u = self.settings.kp[int(np.argmax(self.settings.kp > 0))], list[float](), members[:0]
         while len(members) and present > 0 and least > 0:
             factor = SHORT * min(least / present, 10.0**HIGH)
-            factors = [factor] if factor <= 1 else np.geomspace(1.0, factor, LEVELS).tolist()
+            factors: Vector = np.geomspace(min(1.0, factor), factor, LEVELS if factor > 1 else 1)
             grows = ~(self.decays(members, factors).reshape(len(factors), len(members)) > 0)
             members = members[grows.any(axis=0)]
             if not len(members):
