@@ -16,7 +16,7 @@ from typing import Any, Unpack
 import casadi as ca
 import numpy as np
 
-from flexopt.errors import InputError
+from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import PostureLike, Vector
 from flexopt.foundation.boundary import Keywords, number, public
@@ -115,7 +115,7 @@ def stability_border(
         ratio: hold Kv = ratio · Kp (s) instead of Kv.
 
     Raises:
-        InputError: as `sampled_loop`.
+        InputError: as `sampled_loop`; the feedback has no Kp.
 
     Example:
         >>> machine = flexopt.load("excavator")
@@ -124,6 +124,10 @@ def stability_border(
         800000.0
     """
     scenario = linear_scenario(machine, {"posture": posture} | keywords, "stability_border")
+    feedback = scenario.options.feedback
+    if feedback not in ("pd", "pid"):
+        fault = Fault("feedback", "has no gain Kp whose border could be looked for; pd and pid have", repr(feedback))
+        raise_if_any(InputError, "stability_border", [fault])
     kv, rows = scenario.options.kv, scenario.loop.structure.n_task
 
     def growth(exponent: float) -> float:

@@ -102,6 +102,12 @@ def test_a_border_is_that_of_each_row_of_kv():
         assert grows != any(low < kp < high for low, high in border.intervals)
 
 
+@pytest.mark.parametrize("feedback", ["none", "robust"])
+def test_what_has_no_gain_has_no_border(feedback):
+    with pytest.raises(flexopt.InputError, match=f"feedback = '{feedback}': has no gain Kp"):
+        flexopt.stability_border(EXCAVATOR, POSTURE_B, feedback=feedback)
+
+
 @pytest.mark.long
 def test_verdicts_agree_with_the_linear_loop_over_a_grid_of_gains():
     """60 s, small start, both by RK4; where they differ the growth rate is within 0.01/s, which such a run does not tell from 0."""
