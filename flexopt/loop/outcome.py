@@ -260,8 +260,10 @@ class LoopPoint:
         slopes = self.smooth.slopes(by_matrix, factor) * (-float(kp[row]) / by_factor)
         return Measured(factor * float(kp[row]), slopes, {"kp": more})
 
-    def delay_margin(self) -> Measured:
+    def delay_margin(self, below: float = math.inf) -> Measured:
         """Dead time that may be added before the loop grows, s; NaN where it does already, infinite where at none.
+
+        Infinite, too, where it is seen to be no less than `below`.
 
         Where it may be the frequency response says, to the error of a dead time that is taken as a pure one; where it
         is exactly, up to a dead time of 100 samples the eigenvalues, beyond the frequency response again, without a
@@ -284,6 +286,8 @@ class LoopPoint:
                 by = None if slopes is None else slopes * (-1 / slopes.dead_time)
                 return Measured(found, by and Slopes(by.parts, -1.0))
             before = more
+            if before >= below:
+                return Measured(math.inf)
         # A sample before the end, too: where it is nearly may lie on the other side.
         beyond = (self._exactly(crossing) for crossing in self._late if crossing.late >= most - self.period)
         return Measured(next((more for more in beyond if more >= most), math.inf))

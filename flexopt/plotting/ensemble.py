@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from flexopt.foundation.arrays import Array
 from flexopt.foundation.boundary import instance
-from flexopt.foundation.control import gain_units
+from flexopt.foundation.control import RATE_GAIN_UNITS, gain_units
 from flexopt.foundation.escapes import TITLE_MAX, mathtext
 from flexopt.foundation.palette import colors
 from flexopt.plotting.scene import legend_above
@@ -101,6 +101,7 @@ def _varied(ensemble: Ensemble) -> tuple[str, Array]:
             scenario = ensemble.plan.scenario
             units = {parameter.name: parameter.unit for parameter in scenario.machine.parameters}
             of_gains = gain_units(scenario.options.control, scenario.machine.joint_units)
+            of_gains = RATE_GAIN_UNITS if scenario.loop.structure.served else of_gains
             units |= zip(("kp", "kv", "ki"), of_gains, strict=True)
             return labelled(mathtext(name), units.get(name, "SI")), values
     return BY_NUMBER, np.arange(1.0, ensemble.n_members + 1)

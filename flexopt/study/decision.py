@@ -89,6 +89,7 @@ def decide(
     gains: Mapping[str, Sequence[float]] | None = None,
     alternates: str = "",
     absent: str = UNREACHED,
+    most: float = 0.0,
 ) -> Decision:
     """The word by `RULE`.
 
@@ -102,6 +103,7 @@ def decide(
         gains: these other gains.
         alternates: why the loop changes its sign at every sample, where it grows so in every place.
         absent: why there is no staying.
+        most: share of the members on which a place is better than staying, of all that were judged.
     """
     sound = [place for place in others if place.holds and place.name not in unconfirmed]
     best = _best([place for place in sound if stay is None or _pays(place, stay)])
@@ -122,7 +124,8 @@ def decide(
             ((place.better_than(stay), place) for place in others), key=lambda x: x[0], default=(0.0, stay)
         )
         if share <= 1 - MOST:
-            where = f"more than {100 * share:.0f} % of the grounds" if share else "any ground"
+            most = max(share, most)
+            where = f"more than {100 * most:.0f} % of the grounds" if most else "any ground"
             reason = f"no place found {BETTER} on {where}"
             return Decision("stay", stay.name, f"{reason}; slowest decay here {stay.slowest:.3g}/s")
         return Decision("cannot tell", rival.name, _why_not(rival, share, unconfirmed))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any, Unpack, cast
 
 import numpy as np
@@ -184,6 +185,7 @@ def verdict(
     decision = decide(
         stay, rest, changed and changed[0], unconfirmed, tried=tried, refuted=refuted, gains=gains,
         alternates=_alternates(loops, slowest) if tried else "", absent=absent,
+        most=max(shares_better(decays).values(), default=0.0),
     )  # fmt: skip
     if breaks and decision.word != "move":
         decision = replace(decision, reason=f"{absent}; apart from it {decision.reason}")
@@ -210,15 +212,20 @@ def verdict(
     )
 
 
+def shares_better(decays: Mapping[str, Vector]) -> dict[str, float]:
+    """On which share of the grounds each place is better than the present one; empty where there is none."""
+    stay = decays.get(STAY)
+    return {} if stay is None else {name: float(np.mean(faster(own, stay))) for name, own in decays.items()}
+
+
 def overlooked(decays: Mapping[str, Vector], told: Sequence[str]) -> list[str]:
     """The place that is better than the present one on the most grounds, where those told of are so on too few.
 
     These are stable on the most grounds; what speaks against staying may be another, which grows on some.
     """
-    stay = decays.get(STAY)
-    if stay is None:
+    shares = shares_better(decays)
+    if not shares:
         return []
-    shares = {name: float(np.mean(faster(own, stay))) for name, own in decays.items()}
     first = max(shares, key=lambda name: shares[name])
     return [first] if shares[first] > 1 - MOST >= max(shares[name] for name in told) else []
 
@@ -322,7 +329,10 @@ def _place(
         if measure == "allowed_gain":
             more += [value for loop, own in rows for value in loop.lower_gains(points, min(own))]
         if measure == "delay_margin" and not np.isnan(values).any():
-            more += [loop.outcome(u).delay_margin().value for loop in place.loops for u in points[len(few) :]]
+            seen = {np.asarray(u).tobytes() for u in few[1:]}
+            others = [u for u in points if u.tobytes() not in seen]
+            for loop, u in product(place.loops, others):
+                more.append(loop.outcome(u).delay_margin(below=min([*values.ravel(), *more])).value)
         found = _band(factor * worst(values, axis=0))
         end = float(worst([found.least if least else found.greatest, *(factor * value for value in more)]))
         return replace(found, least=end) if least else replace(found, greatest=end)

@@ -228,6 +228,14 @@ def test_a_damping_that_varies_is_shown_as_it_was_asked_for():
     assert sorted(shown.tolist()) == dampings
 
 
+def test_gains_that_vary_have_the_unit_that_the_loop_gives_them():
+    loop = {"drive": "velocity", "servo_gain": 1e5, "kp": 1.0, "kv": 0.0}
+    machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
+    of_rates = flexopt.simulate_ensemble(machine, posture, vary={"kp": [0.5, 1.0]}, loop=loop, duration=0.2)
+    assert of_rates.plot().axes[0].get_xlabel() == "kp, 1/s"
+    assert two_members().plot().axes[0].get_xlabel() == "kp, N m"
+
+
 def test_bands_hold_the_quantiles():
     ensemble = made("ensemble excavator")
     error = ensemble.plot().axes[1]

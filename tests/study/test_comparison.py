@@ -227,6 +227,17 @@ def test_selections_that_were_asked_differently_say_so(command: Command, tmp_pat
 
 
 @pytest.mark.long
+def test_what_the_loop_must_do_at_least_is_part_of_the_question(command: Command, tmp_path: Path) -> None:
+    asked: dict[str, Any] = {"objective": "decay", "loop": {"kp": 1e4, "kv": 1e3}, "starts": 1, "workers": 1}
+    found = [
+        flexopt.select(flexopt.load("excavator"), (0.0, 1.6), constraints={"outcome": {"allowed_gain": least}}, **asked)
+        for least in (1.5e4, 2e4)
+    ]
+    told = asked_differently(command, tmp_path, *found)
+    assert told == {"constraints.outcome.allowed_gain": ["15000.0", "20000.0"]}
+
+
+@pytest.mark.long
 def test_loops_and_targets_that_differ_are_told(command: Command, tmp_path: Path) -> None:
     machine, target = flexopt.load("excavator"), (0.0, 1.6)
     fast = [

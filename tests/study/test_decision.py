@@ -112,6 +112,15 @@ def test_no_place_is_said_to_be_better_nowhere_without_a_look_at_all() -> None:
     assert overlooked({**alike, "candidate 4": grows}, told[1:]) == []
 
 
+def test_staying_tells_the_most_that_any_place_that_was_judged_is_better_on() -> None:
+    """Of four that are shown none is better anywhere, another is on one ground of forty."""
+    stay, alike = Place("stay", GROUNDS, 0.5, 0.0), Place("near", GROUNDS, 0.5, 0.1)
+    told = decide(stay, [alike], most=1 / 40)
+    assert told.word == "stay"
+    assert "no place found decays at least 10 % faster on more than 2 % of the grounds" in told.reason
+    assert "on any ground" in decide(stay, [alike]).reason
+
+
 def test_a_place_that_grows_fast_on_one_ground_goes_before_one_that_grows_slowly_on_most() -> None:
     nearly, mostly = np.array([0.5, 0.5, 0.5, -28.0]), np.array([0.5, -0.1, -0.1, -27.0])
     assert ranked({"mostly": mostly, "nearly": nearly}) == ["nearly", "mostly"]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import flexopt
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.study import page
 from flexopt.study.page import with_minus
 from flexopt.study.places import allowed, told
@@ -353,6 +354,27 @@ def test_a_target_that_grows_grows() -> None:
     assert stay.runs is not None
     assert stay.runs.growing == 1.0
     assert stay.stable_share == 0.0
+
+
+@pytest.mark.parametrize("members", [4, 16])
+def test_delay_margins_are_looked_at_on_every_ground(members: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of one interval and of four, whose corners are more than the few that everything is asked of."""
+    held = {"base": 1.8625, "posture": (1.898, -1.465), "loop": {"kp": 2e3, "kv": 500.0, "dead_time": 0.01}}
+    ground: dict[str, Any] = {"stiffness": (0.9, 1.1)}
+    if members == 16:
+        ground |= {"damping": (0.9, 1.1), "payload.mass": (0.0, 9.0), "stick.mass": (370.0, 375.0)}
+    seen, asked = set[tuple[float, ...]](), UncertainLoop.outcome
+
+    def outcome(self: UncertainLoop, u: Any = None) -> Any:
+        seen.add(() if u is None else tuple(u))
+        return asked(self, u)
+
+    monkeypatch.setattr(UncertainLoop, "outcome", outcome)
+    machine = flexopt.load("excavator")
+    found = flexopt.verdict(machine, (0.0, 1.6), ranges=ground, members=members, runs=0, starts=2, **held)
+    assert all(math.isfinite(found.places[k].delay_margin.least) for k in (0, 1))
+    box = UncertaintyBox(machine, found.uncertainty, found.settings.dead_time)
+    assert {tuple(u) for u in box.members(members, found.selection.problem.seed)} <= seen
 
 
 @pytest.mark.long

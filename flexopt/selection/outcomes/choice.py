@@ -117,7 +117,7 @@ def outcome_selection(
         kept=kept,
         problem=problem,
         provenance=provenance(
-            machine, target=problem.target.tolist(), **asked_by_loop(problem, name, loop, uncertainty)
+            machine, target=problem.target.tolist(), **asked_by_loop(problem, name, loop, uncertainty, least)
         ),
         criterion=measure,
         present=None if initial is None else _present(program, initial, distinct[0]),

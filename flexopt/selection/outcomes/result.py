@@ -11,6 +11,7 @@ from flexopt.foundation.plain import counted
 from flexopt.loop.region import LARGEST
 from flexopt.loop.settings import LoopSettings
 from flexopt.model.choices import DECAY
+from flexopt.model.constraints import LeastOutcomes
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.outcomes.branches import Measure
@@ -31,11 +32,17 @@ def asked_of_loop(document: Document, objective: str) -> Document:
 
 
 def asked_by_loop(
-    problem: SelectionProblem, objective: str, loop: Loop, uncertainty: Sequence[Uncertainty]
+    problem: SelectionProblem,
+    objective: str,
+    loop: Loop,
+    uncertainty: Sequence[Uncertainty],
+    least: LeastOutcomes | None,
 ) -> Document:
-    """What was asked beside the target, as provenance has it."""
-    known = [each.model_dump(exclude_none=True) for each in uncertainty]
-    return problem.stated | {"objective": objective, "loop": loop.model_dump(exclude_unset=True), "ranges": known}
+    """What was asked beside the target, as provenance has it; `least`: of the loop, which the problem does not hold."""
+    known, stated = [each.model_dump(exclude_none=True) for each in uncertainty], problem.stated
+    if least is not None:
+        stated["constraints"] |= {"outcome": least.model_dump(exclude_none=True)}
+    return stated | {"objective": objective, "loop": loop.model_dump(exclude_unset=True), "ranges": known}
 
 
 @dataclass(frozen=True, repr=False)

@@ -136,7 +136,7 @@ class Asked:
 
     def stated(self, first: SelectionProblem) -> Document:
         """What was asked beside the targets, as provenance has it; `first`: the first target's problem."""
-        return asked_by_loop(first, self.name, self.loop, self.uncertainty)
+        return asked_by_loop(first, self.name, self.loop, self.uncertainty, self.least)
 
     def program(
         self,
