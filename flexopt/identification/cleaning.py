@@ -48,10 +48,10 @@ def after_stop(log: MeasuredLog) -> MeasuredLog:
 
 
 def with_samples(log: MeasuredLog) -> MeasuredLog:
-    """From the first to the last sample of what shows a swing."""
+    """From the first to the last sample of what shows a swing; as it is where these are too few."""
     shown = [k for k in range(len(log.channels)) if log.channels[k].kind != "joint"]
     there = np.flatnonzero(np.isfinite(log.values[:, shown]).any(axis=1))
-    return log.part(slice(there[0], there[-1] + 1)) if there.size else log
+    return log if there.size < SAMPLES_MIN else log.part(slice(there[0], there[-1] + 1))
 
 
 def held_posture(log: MeasuredLog, joints: int) -> Vector | None:

@@ -135,8 +135,9 @@ def identify(
     """
     stages = Stages(progress, STAGES)
     stand = np.zeros(len(machine.base_coordinates)) if base is None else np.asarray(base, dtype=float)
-    chosen = with_samples(_windowed(cast(MeasuredLog, log), cast("tuple[float, float] | None", window)))
-    held, doubts = _held(machine, chosen, cast("Vector | None", posture))
+    whole = _windowed(cast(MeasuredLog, log), cast("tuple[float, float] | None", window))
+    held, doubts = _held(machine, whole, cast("Vector | None", posture))
+    chosen = with_samples(whole)
     shown = swinging(chosen)
     entries, reference = references(machine, _names(machine, unknown))
     shown, spiked = without_spikes(shown)

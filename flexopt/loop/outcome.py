@@ -237,16 +237,16 @@ class LoopPoint:
         """The largest Kp along the present ratio of all gains, N/m and the like: of the first row that has one.
 
         The upper end of the interval in which the present gains lie; where they lie in none the largest one below, 0
-        where there is none; infinite where no border is met.
+        where there is none; infinite where no border is met; NaN where no row has one.
         """
-        intervals, kp = self.gain_intervals, self.numbers["kp"]
-        below = [(low, high) for low, high in intervals if low <= 1.0]
-        if not below:
-            return Measured(0.0)
-        factor = below[-1][1]
+        kp = self.numbers["kp"]
         row = int(np.argmax(kp > 0))
         if not kp[row]:
             return UNDEFINED
+        below = [(low, high) for low, high in self.gain_intervals if low <= 1.0]
+        if not below:
+            return Measured(0.0)
+        factor = below[-1][1]
         if factor >= 10**HIGH:
             return Measured(math.inf)
         matrix = self.sample.open + factor * self.sample.into @ self.sample.force

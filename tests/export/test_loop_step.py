@@ -158,6 +158,8 @@ def test_the_gain_that_a_loop_bears_is_told_where_it_is_stable(tmp_path: Path) -
     excavator, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
     stable = flexopt.export_c(excavator, tmp_path / "b", parts=["loop"], loop=loop, posture=B)
     assert "may grow until Kp is 2.911e+04 N m;" in written(stable, "README.md")
+    without = flexopt.export_c(excavator, tmp_path / "c", parts=["loop"], loop={"kp": 0.0, "kv": 1e3}, posture=B)
+    assert "It has no Kp of which a border could be told;" in written(without, "README.md")
     with pytest.warns(FlexoptWarning, match="the loop grows at") as caught:
         grows = flexopt.export_c(excavator, tmp_path / "a", parts=["loop"], loop=loop, posture=(0.992, -2.63))
     assert caught[0].filename == __file__

@@ -405,6 +405,14 @@ def test_samples_may_be_missing_for_long(more: str) -> None:
     assert not any("would tilt" in doubt for doubt in found.doubts)
 
 
+def test_joints_may_be_measured_before_the_swing() -> None:
+    """The log then has a posture; what it lacks is told of its columns."""
+    t = np.arange(0, 5, 0.01)
+    early, gyro = t < 0.3, np.where((t > 1) & (t < 1.3), np.cos(12 * t), np.nan)
+    log = {"t": t, "gyro_z": gyro, "boom": np.where(early, 0.5, np.nan), "stick": np.where(early, -1.2, np.nan)}
+    refused(flexopt.load("excavator"), log, "gyro_z has 29 samples and is left out", posture=None)
+
+
 @pytest.mark.long
 def test_a_column_with_the_wrong_sign_is_told_as_such() -> None:
     """The springs that come nearest to it are no springs: the machine's own modes are not to blame."""

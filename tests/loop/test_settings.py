@@ -139,8 +139,10 @@ def test_a_gain_of_0_says_nothing_of_the_other():
         assert "corner" not in settings_of(EXCAVATOR, POSTURE_B, **{zero: 1e4}).sources[other]
 
 
-def test_without_kp_there_are_no_intervals_of_it():
-    found = flexopt.outcome(EXCAVATOR, POSTURE_B, loop={"kp": 0.0, "kv": 1e3})
+@pytest.mark.parametrize("gains", [{"kv": 1e3}, {"kv": 0.0, "ki": 10.0, "feedback": "pid"}])
+def test_without_kp_there_are_no_intervals_of_it(gains):
+    """The second grows with any gains."""
+    found = flexopt.outcome(EXCAVATOR, POSTURE_B, loop={"kp": 0.0, **gains})
     assert math.isnan(found.allowed_gain)
     assert found.gain_intervals == ()
     assert "allowed gain Kp –\n" in repr(found)

@@ -89,7 +89,6 @@ def test_no_member_is_slower_than_the_slowest(name: str) -> None:
     assert slowest <= loop.decays(loop.box.members(200, seed=5)).min() + 1e-9
 
 
-@pytest.mark.long
 @pytest.mark.long("posture1-gains1")
 @pytest.mark.parametrize(
     ("posture", "gains"), [((0.94, -1.74), {"kp": 1e4, "kv": 1e3}), ((0.41, -1.19), {}), ((0.32, -1.19), {})]
@@ -112,6 +111,7 @@ def test_no_member_of_a_grid_allows_less_than_the_least_gain(
     assert (least < 0.99 * corners) == (posture != (0.32, -1.19))
 
 
+@pytest.mark.long
 def test_regions_end_where_the_loop_grows() -> None:
     """Just inside its radius a box is stable wherever it is looked at, and just outside it grows at a named point."""
     springs = [{"of": f"base.stiffness.{name}", "factor": (0.5, 2.0)} for name in ("x", "rotation")]

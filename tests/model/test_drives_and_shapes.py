@@ -289,6 +289,10 @@ def test_a_servos_default_makes_servos_of_others(tmp_path: Path) -> None:
     assert 3.0 in read(tmp_path, text, MJCF_MACHINE).efforts
     served = changed_text(text, '<joint damping="0.5"/>', '<joint damping="0.5"/><position kp="50"/>')
     assert set(read(tmp_path, served, MJCF_MACHINE).efforts) == {math.inf}
+    # Without its bias there is still the servo's gain.
+    plain = changed_text(served, "<general", '<general biastype="none"')
+    assert set(read(tmp_path, plain, MJCF_MACHINE).efforts) == {math.inf}
+    assert 6.0 in read(tmp_path, changed_text(plain, "<general", '<general gainprm="2"'), MJCF_MACHINE).efforts
 
 
 def test_armature_of_mjcf_is_read_overridden_or_ignored(tmp_path: Path) -> None:

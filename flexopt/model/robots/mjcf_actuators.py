@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from flexopt.model.robots.elements import Element, check_text
-from flexopt.model.robots.mjcf_settings import MAIN, Settings
+from flexopt.model.robots.mjcf_settings import MAIN, SERVO, Settings
 
 # Dynamics of an actuator that end at its control.
 FOLLOWING = ("none", "filter", "filterexact")
@@ -46,6 +46,7 @@ def _gain(settings: Settings, element: Element) -> float | None:
     if element.tag == "motor":
         return 1.0
     plain = own.get("gaintype", "fixed") == "fixed" and own.get("biastype", "none") == "none"
+    plain = plain and own.get("gainprm") != SERVO["gainprm"]
     if element.tag != "general" or not plain or own.get("dyntype", "none") not in FOLLOWING:
         return None
     return abs(float(settings.faults.numbers(element, "gainprm", range(1, 11), (1.0,))[0]))

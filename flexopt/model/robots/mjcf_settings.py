@@ -29,7 +29,7 @@ GAINS = {
     "general": dict[str, str](),
     "motor": {"gaintype": "fixed", "gainprm": "1", "biastype": "none", "dyntype": "none"},
 }
-SERVO = {"biastype": "own"}
+SERVO = {"biastype": "own", "gainprm": "own"}
 # Far more than any model in use has.
 INCLUDES_MAX = 500
 
