@@ -37,7 +37,7 @@ from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.measures import build_measures
 from flexopt.selection import SelectionProblem, select, select_stand, solve_selection
 from flexopt.study.asked import one_placement
-from flexopt.study.place_loops import held_from
+from flexopt.study.place_loops import held_from, held_now
 
 # What a problem would say.
 NOTHING_ASKED: dict[str, Any] = {"target": None, "which": "", "objective": None, "weights": None}
@@ -214,7 +214,8 @@ def _solved(
         return problem, {PRESENT: None if held is None else held[0], BEST: best}, which
     else:
         found = select(**asked.select_arguments(), progress=progress)
-    return found.problem, {PRESENT: found.initial, BEST: found.best.evaluation}, ""
+    now = None if found.initial is None else held_now(found.problem, found.initial)
+    return found.problem, {PRESENT: now, BEST: found.best.evaluation}, ""
 
 
 def _page(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from flexopt.errors import FlexoptWarning, InputError
 from flexopt.foundation.arrays import Vector
 from flexopt.large_studies.status import OK, status_of
+from flexopt.model.choices import DECAY, DELAY_MARGIN, RADIUS, SETTLING, asks_for_loop
 from flexopt.model.loop import GAINS
 from flexopt.model.machine import AnyMachine
 from flexopt.model.parameter_values import with_parameters
@@ -118,11 +119,14 @@ class ManySelections(OneByOne):
     @property
     def units(self) -> dict[str, str]:
         """See `OneByOne`."""
-        selection = cast(Problem, self.study.subject).selection
-        residue = residue_unit(selection.control, self.machine.joint_units)
-        first = str(selection.objective).partition(",")[0]
-        of_first = residue if first.startswith("w") else "1" if first == "epsilon_max" else f"that of {first}"
-        known = {"posture": "rad or m", "base": "m or rad", "w": residue, "objective": of_first}
+        problem = cast(Problem, self.study.subject)
+        residue = residue_unit(problem.selection.control, self.machine.joint_units)
+        names = str(problem.selection.objective).split(",")
+        # Where the loop is asked the last objective is told, as `select` has it.
+        told = names[-1 if asks_for_loop(",".join(names), problem.select_arguments()["constraints"]) else 0]
+        of_loop = {DECAY: "1/s", DELAY_MARGIN: "s", SETTLING: "s", RADIUS: "1"}
+        unit = residue if told == "V" or told[1:].isdigit() else "1" if told == "epsilon_max" else f"that of {told}"
+        known = {"posture": "rad or m", "base": "m or rad", "w": residue, "objective": of_loop.get(told, unit)}
         return {name: known.get(name, "1") for name in self.study.kept}
 
     def one(self, column: Vector) -> Mapping[str, Any]:

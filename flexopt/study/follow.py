@@ -5,7 +5,7 @@ In: a plant, a target and a placement for each cell, and a reference posture. Ou
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -89,9 +89,11 @@ def follow(plant: Plant, cells: MapPoints, reference: Vector, told: Callable[[in
             posture[:, *at], done[at] = found[:, first : first + 1], True
             break
 
+    tried: dict[Side, Mask] = {side: done.copy() for side in SIDES}
+
     def spread(of: Mask, sides: Sequence[Side]) -> Mask:
         """Cells beside these that are reached from there."""
-        rows, columns, starts = _beside(of, done, posture, sides)
+        rows, columns, starts = _beside(of, done, posture, {side: tried[side] for side in sides})
         fresh = np.zeros(shape, dtype=bool)
         if rows.size:
             found, reached, _ = solver.solve(cells.target[:, rows, columns], cells.base[:, rows, columns], starts)
@@ -120,16 +122,20 @@ def _nearest_first(distance: Vector) -> Iterator[tuple[NDArray[np.int64], ...]]:
 
 
 def _beside(
-    fresh: Mask, done: Mask, posture: Vector, sides: Sequence[Side]
+    fresh: Mask, done: Mask, posture: Vector, tried: Mapping[Side, Mask]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Vector]:
-    """Rows and columns of cells on these sides of fresh ones that are not done; postures of those neighbours (n, k)."""
+    """Rows and columns of cells beside fresh ones that are not done, and postures of those neighbours (n, k).
+
+    `tried`: by side, which cells were from there already; those that are now become so.
+    """
     start = np.full_like(posture, np.nan)
     wanted = np.zeros_like(done)
-    for axis, shift in sides:
+    for (axis, shift), before in tried.items():
         towards = np.roll(fresh, shift, axis)
         # What was rolled over the edge is no neighbour.
         towards[(slice(None),) * axis + (0 if shift == 1 else -1,)] = False
-        new = towards & ~done & ~wanted
+        new = towards & ~done & ~wanted & ~before
+        np.logical_or(before, new, out=before)
         start[:, new] = np.roll(posture, shift, axis + 1)[:, new]
         wanted |= new
     rows, columns = np.nonzero(wanted)

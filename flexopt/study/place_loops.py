@@ -144,12 +144,12 @@ def _same(base: Vector, present: Vector | None) -> bool:
 
 def _present(chosen: Chosen) -> Configurations | None:
     if isinstance(chosen, Selection):
-        return None if chosen.initial is None else (_held(chosen.problem, chosen.initial),)
+        return None if chosen.initial is None else (held_now(chosen.problem, chosen.initial),)
     now = chosen.problems[0].present_base
     return None if now is None else held_from(chosen.problems, now, allowed=False)
 
 
-def _held(problem: SelectionProblem, now: Evaluation) -> Evaluation:
+def held_now(problem: SelectionProblem, now: Evaluation) -> Evaluation:
     """How the arm is held now: where nobody said so, and one way breaks what is asked for, an allowed one if any."""
     if problem.present_posture is not None or not broken(problem, np.concatenate([now.base, now.posture]), asked=True):
         return now

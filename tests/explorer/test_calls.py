@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -34,6 +35,17 @@ def test_the_first_posture_is_within_limits_that_are_far_from_zero() -> None:
     _, (boom, stick) = flexopt.explore(flexopt.machine_from_dict(data)).configurations["present"]
     assert 3.5 < boom < 5.5
     assert -6.0 < stick < -4.0
+
+
+def test_present_is_the_posture_that_a_verdict_judges() -> None:
+    """Nobody says how the arm is held; the one way that `select` takes turns the tool too far."""
+    asked: dict[str, Any] = {"base": 0.8, "starts": 2, "constraints": {"tool_angle": [-3.0, 0.0]}}
+    problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), **asked)
+    judged = flexopt.verdict(problem, loop={"kp": 100.0, "kv": 50.0}, runs=0, members=2)
+    assert judged.places[0].drive == 0
+    base, posture = flexopt.explore(problem).configurations["present"]
+    assert base == pytest.approx([0.8])
+    assert posture == pytest.approx(judged.places[0].posture, abs=1e-9)
 
 
 def test_faults_are_named_together() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,8 @@ import pytest
 import xarray as xr
 
 import flexopt
+from flexopt.large_studies.singly import ManySelections
+from flexopt.model.study_axes import study_axes
 from tests.large_studies.studies import small
 
 
@@ -118,6 +121,22 @@ def test_reasons_are_exported(tmp_path: Path) -> None:
     # What varies and the answer both have an x.
     assert written["base.x"].tolist() == [-1.0, -1.0]
     assert written["best.base.x"][0] == pytest.approx(float(result.dataset()["base"][0, 0]))
+
+
+@pytest.mark.parametrize(
+    ("objective", "least", "unit"),
+    [("w1,w2", None, "1/(kg m2)"), ("V", None, "1/(kg m2)"), ("epsilon_max,w1", None, "1"), ("decay", None, "1/s"),
+     ("w1,decay", None, "1/s"), ("decay,w1", None, "1/(kg m2)"), ("epsilon_max,w1", {"decay": 0.01}, "1/(kg m2)")],
+)  # fmt: skip
+def test_the_unit_of_an_objective_is_that_of_the_one_that_is_told(objective: str, least: Any, unit: str) -> None:
+    weights = (1.0, 1.0, 1.0) if objective == "V" else None
+    problem = flexopt.Problem(
+        name="any", machine="excavator", target={"end_point": (0.0, 1.6)}, constraints={"outcome": least},
+        selection={"objective": objective, "weights": weights}, loop={"kp": 1e4, "kv": 1e3},
+    ).with_machine(flexopt.load("excavator"))  # fmt: skip
+    vary = [{"of": "target.y", "value": [1.5, 1.6], "count": 2}]
+    study = flexopt.Study(name="any", problem="any", compute="selection", vary=vary).with_subject(problem)
+    assert ManySelections(study, study_axes(study)).units["objective"] == unit
 
 
 def test_what_there_is_not_is_refused(result: flexopt.StudyResult) -> None:

@@ -11,6 +11,7 @@ from flexopt.compiled.threaded import Interpreter
 from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
 from flexopt.robustness.margin import build_margin
+from flexopt.study import follow
 from flexopt.study.grid import task_ranges
 from flexopt.study.points import _measure_function
 from tests.cli.command import Command
@@ -414,3 +415,17 @@ def test_a_cell_beside_a_joints_limit_is_reached_from_its_other_side():
     for row, column in random_cells(found, 6):
         there = flexopt.evaluate(crane, found.array("posture")[:, row, column])
         assert there.end_point[:2] == pytest.approx([found.array("x")[column], found.array("y")[row]], abs=1e-9)
+
+
+def test_no_cell_is_tried_twice_from_the_same_neighbour(monkeypatch):
+    tried, solve = [], follow._Solver.solve
+
+    def noted(self, target, base, start):
+        tried.extend(map(bytes, np.vstack([target, base, start]).T.copy()))
+        return solve(self, target, base, start)
+
+    monkeypatch.setattr(follow._Solver, "solve", noted)
+    crane = flexopt.load("truck-crane")
+    found = flexopt.map_workspace(crane, posture=(0.6, 0.5, -1.0, 0.8), epsilon_max=False, points=(12, 12))
+    assert not found.dataset.reachable.values.all()
+    assert len(set(tried)) == len(tried)
