@@ -51,7 +51,8 @@ class Region(Result):
         radius: the largest s found, 10 at most, so that nothing looked at grows with every factor within [1/s, s], what
             has values at its nominal one; NaN where no range is a factor, 1 where the nominal loop grows.
         radius_guaranteed: the largest s, at most `radius`, up to which that is proven; 1 where nothing is.
-        radius_critical: the factors at which it grows first, just outside; empty where it never does.
+        radius_critical: the factors at which it grows first, just outside; empty where it never does, and where the
+            nominal loop grows.
         settings: the loop's numbers, and where those come from that were not given.
 
     Example:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -259,7 +259,7 @@ class UncertainLoop:
         present, found, u = self.settings.kp[int(np.argmax(self.settings.kp > 0))], list[float](), members[:0]
         while len(members) and present > 0 and least > 0:
             factor = SHORT * min(least / present, 10.0**HIGH)
-            factors: Vector = np.geomspace(min(1.0, factor), factor, LEVELS if factor > 1 else 1)
+            factors = cast(Vector, np.geomspace(min(1.0, factor), factor, LEVELS if factor > 1 else 1))
             grows = ~(self.decays(members, factors).reshape(len(factors), len(members)) > 0)
             members = members[grows.any(axis=0)]
             if not len(members):
