@@ -564,7 +564,7 @@ OBJECTS: dict[str, Callable[[], Any]] = {
     "FmuReport": lambda: flexopt.export_fmu(excavator(), "small.fmu", POSTURE, **LOOP),
     "Hydraulics": lambda: flexopt.build_hydraulics(hydraulic()),
     "Identification": identification,
-    "Machine": excavator,
+    "Machine": hydraulic,
     "Measures": lambda: flexopt.build_measures(excavator()),
     "Path": lambda: flexopt.Path(times=[0.0, 1.0], points=[[0.0], [1.0]]),
     "Plant": lambda: flexopt.build_plant(excavator()),
