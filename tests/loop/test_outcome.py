@@ -276,6 +276,15 @@ def test_a_border_beyond_a_hundred_samples_is_found(number):
     assert not replace(here, dead_time=here.dead_time + margin * (1 + 1e-4)).loop.stable
 
 
+def test_a_delay_margin_is_looked_for_up_to_what_is_asked():
+    here = outcome(EXCAVATOR, POSTURE_B)
+    margin = here.delay_margin().value
+    assert 0 < margin < math.inf
+    assert here.delay_margin(below=1.1 * margin).value == margin
+    assert here.delay_margin(below=0.9 * margin).value in (margin, math.inf)
+    assert here.delay_margin(below=1e-4 * margin).value == math.inf
+
+
 def test_peaks_over_a_fine_grid():
     """‖S‖ and ‖T‖ from the response of the loop's parts, point by point."""
     here = outcome(DIGGER, STAND, 0.017, kp=3e6, kv=6e5, rate=100.0)
