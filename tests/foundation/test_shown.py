@@ -127,7 +127,7 @@ def test_completion_offers_what_a_table_has(objects: dict[str, object]) -> None:
     machine = objects["Machine"]
     assert {"joints", "limits", "links", "base", "to_dict", "content_hash", "parameters"} <= set(dir(machine))
     # What is not offered is there all the same.
-    assert machine.model_dump()["name"] == "excavator"
+    assert machine.model_dump()["name"] == "boom-stick-bucket"
 
 
 def test_a_table_prints_what_is_not_at_its_default() -> None:
