@@ -344,16 +344,19 @@ def _idle(measures: Measures) -> list[bool]:
 
 
 def _spare(measures: Measures, idle: Sequence[bool]) -> list[int]:
-    """1 for each idle variable of the base that the others make up for as far as the end-point goes, else 0."""
+    """1 for each idle variable of the base that other idle ones make up for as far as the end-point goes, else 0.
+
+    A turn that the task does not follow changes every w_i: where only such a one makes up for a shift, both are needed.
+    """
     plant = measures.plant
     at = [np.linspace(0.3, 0.4, count) for count in (plant.n_base, plant.n_actuated)]
     jacobian = plant.base_jacobian.call([*at, plant.parameter_values])[0].full()[:, : plant.n_base]
-    kept = list(range(plant.n_base))
-    for i in reversed(range(plant.n_base)):
+    kept = [i for i in range(plant.n_base) if idle[i]]
+    for i in reversed(kept):
         others = [j for j in kept if j != i]
-        if idle[i] and np.linalg.matrix_rank(jacobian[:, others]) == np.linalg.matrix_rank(jacobian[:, kept]):
+        if np.linalg.matrix_rank(jacobian[:, others]) == np.linalg.matrix_rank(jacobian[:, kept]):
             kept = others
-    return [int(i not in kept) for i in range(plant.n_base)]
+    return [int(idle[i] and i not in kept) for i in range(plant.n_base)]
 
 
 def _placing(measures: Measures) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from flexopt.plant import build_plant
 from flexopt.plant.reach import outer_reach
 from flexopt.selection.check import prove
 from tests.export.optimiser_library import Library, assert_feasible, library, problem_of
-from tests.export.programs import GCC, TARGET
+from tests.export.programs import GCC, MAKE, TARGET
 from tests.oracles.spatial import grounded, in_space, random_tree
 
 pytestmark = GCC
@@ -437,6 +437,25 @@ def test_a_bundle_without_a_placement(bound, tmp_path):
     assert counts["CONVERGED"] + counts["BUDGET_SPENT"] > 100
     refusals = ("NULL_POINTER", "BAD_WORKSPACE", "NOT_FINITE", "OUT_OF_RANGE", "ENDED_EARLY")
     assert all(counts[status] > 0 for status in refusals)
+
+
+@pytest.mark.long
+@MAKE
+@pytest.mark.parametrize(
+    ("seed", "rows", "counts"),
+    [
+        # What a shift of the base moves only its turn could move, too, and that changes every w_i: both are needed.
+        (4, ("z", "x"), (2, 2)),
+        # One of its climbs runs along an edge and costs more than the default budget.
+        (5, ("x", "z", "pitch"), (2, 3)),
+    ],
+)
+def test_the_self_test_of_tasks_that_do_not_turn_along(seed, rows, counts, tmp_path):
+    report = export_c(tree_from_dict(random_tree(seed, rows=rows, counts=counts)), tmp_path / "b", parts=["optimiser"])
+    command = ["make", "-s", "-C", str(report.folder), "CFLAGS=-O0", "test"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    assert "all passed" in done.stdout
 
 
 @pytest.mark.long
