@@ -31,6 +31,7 @@ from flexopt.selection.check import prove
 from flexopt.selection.optima import run_solver
 from flexopt.selection.program import SOLVED
 from flexopt.selection.solve import solved
+from flexopt.selection.starts import onto_target
 
 # Share of the scale that V may lose against IPOPT's, and what still counts as on the target, m for each m of reach.
 LOSS = {"double": 1e-8, "float": 1e-5}
@@ -46,6 +47,9 @@ CLEARLY, CURVED, Z_TOLERANCE = 1e-3, 1e-2, 1e-3
 # seen whole from anywhere; in a space of them the nearest optimum is sure to be the one that is meant only from nearby.
 PLACED = {"m": 1.0, "rad": math.pi}
 AWAY, NEARBY = 0.3, 0.01
+# Where V / scale, along the target, rises faster than this in scaled variables, one step leads into another optimum's
+# basin: starts of machines at work come to 1.1, of random trees near singular postures to 300.
+STEEP = 2.0
 
 
 @dataclass(frozen=True)
@@ -267,6 +271,7 @@ def _vectors(
     rng = np.random.default_rng(seed)
     plant, made = build_plant(machine), list[ReferenceProblem]()
     reached = AWAY if plant.closed_form else NEARBY
+    first = ""
 
     def rounded(values: Array) -> Array:
         # Few digits, the same in both precisions.
@@ -285,7 +290,8 @@ def _vectors(
                     singularity_margin_deg=margin_deg, starts=SELECT_STARTS, seed=int(rng.integers(1000)),
                     assume="limits",
                 ), climbs=False)  # fmt: skip
-        except FlexoptError:
+        except FlexoptError as error:
+            first = first or str(error)
             continue
         best = found.best
         if best.kinks:
@@ -293,6 +299,10 @@ def _vectors(
             continue
         scale = float(f"{found.problem.objective_scale:.6g}")
         start = rounded(best.z + away)
+        base, posture = best.z[: plant.n_base], best.z[plant.n_base :]
+        if not found.problem.measures.w.call([base, posture, plant.parameter_values])[1].full().any():
+            first = first or "no mode moves the end-point along the task, so that V is 0 everywhere"
+            continue
         if not _found_again(found, start, scale):
             # So narrow a basin that IPOPT misses it from this start, too, and met it by chance from one of many.
             continue
@@ -302,9 +312,10 @@ def _vectors(
         made.append(ReferenceProblem(target, weights, start, value, scale, z.round(6), unique))
         if len(made) == count:
             return tuple(made)
+    why = first and f"; of the first without one: {first}"
     raise ExportError(
         f"optimiser: only {len(made)} of {DRAWS_MAX * count} random targets have a verified optimum under a "
-        f"singularity margin of {margin_deg:g} degrees, so it would be of no use; leave the part out"
+        f"singularity margin of {margin_deg:g} degrees, so it would be of no use; leave the part out{why}"
     )
 
 
@@ -323,8 +334,10 @@ def draw_target(plant: Plant, rng: np.random.Generator) -> Array:
 
 
 def _found_again(found: Selection, start: Array, scale: float) -> bool:
-    """Whether one solve from this start alone reaches the best V."""
+    """Whether V is not too steep at this start, and one solve from it alone reaches the best V."""
     problem = found.problem
+    if not prove(problem, onto_target(problem, start[:, None])[0][:, 0]).stationarity <= STEEP:
+        return False
     z, _, status = run_solver(problem, start)
     value = problem.branches(problem.objective, z)[0].min()
     return status in SOLVED and bool(value >= found.best.objective - CLEARLY * scale)

@@ -21,8 +21,13 @@ from flexopt.selection.coupling import Coupling, alone
 from flexopt.selection.member_graph import BranchGraphs, MemberGraph, ObjectiveForm, parameters_of
 from flexopt.selection.programs import Local, make_solver
 
-QUIET: dict[str, Any] = {"print_time": False, "error_on_fail": False, "calc_lam_p": False, "no_nlp_grad": True}
-IPOPT_OPTIONS: dict[str, Any] = QUIET | {
+IPOPT_OPTIONS: dict[str, Any] = {
+    "print_time": False,
+    "error_on_fail": False,
+    # Where a point's numbers are none IPOPT shortens its step: nothing for whoever reads the terminal.
+    "show_eval_warnings": False,
+    "calc_lam_p": False,
+    "no_nlp_grad": True,
     "ipopt": {
         "print_level": 0,
         "sb": "yes",
@@ -32,7 +37,7 @@ IPOPT_OPTIONS: dict[str, Any] = QUIET | {
         "max_iter": 200,
         "mu_init": 1e-4,
         "bound_relax_factor": 0.0,
-    }
+    },
 }
 # Where optima are no points but curves and surfaces, the last digits of the barrier cost more than all else: a point
 # that is good to these tolerances is left to the proof, and refined where that fails. Solves that take longer are cut

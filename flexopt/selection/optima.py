@@ -360,7 +360,8 @@ def climbed_from(program: Program, z: Vector, iterations: int = 0, status: str =
 
 def _proved(program: Program, z: Vector, iterations: int, status: str) -> SolveOutcome:
     """Where a solve ended, with its proof; after Newton's steps where only the first-order condition fails."""
-    if not np.all(np.isfinite(z)):
+    # A solver may end where the measures are no numbers, as at a singular posture: nothing can be proven there.
+    if not (np.all(np.isfinite(z)) and np.isfinite(program.worth(z))):
         return z, None, iterations, status
     proof = prove_program(program, z)
     if proof.holds or status == CUT_SHORT:
