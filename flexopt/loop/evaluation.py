@@ -155,6 +155,11 @@ class Outcome(Result):
                 "  the loop does not brake the arm's self-motion, no part of the decay; loop.nullspace_damping does"
             )
         lines += [f"  the arm's self-motion drifts, decay {-rate:+.3g}/s" for rate in self.drift if rate > 0]
+        lines += [
+            f"  the arm's self-motion, no part of the decay, dies away at {-rate:.3g}/s"
+            for rate in self.drift[:1]
+            if 0 < -rate < self.decay
+        ]
         stable = ", ".join(self._stable) or "nowhere"
         most = f"above {self.settings.highest_kp:.4g}" if math.isinf(self.allowed_gain) else _told(self.allowed_gain)
         unit = f" {self.settings.gain_units[0]} (stable: {stable})"

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import instance
+from flexopt.foundation.doubt import with_doubt
 from flexopt.foundation.escapes import LEGEND_MAX, mathtext
 from flexopt.plant import build_plant
 from flexopt.plotting.panels import Panel, draw_panel
@@ -113,8 +114,7 @@ def outcome(trajectory: Trajectory) -> str:
     rate, error = trajectory.growth_rate, trajectory.growth_rate_error
     if rate is None:
         return trajectory.verdict
-    spread = "" if error is None else f" ± {error:.1g}"
-    number = f"{-rate:+z.3g}{spread}".replace("-", "−")
+    number = with_doubt(-rate, error, 3, "+").replace("-", "−")
     return f"{trajectory.verdict}, decay {number} s$^{{-1}}$"
 
 

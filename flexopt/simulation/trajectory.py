@@ -15,6 +15,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import array_of, path, public
 from flexopt.foundation.documents import write_netcdf
+from flexopt.foundation.doubt import with_doubt
 from flexopt.foundation.palette import Theme
 from flexopt.foundation.pictures import Pictured, drawn
 from flexopt.foundation.results import Result
@@ -300,8 +301,7 @@ class Trajectory(Pictured, Result):
             for hz, e in zip(self.frequencies_hz, self.residual_oscillation, strict=True)
         )
         own, linear = self.growth_rate, self.linear_growth_rate
-        spread = "" if self.growth_rate_error is None else f" ± {self.growth_rate_error:.1g}"
-        shown = "–" if own is None else f"{-own:+z.4g}{spread}/s"
+        shown = "–" if own is None else f"{with_doubt(-own, self.growth_rate_error, 4, '+')}/s"
         exact = "–" if linear is None else f"{-linear:+z.4g}/s"
         why = "" if self.linear is None else alternating(self.linear, self.ended)
         at = ""

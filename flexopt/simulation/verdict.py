@@ -16,6 +16,7 @@ import numpy as np
 
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.doubt import with_doubt
 from flexopt.loop.spectrum import from_sample_to_sample
 from flexopt.loop.tangent import at_rest
 from flexopt.model import AnyMachine
@@ -172,4 +173,4 @@ def _words(run: Shown) -> str:
         verb = "grows" if run.rate > 0 else "does not clearly decay"
     else:
         verb = "decays" if run.rate < 0 else "does not clearly grow"
-    return f"{verb} (decay {-run.rate:+z.4g} ± {run.error:.1g}/s)"
+    return f"{verb} (decay {with_doubt(-run.rate, run.error, 4, '+')}/s)"

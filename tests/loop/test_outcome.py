@@ -351,3 +351,13 @@ def test_a_loop_that_alternates_from_sample_to_sample_is_told_why() -> None:
     damper = {"kp": 10.0, "kv": 1.0, "drive": "torque", "nullspace_damping": 1e4}
     grows = str(flexopt.outcome(arm, (0.0, -1.2, 1.5, -0.5, 0.6, 0.0), loop=damper))
     assert "the velocity gain, or the damper of the self-motion, is too much for" in grows
+
+
+def test_a_self_motion_slower_than_the_decay_is_told():
+    """Of three links over two rows: what brakes their self-motion does so slowly; eigenvalues of the matrices judge."""
+    machine, posture = flexopt.load("boom-stick-bucket"), (-1.21844, -1.65556, -2.17534)
+    loop = {"drive": "torque", "rate": 200.0, "kp": 5.42e5, "kv": 3.6e5}
+    slow = flexopt.outcome(machine, posture, loop=loop | {"nullspace_damping": 26.0})
+    assert 0 < -slow.drift[0] < slow.decay / 100
+    assert f"self-motion, no part of the decay, dies away at {-slow.drift[0]:.3g}/s" in repr(slow)
+    assert "dies away" not in repr(flexopt.outcome(flexopt.load("excavator"), (0.0448, -2.0499), loop=loop))

@@ -64,7 +64,7 @@ GROWN = {"word": "grows", "rate": 0.5, "grown": float(np.exp(5.0))}
             GROWN | {"rate": -0.02, "grown": 1.5, "significant": False},
             loop(0.2),
             "grows",
-            "does not clearly decay (decay +0.02 ±",
+            "does not clearly decay (decay +0.020 ± 0.010",
         ),
         (GROWN | {"rate": -0.2}, loop(0.2), "grows", "grows to 1.5e+02 times its first amplitude, hardly further"),
         (
@@ -74,8 +74,8 @@ GROWN = {"word": "grows", "rate": 0.5, "grown": float(np.exp(5.0))}
             "grows to 1.5e+02 times its first amplitude, hardly",
         ),
         # Of few periods the doubt is as large as the rate.
-        (GROWN | {"error": 0.5}, loop(0.2), "grows", "grows (decay -0.5 ± 0.5/s)"),
-        ({"rate": 0.1, "error": 0.03}, loop(0.005), "undecided", "does not clearly grow (decay -0.1 ±"),
+        (GROWN | {"error": 0.5}, loop(0.2), "grows", "grows (decay -0.50 ± 0.50/s)"),
+        ({"rate": 0.1, "error": 0.03}, loop(0.005), "undecided", "does not clearly grow (decay -0.100 ± 0.030"),
         ({"rate": np.nan, "error": np.nan}, loop(0.1), "undecided", "never moves the base"),
         ({"rate": np.nan, "error": np.nan}, loop(-0.1), "converges", "never moves the base"),
         ({}, "nothing rests", "converges", "no eigenvalues beside it: nothing rests"),

@@ -72,7 +72,7 @@ def test_runs(command: Command, tmp_path: Path) -> None:
         (0.0, 3e-4, "0.00000 ± 0.00030"),
         (0.382583, 1e-12, "0.38258"),
         (0.5, None, "0.5"),
-        (0.5, float("inf"), "0.5"),
+        (0.5, float("inf"), "0.5 ± inf"),
     ],
 )
 def test_numbers_have_no_digits_below_their_doubt(value: float, error: float | None, text: str) -> None:
