@@ -28,6 +28,8 @@ SAME = 1e-9
 DECADES = 100.0
 # How far from an end-point its name stands, as a share of a field's width.
 BESIDE = 0.08
+# Numbers in this range are written out beside ticks.
+PLAIN = 1e-4, 1e5
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ def draw_field(axes: Axes, plane: FieldPlane, values: Array, *, label: str, clip
     low, high = float(np.quantile(finite, LOWEST_SHOWN)) if clipped and finite.size else None, None
     if finite.size and np.ptp(finite) <= SAME * np.max(np.abs(finite)):
         middle = float(np.mean(finite))
-        low, high, clipped = *sorted((0.9 * middle, 1.1 * middle)), False
+        low, high, clipped = *sorted((0.9 * middle, 1.1 * middle or 1.0)), False
     image = axes.imshow(
         values,
         extent=plane.extent,
@@ -151,9 +153,22 @@ def draw_signed(axes: Axes, plane: FieldPlane, values: Array, *, label: str) -> 
         norm=TwoSlopeNorm(0.0, -low, high),
     )  # fmt: skip
     draw_border(axes, *plane.edges, values, width=0.8)
-    bar = _bar(axes, image, label, extend="both")
-    bar.set_ticks([-low, -low / 2, 0.0, high / 2, high])
-    bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:.2g}".replace("-", "−"))
+    # Of a field on one side of 0 the bar shows that side alone.
+    extend = "both" if above.size and below.size else "min" if below.size else "max"
+    bar = _bar(axes, image, label, extend=extend)
+    shown = -low if below.size else 0.0, high if above.size or not below.size else 0.0
+    bar.set_ticks([tick for tick in (-low, -low / 2, 0.0, high / 2, high) if shown[0] <= tick <= shown[1]])
+    bar.ax.set_ylim(*shown)
+    bar.ax.yaxis.set_major_formatter(lambda value, _: _shown(value, 2))
+
+
+def _shown(value: float, digits: int) -> str:
+    """A number beside a tick: 13500, and a power of ten where that is longer."""
+    rounded = float(f"{value:.{digits}g}")
+    if rounded == 0 or PLAIN[0] <= abs(rounded) < PLAIN[1]:
+        return f"{rounded:g}".replace("-", "\N{MINUS SIGN}")
+    power = math.floor(math.log10(abs(rounded)))
+    return f"${rounded / 10.0**power:.{digits}g} \\times 10^{{{power}}}$"
 
 
 def draw_border(axes: Axes, x: Array, y: Array, values: Array, *, width: float) -> None:
@@ -197,7 +212,7 @@ def label_plane(axes: Axes, plane: FieldPlane, title: str, *, left: bool = True,
                     if ends[0] <= step <= ends[1]
                 ]
             axis.set_major_locator(FixedLocator(np.log10(shown).tolist()))
-            axis.set_major_formatter(lambda value, _: f"{10**value:.3g}")
+            axis.set_major_formatter(lambda value, _: _shown(10**value, 3))
         elif log:
             axis.set_major_locator(MaxNLocator(4, integer=True))
             axis.set_major_formatter(lambda value, _: f"$10^{{{value:g}}}$")
