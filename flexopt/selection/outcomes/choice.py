@@ -258,7 +258,7 @@ def unfit(
     if RADIUS in asked - {name} and varied:
         found.append(Fault("ranges", "do not go with a least radius, which is that of all springs"))
     if ALLOWED_GAIN in asked and not settings.kp.any():
-        found.append(Fault("loop.kp", "is 0, and the objective allowed_gain asks for the largest Kp"))
+        found.append(Fault("loop.kp", "is 0, and allowed_gain asks for the largest Kp"))
     if name == ALLOWANCE and gain_ranges(loop):
         found.append(Fault("loop", "has ranges of gains, which the objective allowance does not depend on"))
     if name == RADIUS:
