@@ -21,11 +21,11 @@ from flexopt.selection.assumed import in_the_way
 from flexopt.selection.check import FIRST_ORDER, Proof, infeasible, prove, prove_program
 from flexopt.selection.exchanged import kept_apart
 from flexopt.selection.newton import polished
-from flexopt.selection.problem import SelectionProblem, beyond_bounds
+from flexopt.selection.problem import SelectionProblem, beyond_bounds, value_at
 from flexopt.selection.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, Program, single
 from flexopt.selection.result import SAME_VALUE, Attempt, Kept, missed_chance
 from flexopt.selection.rounds import IN_VAIN, LEFT_OPEN, ROUNDS, further_starts
-from flexopt.selection.seen import BETTER, better_than, kept_peaks, seen_values, value_at
+from flexopt.selection.seen import BETTER, better_than, kept_peaks, seen_values
 from flexopt.selection.starts import climbed_anywhere, climbs
 
 SAME_POINT = 1e-4

@@ -293,10 +293,7 @@ class SelectionProblem:
             >>> many
             array([1., 1., 1.])
         """
-        plant, n_base = self.measures.plant, self.measures.plant.n_base
-        f, f_z, same = (
-            out.full() for out in self.measures.factors.call([z[:n_base], z[n_base:], plant.parameter_values])
-        )
+        f, f_z, same = (out.full() for out in self.measures.factors.call(self.quantities.at(z)))
         return *split_factors(f, f_z), same.sum(axis=0)
 
     @public(sizes=_sizes, objective=_OBJECTIVE, z=_MANY)
@@ -343,8 +340,7 @@ class SelectionProblem:
             >>> problem.rows(np.array([0.0, 0.9929, -2.6306])).round(2).tolist()[1:]
             [1.6, 0.24]
         """
-        n_base, p = len(self.machine.base_coordinates), self.measures.plant.parameter_values
-        at = [z[:n_base], z[n_base:], p]
+        at = self.quantities.at(z)
         parts = [self.measures.w.call(at)[2], self.measures.plant.singularity_sine_squared.call(at)[0]]
         if self.constraint_set is not None:
             parts += self.constraint_set.function.call([*at, self.constraint_set.constants])
@@ -459,6 +455,11 @@ class SelectionProblem:
             "seed": self.seed,
             "scanned_points": self.scan.size,
         }
+
+
+def value_at(problem: SelectionProblem, z: Vector, objective: Objective | None = None) -> float:
+    """V of an objective at z, or of the one being solved; of ε_max the lower branch, the cost of travel taken off."""
+    return float(problem.branches(objective or problem.objective, z)[0][0])
 
 
 def elsewhere(problem: SelectionProblem, z: Vector) -> str:

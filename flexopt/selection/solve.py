@@ -34,7 +34,7 @@ from flexopt.selection.continua import grouped, nearest, same, travel
 from flexopt.selection.newton import settled
 from flexopt.selection.objective import Objective
 from flexopt.selection.optima import SAME_POINT, first_optima, later_optima, next_stage
-from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.problem import SelectionProblem, value_at
 from flexopt.selection.program import single
 from flexopt.selection.result import TIE_TOLERANCE, Candidate, Kept, Selection
 from flexopt.selection.starts import starting_points
@@ -229,11 +229,10 @@ def _candidate(problem: SelectionProblem, group: list[Best]) -> Candidate:
     n_base = problem.measures.plant.n_base
     places = [place for place in places if np.abs((place - z) / problem.scale)[:n_base].max(initial=0.0) > SAME_POINT]
     others = [other for best in group for other in best.others]
-    p = problem.measures.plant.parameter_values
     return Candidate(
         z=z,
-        w=problem.measures.w.call([z[:n_base], z[n_base:], p])[0].full().ravel(),
-        objective=float(problem.branches(problem.sought[0], z)[0][0]),
+        w=problem.quantities.w_at(z).ravel(),
+        objective=value_at(problem, z, problem.sought[0]),
         active=proof.active,
         constraints=constraint_values(problem, z),
         target_error=proof.target_error,
@@ -293,9 +292,8 @@ def _spread(problem: SelectionProblem, z: Vector, others: list[Vector]) -> list[
 
 def constraint_values(problem: SelectionProblem, z: Vector) -> dict[str, ConstraintValue]:
     """Every constraint besides the target: its value and bounds."""
-    plant, n_task = problem.measures.plant, problem.target.size
-    at = [z[: plant.n_base], z[plant.n_base :], plant.parameter_values]
-    values = [float(plant.singularity_sine_squared.call(at)[0])]
+    at, n_task = problem.quantities.at(z), problem.target.size
+    values = [float(problem.measures.plant.singularity_sine_squared.call(at)[0])]
     if problem.constraint_set is not None:
         reported = problem.constraint_set.report.call([*at, problem.constraint_set.constants])[0]
         values += reported.full().ravel().tolist()
@@ -339,7 +337,7 @@ def _criteria(problem: SelectionProblem) -> Iterator[tuple[Callable[[Candidate],
 
 
 def _objective(problem: SelectionProblem, objective: Objective, candidate: Candidate) -> float:
-    return float(problem.branches(objective, candidate.z)[0][0])
+    return value_at(problem, candidate.z, objective)
 
 
 def _nearness(problem: SelectionProblem, candidate: Candidate) -> float:

@@ -151,7 +151,7 @@ def _present(chosen: Chosen) -> Configurations | None:
 
 def held_now(problem: SelectionProblem, now: Evaluation) -> Evaluation:
     """How the arm is held now: where nobody said so, and one way breaks what is asked for, an allowed one if any."""
-    if problem.present_posture is not None or not broken(problem, np.concatenate([now.base, now.posture]), asked=True):
+    if problem.present_posture is not None or not broken(problem, now.z, asked=True):
         return now
     return (held_from([problem], now.base) or (now,))[0]
 

@@ -20,7 +20,8 @@ from flexopt.selection.outcomes.borders import Line
 from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.selection.starts import FEASIBLE, moved
+from flexopt.selection.scan import FEASIBLE
+from flexopt.selection.starts import moved
 from tests.selection.loops import EXCAVATOR, POSTURE, TARGET, posture_at, told, worth
 
 LATE = {"kp": 1e4, "kv": 1e3, "dead_time": 0.02}

@@ -37,10 +37,9 @@ from flexopt.selection.outcomes.measures import MEASURES, OfModes
 from flexopt.selection.outcomes.program import OutcomeProgram, points_of
 from flexopt.selection.outcomes.result import OutcomeSelection, asked_by_loop
 from flexopt.selection.outcomes.starting import Seed, separation, starting_points
-from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.problem import SelectionProblem, reached
 from flexopt.selection.result import Attempt, Candidate, Kept
 from flexopt.selection.solve import constraint_values
-from flexopt.selection.starts import FEASIBLE
 
 # Intervals whose corners are members from the beginning; points that are looked at behind a climb, and how often what
 # they find is added and climbed again.
@@ -176,11 +175,9 @@ def measure_of(name: str, problem: SelectionProblem) -> Measure:
 
 def _feasible(problem: SelectionProblem, initial: Evaluation | None) -> Vector:
     """Feasible configurations (N, n_z): those that were scanned, and the present one."""
-    scan = problem.scan
-    feasible = scan.violation <= FEASIBLE
-    pool = np.concatenate([scan.base[:, feasible], scan.posture[:, feasible]]).T
+    pool = problem.scan.z[:, problem.scan.feasible].T
     if initial is not None:
-        pool = np.concatenate([np.concatenate([initial.base, initial.posture])[None], pool])
+        pool = np.concatenate([initial.z[None], pool])
     if not len(pool):
         sentence = "select: no configuration that was looked at keeps every constraint"
         raise NoSolutionFound(sentence, violations={}, iterate={})
@@ -294,7 +291,7 @@ def _none(program: OutcomeProgram, found: list[Climbed | None]) -> NoSolutionFou
 
 def _present(program: OutcomeProgram, initial: Evaluation, best: Climbed) -> float | None:
     """The measure of the present configuration with the best one's gains; None where it has none."""
-    z = np.concatenate([initial.base, initial.posture]) / program.problem.scale
+    z = initial.z / program.problem.scale
     own = replace(program, members=np.zeros((0, 0)), least=())
     value = own.value(np.append(z, best.y[program.n_z :]))
     return own.measure.sign * value if math.isfinite(value) else None
@@ -304,7 +301,7 @@ def _breaks(program: OutcomeProgram, initial: Evaluation, best: Climbed) -> tupl
     """What the present configuration's loop does not do of what it must at least, with the best one's gains."""
     if not program.least:
         return ()
-    z = np.concatenate([initial.base, initial.posture]) / program.problem.scale
+    z = initial.z / program.problem.scale
     return broken_of(kept_values(program, np.append(z, best.y[program.n_z :])))
 
 
@@ -316,19 +313,17 @@ def broken_of(kept: dict[str, ConstraintValue]) -> tuple[str, ...]:
 def _candidate(program: OutcomeProgram, end: Climbed, settings: LoopSettings) -> Candidate:
     problem = program.problem
     z = end.y[: problem.scale.size] * problem.scale
-    n_base, p = len(problem.machine.base_coordinates), problem.measures.plant.parameter_values
-    reached = problem.rows(z)[: problem.target.size]
 
     def evaluate() -> Evaluation:
         return with_outcome(problem.machine, problem.quantities.evaluated(z), settings, gravity=problem.gravity)
 
     return Candidate(
         z=z,
-        w=problem.measures.w.call([z[:n_base], z[n_base:], p])[0].full().ravel(),
+        w=problem.quantities.w_at(z).ravel(),
         objective=program.measure.sign * end.value,
         active=end.active,
         constraints=constraint_values(problem, z) | kept_values(program, end.y),
-        target_error=float(np.linalg.norm(reached - problem.target)),
+        target_error=float(np.linalg.norm(reached(problem, z) - problem.target)),
         stationarity=end.stationarity,
         iterations=end.steps,
         kinks={},
