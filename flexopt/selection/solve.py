@@ -18,12 +18,12 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.later import later
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
-from flexopt.model.choices import OUTCOMES, RADIUS, asks_for_loop, of_loop
+from flexopt.model.choices import OUTCOMES, asks_for_loop, of_loop
 from flexopt.model.constraints import AnyConstraints, Constraints, LeastOutcomes
-from flexopt.model.loop import Loop, LoopLike, under_control
+from flexopt.model.loop import LoopLike
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
-from flexopt.model.uncertainty import RangesLike, Uncertainty
+from flexopt.model.uncertainty import RangesLike
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.plausibility import warn_implausible
@@ -75,14 +75,6 @@ def least_of(constraints: Any) -> LeastOutcomes | None:
     return constraints.outcome if isinstance(constraints, Constraints) else None
 
 
-def ranges_of(
-    machine: AnyMachine, ranges: Any, word: str | None, least: LeastOutcomes | None
-) -> tuple[Uncertainty, ...]:
-    """What is uncertain where the loop decides: what was given, or the machine's; a radius has its own, all springs."""
-    radius = RADIUS in (word or "").split(",") or (least is not None and least.radius is not None)
-    return ranges or (() if radius else machine.uncertainty)
-
-
 def without_loop(constraints: Any) -> Any:
     """The constraints that are the configuration's alone."""
     return constraints if least_of(constraints) is None else constraints.model_copy(update={"outcome": None})
@@ -132,8 +124,7 @@ def select(
         >>> selection.best.evaluation.joints
         ('boom', 'stick')
     """
-    real, measure = cast("Loop | None", loop or machine.loop), cast("str | None", keywords.get("objective"))
-    least = least_of(constraints)
+    measure = cast("str | None", keywords.get("objective"))
     if asks_for_loop(measure, constraints):
         # Its room is built on this one.
         room = later("flexopt.selection.outcomes", in_order="outcome_selection_in_order")
@@ -143,11 +134,8 @@ def select(
             if word != "V":
                 named["weights"] = None
             problems[word] = build_selection(machine, target, constraints=without_loop(constraints), **keywords | named)
-        problem = next(iter(problems.values()))
-        own = under_control(real or Loop(), machine, problem.control, "select")
         choose = cast(Any, room("outcome_selection_in_order"))
-        varied = ranges_of(machine, ranges, measure, least)
-        return choose(problems, own, varied, initial_evaluation(problem), workers, progress, least)
+        return choose(problems, loop, ranges, constraints, workers, progress)
     problem = build_selection(machine, target, constraints=constraints, **keywords)
     return solve_selection(problem, workers=workers, progress=progress)
 

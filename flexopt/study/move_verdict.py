@@ -63,7 +63,7 @@ STAGES = 4
 # Length of a nonlinear run, s.
 DURATION = 20.0
 # Of values of a measure (targets, few members), and of others that are known, those of a search among all members.
-Search = Callable[[Vector, Sequence[float]], list[float]]
+Further = Callable[[Vector, Sequence[float]], list[float]]
 
 
 def _judged(arguments: Arguments, field: str, value: Any) -> Any:
@@ -321,7 +321,7 @@ def _place(
     outcomes = [[loop.outcome(u) for u in few] for loop in place.loops]
     nominal = min(each[0].decay().value for each in outcomes)
 
-    def band(measure: str, search: Search | None = None, *, least: bool = False, factor: float = 1.0) -> Band:
+    def band(measure: str, search: Further | None = None, *, least: bool = False, factor: float = 1.0) -> Band:
         values = np.array([[getattr(outcome, measure)().value for outcome in each] for each in outcomes])
         sense, worst = (1.0, np.min) if least else (-1.0, np.max)
         # Not every corner is among the few, nor is the worst always a corner.

@@ -14,11 +14,12 @@ from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.plant.inverse_kinematics import low_discrepancy
+from flexopt.selection.outcomes.asked import Asked
 from flexopt.selection.outcomes.choice import least_over
 from flexopt.selection.outcomes.climb import Climbed, climbed
 from flexopt.selection.outcomes.shared import SharedProgram, ShortestWay
 from flexopt.selection.program import Program
-from flexopt.selection.several.by_loop import Asked, ByLoop, climbs_from, places_by_loop, values_at
+from flexopt.selection.several.by_loop import ByLoop, climbs_from, places_by_loop, shared_program, values_at
 from flexopt.selection.several.postures import Reached
 from flexopt.selection.several.results import BasePlan, FixedPlacement
 from flexopt.selection.several.standing import standing_along
@@ -91,7 +92,7 @@ def outcome_plan(
     if any(not values.size for _, values in layers):
         sentence = "at one of the targets no configuration that was looked at keeps every constraint"
         raise NoSolutionFound(f"plan_base: {sentence}", violations={}, iterate={})
-    program = asked.program(problems, along.coupling, along.steps, layers[0][0][:, 0], begin)
+    program = shared_program(asked, problems, along.coupling, along.steps, layers[0][0][:, 0], begin)
     still = _standing(program, along, common, found, workers)
     looked = _looked(program, along, [_thinned(layer, _most(program)) for layer in layers], workers)
     looked += [] if still is None else [program.joined([own for _, own in still[0].parts(still[1].y)])]
@@ -124,11 +125,9 @@ def outcome_plan(
             first.machine, path=[p.target.tolist() for p in problems], times=due.tolist(),
             start=None if begin is None else begin.tolist(), **asked.stated(first),
         ),
+        asked=asked,
         criterion=chosen.measure,
         settings=chosen.at(y).settings,
-        loop=asked.loop,
-        uncertainty=asked.uncertainty,
-        least=asked.least,
         unverified=unverified,
     )  # fmt: skip
 
