@@ -7,28 +7,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, NamedTuple
 
 from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import json_ready
-from flexopt.foundation.processes import in_parallel
 from flexopt.loop.evaluation import with_outcome
 from flexopt.loop.settings import LoopSettings
 from flexopt.selection.coupling import Coupling
 from flexopt.selection.outcomes.asked import Asked
 from flexopt.selection.outcomes.choice import climbs, distinct_optima, kept_values
 from flexopt.selection.outcomes.climb import Climbed
-from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.outcomes.result import ChosenByLoop, asked_of_loop
 from flexopt.selection.outcomes.shared import SharedProgram
 from flexopt.selection.outcomes.starting import starts_from
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.several.results import ConfigurationSet, TargetConfiguration
 from flexopt.selection.solve import constraint_values
-
-# Loops that a process looks at together.
-TOGETHER = 50
 
 
 @dataclass(frozen=True, repr=False)
@@ -127,17 +121,3 @@ def places_by_loop(program: SharedProgram, y: Vector) -> tuple[TargetConfigurati
         told = constraint_values(problem, z) | kept_values(target, own)
         places.append(TargetConfiguration(problem.target, there, program.measure.sign * value, told))
     return tuple(places)
-
-
-def values_at(target: OutcomeProgram, ys: list[Vector], workers: int) -> list[float]:
-    """The worst member's measure at many points of one target, in stacks or in processes."""
-    values = target.measure.values(target, ys, workers)
-    if values is None:
-        blocks = [ys[k : k + TOGETHER] for k in range(0, len(ys), TOGETHER)]
-        told = in_parallel(partial(_values, target, blocks), len(blocks), workers)
-        values = [value for block in told for value in block]
-    return values
-
-
-def _values(target: OutcomeProgram, blocks: list[list[Vector]], number: int) -> list[float]:
-    return [target.value(y) for y in blocks[number]]

@@ -16,8 +16,9 @@ from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.selection.continua import unwound
 from flexopt.selection.outcomes.asked import Asked
 from flexopt.selection.outcomes.shared import SharedProgram
+from flexopt.selection.outcomes.starting import values_at
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.several.by_loop import ByLoop, climbs_from, places_by_loop, shared_program, values_at
+from flexopt.selection.several.by_loop import ByLoop, climbs_from, places_by_loop, shared_program
 from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.results import Stand
 from flexopt.selection.several.standing import one_placement, other_placements

@@ -43,7 +43,7 @@ from flexopt.selection.several.results import KEPT, BasePlan, FixedPlacement
 from flexopt.selection.several.solving import End, end_from, ends_from, not_below, places_at, taken_up, verified
 from flexopt.selection.several.standing import best_placements, one_placement, standing_along
 from flexopt.selection.several.targets import build_problems, sample_bases, single_measure
-from flexopt.selection.several.ways import coarse_ways, nodes_of, on_lines, travelled
+from flexopt.selection.several.ways import coarse_ways, no_way, nodes_of, on_lines, travelled
 from flexopt.selection.solve import loop_notes, solved
 
 # Placements that are looked at, for one coordinate and for more: from which all targets may be reached, and for each
@@ -173,8 +173,7 @@ def plan_base(
     if still is not None:
         begins.append(program.packed(still))
     if not begins:
-        sentence = "with these rates no configurations of neighbouring targets are near enough"
-        raise NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
+        raise no_way()
     ends = ends_from(program, begins, count, progress)
     good = verified(program, ends, "way")
     attempts = len(ends), len(good)
@@ -193,7 +192,9 @@ def plan_base(
     return BasePlan(
         time=due,
         places=places,
-        still=None if still is None else _still(program, still),
+        still=None
+        if still is None
+        else FixedPlacement.of(len(machine.base_coordinates), still, program.values(program.packed(still))),
         between=on_lines(
             problems, due, [program.of(best, k) for k in range(len(problems))], lambda _, z: values_of(problems[0], z)
         ),
@@ -303,13 +304,6 @@ def _with_own(
     first = [] if begin is None else [[found[0]]]
     others = list(zip(problems, found, strict=True))[len(first) :]
     return first + [[both, reached_from(own, sample_bases((own,), *OWN, seed), seed)] for own, both in others]
-
-
-def _still(program: Program, zs: list[Vector]) -> FixedPlacement:
-    n_b = program.first.measures.plant.n_base
-    return FixedPlacement(
-        base=zs[0][:n_b], posture=np.array([z[n_b:] for z in zs]), V=program.values(program.packed(zs))
-    )
 
 
 def _shortest(program: Program, good: list[End]) -> End:
