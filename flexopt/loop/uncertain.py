@@ -20,8 +20,9 @@ import numpy as np
 from flexopt.errors import Fault
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.many import decays
-from flexopt.loop.outcome import DEAD_TIME, HIGH, LoopPoint, Measured
+from flexopt.loop.outcome import HIGH, LoopPoint, Measured
 from flexopt.loop.settings import LoopSettings
+from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.model import AnyMachine
 from flexopt.model.loop import DELAY_MAX, GAINS
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of

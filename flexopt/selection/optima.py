@@ -242,10 +242,6 @@ def _attempted(
     failures: list[tuple[Vector, Proof]] = []
     attempts: list[Attempt] = []
 
-    def done(number: int) -> None:
-        if progress is not None:
-            progress(number, len(starts))
-
     # What candidates are evaluated by is built while others solve.
     meanwhile = partial(prepare, problem.machine, problem.control, gravity=problem.gravity)
     lost = partial(_lost, starts)
@@ -253,7 +249,7 @@ def _attempted(
     if at_once:
         single(problem).build()
     task = partial(solve, problem, starts)
-    solved = in_parallel(task, len(starts), workers, done, meanwhile, lost, at_once=at_once)
+    solved = in_parallel(task, len(starts), workers, progress, meanwhile, lost, at_once=at_once)
     for behind in (BEHIND if known == -np.inf else 0, *[0] * (RESUMED - 1)):
         unfinished = _promising(problem, solved, known, behind)
         if not unfinished:

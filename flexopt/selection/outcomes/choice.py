@@ -111,8 +111,7 @@ def climbs(
     program: OutcomeProgram, starts: list[Vector], workers: int, progress: Progress | None
 ) -> list[Climbed | None]:
     """Where each start leads, in processes where that pays."""
-    done = None if progress is None else partial(_told, progress, len(starts))
-    return in_parallel(partial(_climbed, program, starts), len(starts), workers, done, at_once=len(starts) > 1)
+    return in_parallel(partial(_climbed, program, starts), len(starts), workers, progress, at_once=len(starts) > 1)
 
 
 def distinct_optima(program: OutcomeProgram, found: list[Climbed | None]) -> tuple[list[Climbed], float | None]:
@@ -142,10 +141,6 @@ def _feasible(problem: SelectionProblem, initial: Evaluation | None) -> Vector:
         sentence = "select: no configuration that was looked at keeps every constraint"
         raise NoSolutionFound(sentence, violations={}, iterate={})
     return pool
-
-
-def _told(progress: Progress, count: int, number: int) -> None:
-    progress(number, count)
 
 
 def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Climbed | None:

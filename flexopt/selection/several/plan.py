@@ -15,7 +15,7 @@ from typing import Any, Unpack, cast
 
 import numpy as np
 
-from flexopt.errors import Fault, FlexoptError, NoSolutionFound
+from flexopt.errors import Fault, FlexoptError, InputError, NoSolutionFound, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import ArrayLike, BaseLike, Document, Progress, TargetsLike, Vector
 from flexopt.foundation.boundary import Keywords, by, public
@@ -212,16 +212,13 @@ def plan_base(
 
 def _check_start(problem: SelectionProblem, begin: Vector) -> None:
     """The start of the base must be where the first target may be worked at."""
-    arguments = Arguments("plan_base")
-    for variable, x in zip(problem.variables, begin, strict=False):
-        if not variable.lower <= x <= variable.upper:
-            name, ends = (
-                variable.name.removeprefix("base."),
-                f"{variable.lower:g} to {variable.upper:g} {variable.unit}",
-            )
+    faults = list[Fault]()
+    for v, x in zip(problem.variables, begin, strict=False):
+        if not v.lower <= x <= v.upper:
+            ends = f"{v.lower:g} to {v.upper:g} {v.unit}"
             sentence = f"must lie in {ends}: in base_range, and where the first target is reached from"
-            arguments.faults.append(Fault(f"start ({name})", sentence, f"{x:g}"))
-    arguments.done()
+            faults.append(Fault(f"start ({v.name.removeprefix('base.')})", sentence, f"{x:g}"))
+    raise_if_any(InputError, "plan_base", faults)
 
 
 def _along(problems: tuple[SelectionProblem, ...], due: Vector, rates: Vector, begin: Vector | None) -> Program:

@@ -56,14 +56,10 @@ class End:
 def ends_from(program: Program, starts: list[Vector], workers: int, progress: Progress | None) -> list[End]:
     """One end for each start, in order; those that pass no proof are climbed from where they may lead to more."""
 
-    def tell(done: int) -> None:
-        if progress is not None:
-            progress(done, len(starts))
-
     def lost(number: int, sentence: str) -> SolveOutcome:
         return starts[number], None, 0, sentence
 
-    solved = in_parallel(partial(_solved, program, starts), len(starts), workers, tell, lost=lost)
+    solved = in_parallel(partial(_solved, program, starts), len(starts), workers, progress, lost=lost)
     stopped = list[int]()
     for k, (x, proof, iterations, status) in enumerate(solved):
         if proof is not None and not proof.holds:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.errors import Fault, UnreachableTarget, sentence_list
+from flexopt.errors import Fault, InputError, UnreachableTarget, raise_if_any, sentence_list
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import shown
@@ -65,9 +65,7 @@ def build_problems(
     first = problems[0].objective
     if len(problems[0].sought) > 1 or first.has_kinks:
         sentence = "must be a single one of the w_i or V without ε_max, where several configurations belong together"
-        arguments = Arguments(call)
-        arguments.faults.append(Fault("objective", sentence, shown(options.objective)))
-        arguments.done()
+        raise_if_any(InputError, call, [Fault("objective", sentence, shown(options.objective))])
     sizes = tuple(np.median([problem.objective_scales for problem in problems], axis=0).tolist())
     return tuple(replace(problem, objective_scales=sizes) for problem in problems)
 
