@@ -399,7 +399,7 @@ class SelectionProblem:
         return build_solver(self.configuration, alone(self.scale.size), self.forms, "weighted", quick=quick)
 
     def solver_parameters(self) -> Vector:
-        """The numbers of this problem for `solver`, see `SolverParameters`.
+        """The numbers of this problem for `solver`, see `member_graph.parameters_of`.
 
         Example:
             >>> problem.solver_parameters().ndim
@@ -519,7 +519,7 @@ def packed_parameters(
     level: float,
     shift: tuple[Vector, Vector],
 ) -> Vector:
-    """The numbers of problems with the same machine, objective, scales and constraints, see `SolverParameters`.
+    """The numbers of problems with the same machine, objective, scales and constraints, see `parameters_of`.
 
     `shift` of z and of the targets is as in `SelectionProblem.shift`.
     """
@@ -527,21 +527,20 @@ def packed_parameters(
     count, (of_z, of_target) = len(first.kept) + 1, shift
     objectives = first.objectives[:count]
     now = np.zeros(first.scale.size) if first.travel is None else (first.travel.now - of_z) / first.scale
-    return parameters_of(first.configuration, coupling, count).packed(
-        {
-            "target": np.concatenate([problem.target - of_target for problem in problems]),
-            "row_scale": first.row_bounds[2],
-            "z_scale": first.scale,
-            "alpha": np.array([objective.alpha for objective in objectives]),
-            "beta": [objective.beta for objective in objectives],
-            "size": first.objective_scales[:count],
-            "cost": [0.0 if first.travel is None or o.bounds else first.travel.cost for o in objectives],
-            "now": now,
-            "left": np.zeros(first.measures.plant.n_passive),
-            "share": share,
-            "level": level,
-            "gain": first.gain,
-            "c": first.constants,
-            "p": first.measures.plant.parameter_values.full(),
-        }
-    )
+    parts = {
+        "target": np.concatenate([problem.target - of_target for problem in problems]),
+        "row_scale": first.row_bounds[2],
+        "z_scale": first.scale,
+        "alpha": np.array([objective.alpha for objective in objectives]),
+        "beta": [objective.beta for objective in objectives],
+        "size": first.objective_scales[:count],
+        "cost": [0.0 if first.travel is None or o.bounds else first.travel.cost for o in objectives],
+        "now": now,
+        "left": np.zeros(first.measures.plant.n_passive),
+        "share": share,
+        "level": level,
+        "gain": first.gain,
+        "c": first.constants,
+        "p": first.measures.plant.parameter_values.full(),
+    }
+    return parameters_of(first.configuration, coupling, count).packed(parts).ravel()

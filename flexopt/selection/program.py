@@ -279,7 +279,7 @@ class Program:
         limits = Bounds(bounds.x_lower[own], bounds.x_upper[own], bounds.g_lower, bounds.g_upper)
         given = partial(told_branches, functions, parameters)
         confirm_once(functions.model, parameters, given, independent, x0[own], limits)
-        left = parameters_of(problem.configuration, alone(len(place)), count).place("left")
+        left = parameters_of(problem.configuration, alone(len(place)), count).slices["left"]
 
         def without(modes: list[int]) -> Vector:
             changed = parameters.copy()
@@ -301,7 +301,7 @@ class Program:
         return calls * evaluation_seconds(margin.gradients) > compilation_seconds(margin.compacted.gradients)
 
     def parameters(self) -> Vector:
-        """The numbers of this program for its solver, see `SolverParameters`."""
+        """The numbers of this program for its solver, see `parameters_of`."""
         return packed_parameters(self.problems, self.coupling, self.share, self.level, self.shift)
 
     def _stated(self, x: Vector) -> Local:
