@@ -255,7 +255,7 @@ def _attempted(
         if not unfinished:
             break
         points = [solved[number][0] for number in unfinished]
-        task, lost = partial(_resume, problem, points), partial(_lost, points)
+        task, lost = partial(taken_up_again, single(problem), points), partial(_lost, points)
         resumed = in_parallel(task, len(points), workers, lost=lost, at_once=at_once)
         for number, (z, proof, more, status) in zip(unfinished, resumed, strict=True):
             solved[number] = z, proof, solved[number][2] + more, status
@@ -389,9 +389,9 @@ def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], num
     return z, proof, total, status
 
 
-def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> SolveOutcome:
-    """A solve that was cut short, taken up again."""
-    return climbed_from(single(problem), points[number])
+def taken_up_again(program: Program, points: list[Vector], number: int) -> SolveOutcome:
+    """Where a solve that was cut short, or passes no proof, leads when it goes on."""
+    return climbed_from(program, points[number])
 
 
 def _promising(problem: SelectionProblem, solved: list[SolveOutcome], known: float, behind: int) -> list[int]:

@@ -166,10 +166,7 @@ class SharedProgram(OutcomeProgram):
 
     def meeting(self, y: Vector, level: float) -> SharedProgram | None:
         """See `OutcomeProgram`."""
-        found = tuple(
-            target.met_near(own, level)
-            for target, own in zip(self.targets, (y[place] for place in self.places), strict=True)
-        )
+        found = tuple(target.met_near(own, level) for target, own in self.parts(y))
         return replace(self, met_at=found) if any(found) else None
 
     def _wide(self, slopes: Vector, place: NDArray[np.int64]) -> Vector:
