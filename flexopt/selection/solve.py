@@ -32,7 +32,6 @@ from flexopt.selection.check import prove
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.continua import grouped, nearest, same, travel
 from flexopt.selection.newton import settled
-from flexopt.selection.objective import Objective
 from flexopt.selection.optima import SAME_POINT, first_optima, later_optima, next_stage
 from flexopt.selection.problem import SelectionProblem, value_at
 from flexopt.selection.program import single
@@ -317,19 +316,11 @@ def _criteria(problem: SelectionProblem) -> Iterator[tuple[Callable[[Candidate],
     """What candidates are ranked by, in order, the larger the better, and up to what they count as equal."""
     used, first = np.any([objective.uses for objective in problem.sought], axis=0), problem.bounding
     for objective, size in zip(reversed(problem.sought), reversed(problem.objective_scales[first:]), strict=True):
-        yield partial(_objective, problem, objective), TIE_TOLERANCE * size
+        yield lambda candidate, objective=objective: value_at(problem, candidate.z, objective), TIE_TOLERANCE * size
     if not used.all():
         yield lambda candidate: float(candidate.w[~used].min()), EQUAL * problem.measure_scale
     yield lambda candidate: candidate.evaluation.epsilon_max or 0.0, EQUAL
-    yield partial(_nearness, problem), EQUAL
-
-
-def _objective(problem: SelectionProblem, objective: Objective, candidate: Candidate) -> float:
-    return value_at(problem, candidate.z, objective)
-
-
-def _nearness(problem: SelectionProblem, candidate: Candidate) -> float:
-    return -travel(problem, candidate.z)
+    yield lambda candidate: -travel(problem, candidate.z), EQUAL
 
 
 def initial_evaluation(problem: SelectionProblem) -> Evaluation | None:

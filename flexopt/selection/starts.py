@@ -96,7 +96,8 @@ def sample_configurations(problem: SelectionProblem, starts: int) -> tuple[Scan,
     region, plant = problem.region, problem.measures.plant
     n_b = plant.n_base
     loose = problem.lower < problem.upper
-    unit = low_discrepancy(int(loose.sum()), _count(starts), problem.seed) if loose.any() else np.zeros((0, 1))
+    size = int(np.clip(SAMPLES_EACH * starts, SAMPLES_MIN, SAMPLES_MAX))
+    unit = low_discrepancy(int(loose.sum()), size, problem.seed) if loose.any() else np.zeros((0, 1))
     z = np.repeat(region.low[:, None], unit.shape[1], axis=1)
     z[loose] += (region.high - region.low)[loose, None] * unit
     z, off = onto_target(problem, z)
@@ -120,10 +121,6 @@ def sample_configurations(problem: SelectionProblem, starts: int) -> tuple[Scan,
     return scanned(
         problem.quantities, problem.sought[0], unit, np.zeros(count), z[:n_b], z[n_b:], number, violation
     ), 0.0
-
-
-def _count(starts: int) -> int:
-    return int(np.clip(SAMPLES_EACH * starts, SAMPLES_MIN, SAMPLES_MAX))
 
 
 def violated(problem: SelectionProblem, z: Vector) -> Vector:
