@@ -23,6 +23,7 @@ from multiprocessing.context import BaseContext
 from typing import Any, TypeVar, cast
 
 from flexopt.errors import FlexoptError
+from flexopt.foundation.arrays import Progress
 from flexopt.foundation.turns import one_blas_thread
 
 T = TypeVar("T")
@@ -45,7 +46,7 @@ def in_parallel(
     task: Task[T],
     count: int,
     workers: int,
-    done: Done | None = None,
+    progress: Progress | None = None,
     meanwhile: Callable[[], None] | None = None,
     lost: Callable[[int, str], T] | None = None,
     seen: Callable[[T], None] | None = None,
@@ -62,7 +63,7 @@ def in_parallel(
         task: a function that depends on its number only; picklable where processes cannot be forked.
         count: of numbers.
         workers: processes at most, this one aside while it waits.
-        done: called with the number of results so far.
+        progress: called with the number of results so far, and of all.
         meanwhile: called once while processes work; not where none do.
         lost: the result of a number whose processes were ended from outside, as for lack of memory, every time that it
             was tried; takes the number and a sentence. Without it that is an error.
@@ -73,6 +74,7 @@ def in_parallel(
         Exception: the first one, by number, that the task raised.
         ProcessLost: as above.
     """
+    done = None if progress is None else lambda number: progress(number, count)
     with one_blas_thread():
         return _worked_off(task, count, workers, done, meanwhile, lost, seen, at_once=at_once, ahead=ahead)
 

@@ -19,8 +19,9 @@ from flexopt.foundation.arrays import Vector
 from flexopt.large_studies.status import FAILED, NO_EQUILIBRIUM, NO_NUMBER, OK, SINGULAR
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.many import decays, expect_decays
-from flexopt.loop.outcome import DEAD_TIME, MEASURES
+from flexopt.loop.outcome import MEASURES
 from flexopt.loop.settings import LoopSettings
+from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.uncertain import UncertaintyBox
 from flexopt.model.loop import GAINS, loop_of_varied, under_control
 from flexopt.model.study import POINTS_MAX, Study

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -51,13 +50,9 @@ def _with_narrow(growth: Callable[[float], float], grid: list[float], values: li
         # A valley of |growth|, all of one sign.
         if sign * here <= sign * before and sign * here <= sign * after and sign * before > 0 and sign * after > 0:
             best: Any = minimize_scalar(
-                partial(_times, sign, growth), bounds=(left, right), method="bounded",
+                lambda x, sign=sign: sign * growth(x), bounds=(left, right), method="bounded",
                 options={"xatol": math.log10(1 + NARROW) / 10},
             )  # fmt: skip
             if best.fun < 0:
                 found.append((float(best.x), sign * float(best.fun)))
     return sorted(found)
-
-
-def _times(sign: float, growth: Callable[[float], float], exponent: float) -> float:
-    return sign * growth(exponent)

@@ -14,12 +14,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.algebra.layout import Layout
 from flexopt.loop.directions import Carried, Computed, stacked
 from flexopt.loop.feedback import FeedbackLaw
 from flexopt.loop.flow import Flow
 from flexopt.loop.integrators import State, classical_step, explicit_step, implicit_step
 from flexopt.loop.sample import Layouts, Sample
-from flexopt.loop.structure import Layout, LoopStructure, constant_sizes, signal_sizes, state_sizes
+from flexopt.loop.structure import LoopStructure, constant_sizes, signal_sizes, state_sizes
 from flexopt.loop.tableaus import dormand_prince, gauss, radau
 from flexopt.plant.machine_motion import motion_of
 from flexopt.plant.motion import Motion

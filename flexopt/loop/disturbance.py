@@ -15,7 +15,7 @@ import numpy as np
 
 from flexopt.compiled.extended import digits, exact, rounded
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.assembly import OneSample, Slopes
+from flexopt.loop.assembly import OneSample, Slopes, through_held
 from flexopt.loop.small_motions import Parts
 from flexopt.loop.spectrum import balance
 
@@ -103,17 +103,12 @@ def _joined(*factors: Vector) -> Vector:
 
 def noise_slopes(flow: Vector, noise: Noise, seen: Vector) -> tuple[Vector, Vector]:
     """Derivatives of tr(E W Eᵀ) by A and B, E (r, n) what is seen of the noise."""
-    from scipy.linalg import expm_frechet  # noqa: PLC0415  (loads slowly)
-
     by_held = np.zeros_like(flow)
     for held, factor in reversed(noise.spans[:-1]):
         later = seen @ held
         by_held = 2 * seen.T @ (later @ factor) @ factor.T + by_held @ held.T + held.T @ by_held
         seen = _joined(seen.T, later.T).T
-    found: Vector = np.zeros_like(flow)
-    if len(noise.spans) > 1:
-        block = flow.T * noise.short
-        found += np.real(expm_frechet(block, by_held, compute_expm=False, check_finite=False)) * noise.short
+    found = through_held(flow, noise.short, by_held) if len(noise.spans) > 1 else np.zeros_like(flow)
     terms, at_nodes = np.array(noise.terms), _quadrature(noise.short)
     by_values = 2 * seen.T @ (seen @ np.tensordot(at_nodes, terms, 1))
     by_terms = np.tensordot(at_nodes.T, by_values, 1)
@@ -252,7 +247,7 @@ class Disturbed:
             later += float(np.sum((at_end @ self.into) ** 2))
         else:
             more = noise_slopes(p.flow, late, at_end)
-            flow, into = flow + more[0] + self._through_between(by_between), into + more[1]
+            flow, into = flow + more[0] + through_held(p.flow, self._early, by_between), into + more[1]
             later += float(np.sum((at_end @ late.grown) ** 2))
         by_measured = p.law[:, k:].T @ of_law + p.force[:, k:].T @ of_force
         by_measured[: len(p.measured) // 2] += 2 * half * (self._shown @ z_z)[:, :n]
@@ -282,12 +277,6 @@ class Disturbed:
         by_turn = f.T @ moved @ aside / self.norm
         found = kept.T @ solve_sylvester(matrix.T, -(aside.T @ whole @ aside).T, by_turn) @ aside.T
         return found / self.scale[:, None] * self.scale
-
-    def _through_between(self, by_between: Vector) -> Vector:
-        from scipy.linalg import expm_frechet  # noqa: PLC0415  (loads slowly)
-
-        block = self.sample.parts.flow.T * self._early
-        return np.real(expm_frechet(block, by_between, compute_expm=False, check_finite=False)) * self._early
 
 
 def summed(matrix: Vector, factor: Vector) -> Vector:

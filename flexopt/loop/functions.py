@@ -15,10 +15,8 @@ import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.outcome import DEAD_TIME, MEASURES, LoopPoint, Measured
-from flexopt.loop.small_motions import INPUTS, SmallMotions
-
-BY = (*INPUTS, DEAD_TIME)
+from flexopt.loop.outcome import MEASURES, LoopPoint, Measured
+from flexopt.loop.small_motions import BY, DEAD_TIME, SmallMotions
 
 
 @dataclass(frozen=True)

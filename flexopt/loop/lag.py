@@ -16,12 +16,11 @@ import casadi as ca
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.small_motions import INPUTS, SmallMotions
+from flexopt.loop.small_motions import BY, DEAD_TIME, INPUTS, SmallMotions
 from flexopt.plant.control import task_to_joints_transposed
 from flexopt.robustness.measures import Measures, build_measures
 from flexopt.robustness.modal import ModalGraphs
 
-BY = (*INPUTS, "dead_time")
 # Real and imaginary part.
 RealImaginary = tuple[ca.SX, ca.SX]
 
@@ -52,7 +51,7 @@ class LaggedModes:
         # Those of the measures' own plant: caches may have dropped the one that the motions were made of.
         at = self.measures.plant.graph
         of = self.motions.symbols | {"base": at.base, "posture": at.posture, "p": at.p}
-        return {name: of[name] for name in (*INPUTS, "period")} | {"dead_time": ca.SX.sym("dead_time")}
+        return {name: of[name] for name in (*INPUTS, "period")} | {DEAD_TIME: ca.SX.sym(DEAD_TIME)}
 
     @cached_property
     def _graphs(self) -> dict[str, ca.SX]:
@@ -90,7 +89,7 @@ class LaggedModes:
         """By which angle dead time, hold and filter are behind, and what they leave of the size."""
         s = self._symbols
         half = w * s["period"] / 2
-        angle, size = w * s["dead_time"] + half, ca.sin(half) / half
+        angle, size = w * s[DEAD_TIME] + half, ca.sin(half) / half
         if self.motions.filtered:
             kept = ca.exp(-2 * math.pi * s["filter_hz"] * s["period"])
             real, imaginary = 1 - kept * ca.cos(2 * half), kept * ca.sin(2 * half)
@@ -139,7 +138,7 @@ class LaggedModes:
         self, numbers: Mapping[str, Vector], dead_time: float
     ) -> tuple[dict[str, Vector], dict[str, dict[str, Vector]]]:
         """Measures (m,), and the derivative of each by each of `INPUTS` and dead_time, (m, size)."""
-        given = [dead_time if name == "dead_time" else numbers[name] for name in self._symbols]
+        given = [dead_time if name == DEAD_TIME else numbers[name] for name in self._symbols]
         values = {name: x.full().ravel() for name, x in zip(self.NAMES, self.values.call(given), strict=True)}
         found = dict(zip(self.slopes.name_out(), self.slopes.call(given), strict=True))
         return values, {name: {by: np.array(found[f"{name}_{by}"]) for by in BY} for name in self.NAMES}

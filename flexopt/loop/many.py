@@ -20,9 +20,9 @@ from flexopt.compiled import Economical
 from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.turns import available_cores
 from flexopt.loop.assembly import OneSample
-from flexopt.loop.outcome import DEAD_TIME, LoopPoint
+from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.settings import LoopSettings
-from flexopt.loop.small_motions import Parts, SmallMotions
+from flexopt.loop.small_motions import DEAD_TIME, Parts, SmallMotions
 from flexopt.loop.spectrum import all_without_neutral, balance, neutral_directions
 from flexopt.model import AnyMachine
 

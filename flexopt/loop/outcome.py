@@ -23,7 +23,7 @@ from flexopt.foundation.roots import root
 from flexopt.loop.assembly import OneSample, Slopes
 from flexopt.loop.borders import stable_intervals
 from flexopt.loop.disturbance import Disturbed
-from flexopt.loop.small_motions import CONFIGURATION, INPUTS, Parts, SmallMotions
+from flexopt.loop.small_motions import BY, CONFIGURATION, DEAD_TIME, Parts, SmallMotions
 from flexopt.loop.spectrum import (
     OwnMotion,
     SampledLoop,
@@ -47,7 +47,6 @@ SLOWEST, NEAR = 1e-5, np.concatenate([-np.geomspace(0.01, 30.0, 24), np.zeros(1)
 BESIDE, ROUNDS, SETTLED = np.array([[1 - step, 1 + step] for step in (1e-3, 1e-2, 1e-1)]), 8, 1e-12
 # Relative distance up to which an eigenvalue is one of those that are known.
 SAME = 1e-6
-DEAD_TIME = "dead_time"
 # Motions of a loop that count, the slowest first: at an optimum several are as slow.
 SLOWEST_MOTIONS = 6
 # How far the angle of a peak may be off, rad, and how often it is bettered.
@@ -140,7 +139,7 @@ class LoopPoint:
     def gradient(self, measure: Measured) -> dict[str, Vector]:
         """The derivative of a measure by each of `INPUTS` and by the dead time; NaN where there is none."""
         if measure.slopes is None:
-            return {name: np.full(len(self.numbers[name]), np.nan) for name in INPUTS} | {DEAD_TIME: np.full(1, np.nan)}
+            return {name: np.full(len(self.numbers.get(name, [math.nan])), np.nan) for name in BY}
         found = self.slopes_by(measure.slopes)
         return found | {name: found[name] + more for name, more in (measure.more or {}).items()}
 

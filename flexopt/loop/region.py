@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import cast
 
 from flexopt.errors import InputError, raise_if_any
@@ -206,14 +205,13 @@ def _radius_guaranteed(loop: UncertainLoop, radius: float, boxes: int, stages: S
         if math.exp(size) <= best:
             break
         begun = (1 + k) * boxes
-        told = partial(_ahead, stages, begun)
+
+        def told(spent: float, begun: float = begun) -> None:
+            stages.reach(begun + spent)
+
         best = max(best, certified_radius(_scaled(loop, size), size, boxes=boxes, told=told))
         size /= 2
     return best
-
-
-def _ahead(stages: Stages, begun: int, spent: float) -> None:
-    stages.reach(begun + spent)
 
 
 def _scaled(loop: UncertainLoop, size: float) -> UncertainLoop:

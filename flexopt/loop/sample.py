@@ -10,9 +10,10 @@ from functools import reduce
 
 import casadi as ca
 
+from flexopt.algebra.layout import Layout
 from flexopt.loop.directions import TurningFrame, paired
 from flexopt.loop.feedback import FeedbackLaw, joint_torque, low_pass, nullspace_torque
-from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, Layout, LoopStructure
+from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
 from flexopt.model import AnyMachine
 from flexopt.plant.hydraulics import Saturation, build_hydraulics
 from flexopt.plant.machine_motion import motion_of

@@ -21,7 +21,6 @@ from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.plain import plain
 from flexopt.foundation.results import Result
 from flexopt.loop.evaluation import settings_at
-from flexopt.loop.outcome import DEAD_TIME
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike
@@ -251,8 +250,7 @@ class _Outputs:
 def _slopes_of_loop(loops: UncertainLoop, u: Vector) -> Vector:
     """∂decay/∂u (k,); NaN where eigenvalues meet."""
     point = loops.outcome(u)
-    by_what = point.gradient(point.decay())
-    return loops.box.slopes(u, by_what["p"], float(by_what[DEAD_TIME][0]))
+    return loops.slopes(u, point, point.decay())
 
 
 def _saltelli(k: int, samples: int, seed: int) -> tuple[Vector, Vector]:

@@ -31,6 +31,9 @@ INPUTS = (
     "base", "posture", "p", "kp", "kv", "ki", "nullspace_damping", "servo_gain", "filter_hz", "bandwidth_hz",
 )  # fmt: skip
 CONFIGURATION = INPUTS[:3]
+DEAD_TIME = "dead_time"
+# What measures of the sampled loop are differentiated by.
+BY = (*INPUTS, DEAD_TIME)
 PARTS = ("flow", "drive", "direct", "spread", "force", "law", "measured")
 
 

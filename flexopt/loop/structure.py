@@ -1,19 +1,13 @@
 """What parts a closed loop has, and how its vectors are laid out.
 
-In: choices. Out: `LoopStructure`, the key under which graphs and compiled code are kept, and the `Layout` of states x,
-signals e and constants c.
+In: choices. Out: `LoopStructure`, the key under which graphs and compiled code are kept, and the sizes of the parts of
+states x, signals e and constants c.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import accumulate
-from typing import Any, Literal
-
-import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
+from typing import Literal
 
 from flexopt.foundation.control import DAMPED, Control
 from flexopt.loop.feedback import FeedbackLaw, Law
@@ -97,31 +91,6 @@ class LoopStructure:
 
 JACOBIAN_DAMPING = "jacobian_damping"  # λ of a damped control
 MODEL = "model_"  # prefix of a controller's own constants
-
-
-class Layout:
-    """Named parts of a column."""
-
-    def __init__(self, sizes: Mapping[str, int]) -> None:
-        self.sizes = dict(sizes)
-        self.total = sum(self.sizes.values())
-        starts = [0, *accumulate(self.sizes.values())]
-        self.slices = {
-            name: slice(start, start + size) for (name, size), start in zip(sizes.items(), starts, strict=False)
-        }
-
-    def split(self, column: ca.SX) -> dict[str, ca.SX]:
-        """The parts of a column by name."""
-        return {name: column[part] for name, part in self.slices.items()}
-
-    def packed(self, parts: Mapping[str, Any]) -> NDArray[np.float64]:
-        """One array (total, 1) or (total, N) from parts (size,) or (size, N), those for all members repeated."""
-        columns = [np.asarray(parts[name], dtype=np.float64) for name in self.sizes]
-        n = max((part.size // size for part, size in zip(columns, self.sizes.values(), strict=True) if size), default=1)
-        result = np.empty((self.total, n))
-        for part, where, size in zip(columns, self.slices.values(), self.sizes.values(), strict=True):
-            result[where] = part.reshape(size, -1) if size else 0.0
-        return result
 
 
 def constant_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]:

@@ -20,8 +20,9 @@ import numpy as np
 from flexopt.errors import Fault
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.many import decays
-from flexopt.loop.outcome import DEAD_TIME, HIGH, LoopPoint, Measured
+from flexopt.loop.outcome import HIGH, LoopPoint, Measured
 from flexopt.loop.settings import LoopSettings
+from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.model import AnyMachine
 from flexopt.model.loop import DELAY_MAX, GAINS
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
@@ -185,6 +186,11 @@ class UncertainLoop:
             self.box.machine, self.base, self.posture, gravity=self.gravity, parameters=p, dead_time=late
         )
 
+    def slopes(self, u: Vector, point: LoopPoint, measured: Measured) -> Vector:
+        """The derivative by u (k,) of a measure of a member's loop; NaN where there is none."""
+        by = point.gradient(measured)
+        return self.box.slopes(u, by["p"], float(by[DEAD_TIME][0]))
+
     def decays(self, members: Vector, factors: Vector | None = None) -> Vector:
         """Of every member with all gains times each of the factors, one factor after the other (n_f n,), 1/s."""
         each = [self.box.numbers(u) for u in members] * (1 if factors is None else len(factors))
@@ -209,8 +215,7 @@ class UncertainLoop:
         def value(u: Vector) -> tuple[float, Vector]:
             outcome = self.outcome(np.clip(u, 0.0, 1.0))
             measured = measure(outcome)
-            by = outcome.gradient(measured)
-            return measured.value, np.nan_to_num(self.box.slopes(u, by["p"], float(by[DEAD_TIME][0])))
+            return measured.value, np.nan_to_num(self.slopes(u, outcome, measured))
 
         found: Any = minimize(
             value, start, jac=True, method="L-BFGS-B", bounds=[(0.0, 1.0)] * len(start), options={"maxfun": STEPS}
@@ -236,9 +241,7 @@ class UncertainLoop:
         at = self.outcome(u)
         u = np.full(len(self.box.uncertainty), 0.5) if u is None else u
         for _ in range(WALK):
-            measured = getattr(at, measure)()
-            by = at.gradient(measured)
-            slopes = sense * np.nan_to_num(self.box.slopes(u, by["p"], float(by[DEAD_TIME][0])))
+            slopes = sense * np.nan_to_num(self.slopes(u, at, getattr(at, measure)()))
             corner = np.where(slopes > 0, 0.0, np.where(slopes < 0, 1.0, u))
             if np.array_equal(corner, u):
                 break

@@ -176,6 +176,11 @@ class Evaluation(Result):
     provenance: Document = field(repr=False)
     outcome: Result | None = None
 
+    @property
+    def z(self) -> Vector:
+        """[base, posture], (n_b + n,), m or rad."""
+        return np.concatenate([self.base, self.posture])
+
     def document(self) -> Document:
         """Values by their keys; cylinders and outcome only where there are some."""
         there = {"cylinders": bool(self.cylinders), "outcome": self.outcome is not None}

@@ -70,7 +70,7 @@ def prove(problem: SelectionProblem, z: Vector) -> Proof:
 def prove_program(program: Program, x: Vector) -> Proof:
     """Check a point x of a program from the equations, in double, by functions that no solver used."""
     local = linearised(program, x)
-    violations = _infeasible(program, x, local.g)
+    violations = infeasible(program, x, local.g)
     multipliers, kept = certified(local)
     stationarity = float(np.linalg.norm(local.gradient - multipliers @ local.rows(kept)))
     for name, size in undecided(program, x):
@@ -104,10 +104,7 @@ def _note(violations: dict[str, float], name: str, size: float, tolerance: float
 
 def infeasible(program: Program, x: Vector, g: Vector | None = None) -> dict[str, float]:
     """Constraints and bounds that are violated beyond their tolerances at x, in their units; g, the rows there."""
-    return _infeasible(program, x, linearised(program, x).g if g is None else g)
-
-
-def _infeasible(program: Program, x: Vector, g: Vector) -> dict[str, float]:
+    g = linearised(program, x).g if g is None else g
     constraints, n_task = program.constraints(), program.first.target.size
     beyond = [
         float(max(row.lower - value, value - row.upper)) * row.scale for row, value in zip(constraints, g, strict=True)

@@ -15,6 +15,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Document
 from flexopt.foundation.boundary import TABLE, instance, path, public
 from flexopt.foundation.documents import provenance
+from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine, Problem, load_file
 from flexopt.model.constraints import Constraints
@@ -68,19 +69,15 @@ class Check(Result):
 
     def __repr__(self) -> str:
         counts = (
-            (len(self.faults), "{0} fault{2}"),
-            (len(self.findings), "{0} number{2} that {1} hardly meant"),
-            (len(self.warnings), "{0} warning{2}"),
+            (len(self.faults), "fault", ""),
+            (len(self.findings), "number that is hardly meant", "numbers that are hardly meant"),
+            (len(self.warnings), "warning", ""),
         )
-        told = ", ".join(_plural(count, word) for count, word in counts if count) or "nothing to mend"
+        told = ", ".join(counted(*each) for each in counts if each[0]) or "nothing to mend"
         lines = [f"{self.kind or 'file'} {self.name!r}: {told}"]
         lines += [f"  fault: {fault}" for fault in self.faults]
         lines += [f"  hardly meant: {finding}" for finding in self.findings]
         return "\n".join([*lines, *(f"  warning: {sentence}" for sentence in self.warnings)])
-
-
-def _plural(count: int, word: str) -> str:
-    return word.format(count, *(("is", "") if count == 1 else ("are", "s")))
 
 
 def _given(arguments: Arguments, field: str, value: Any) -> Any:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.problem import SelectionProblem, beyond_bounds
+from flexopt.selection.problem import SelectionProblem, beyond_bounds, value_at
 from flexopt.selection.starts import idle_joints, violated
 
 # Joints that differ by less, in scaled variables, are the same posture.
@@ -246,14 +246,8 @@ def _configuration(problem: SelectionProblem, z: Vector, pose: AnchorPose) -> Ve
 
 def _alike(problem: SelectionProblem, z: Vector, other: Vector) -> bool:
     """Whether every w_i and every objective is the same."""
-    n_base, p = problem.measures.plant.n_base, problem.measures.plant.parameter_values
     one, two = (
-        np.concatenate(
-            [
-                problem.measures.w.call([at[:n_base], at[n_base:], p])[0].full().ravel(),
-                *(problem.branches(objective, at)[0][:1] for objective in problem.objectives),
-            ]
-        )
+        np.append(problem.quantities.w_at(at), [value_at(problem, at, objective) for objective in problem.objectives])
         for at in (z, other)
     )
     m = one.size - len(problem.objectives)

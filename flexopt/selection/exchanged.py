@@ -20,8 +20,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.model.own import OwnFunction, check_function
 from flexopt.selection.objective import Objective
 from flexopt.selection.own import OwnTerm
-from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.seen import value_at
+from flexopt.selection.problem import SelectionProblem, value_at
 from flexopt.selection.starts import with_kept
 
 # How far frequencies stay apart, as a share of the higher one; how near they are where a solve failed at an edge; what
@@ -76,7 +75,7 @@ def at_edge(problem: SelectionProblem, z: Vector, w: Vector) -> list[str]:
         modes, alpha = f"modes {pair + 1} and {pair + 2}", objective.alpha
         sentence = f"frequencies of {modes} meet there, and are kept {APART:g} of them apart"
         if objective.own is None and len(problem.sought) == 1:
-            value = float(problem.branches(objective, z)[0][0])
+            value = value_at(problem, z, objective)
             value += (alpha[pair] - alpha[pair + 1]) * float(w[pair + 1] - w[pair])
             sentence += f": just beyond, where the two exchange numbers, {objective.name} jumps to {value:.6g}"
         found.append(sentence)
@@ -93,9 +92,8 @@ def _told_apart(problem: SelectionProblem) -> list[int]:
 
 def _gaps_at(problem: SelectionProblem, z: Vector) -> Vector:
     """1 − f_i / f_{i+1} at points z (n_z, N), (m − 1, N)."""
-    n_base = problem.measures.plant.n_base
-    term = OwnTerm(_gaps(problem.measures.plant.n_passive))
-    return problem.quantities.of_own(term, z[:n_base], z[n_base:])
+    base, posture, _ = problem.quantities.at(z)
+    return problem.quantities.of_own(OwnTerm(_gaps(problem.measures.plant.n_passive)), base, posture)
 
 
 @lru_cache(maxsize=16)

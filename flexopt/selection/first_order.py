@@ -14,6 +14,7 @@ from flexopt.selection.ascent_model import Cone, halves
 from flexopt.selection.cones import SHARED, mode_cones, name_of
 from flexopt.selection.multipliers import FirstOrderModel, Kink
 from flexopt.selection.objective import KINK
+from flexopt.selection.problem import value_at
 from flexopt.selection.program import Linearisation, Program
 
 ACTIVE_TOLERANCE = 1e-6
@@ -120,10 +121,10 @@ def _tips(
 
 def _pulls_of_w(program: Program, k: int, x: Vector) -> Vector:
     """∂V_j/∂w_i / size of configuration k's objectives up to the one being solved, (j, m)."""
-    problem, z = program.problems[k], program.of(x, k)
-    n_base, count = problem.measures.plant.n_base, len(problem.kept) + 1
-    pulls = [problem.quantities.pulls(o, z[:n_base], z[n_base:]).ravel() for o in problem.objectives[:count]]
-    return np.array(pulls) / np.array(program.first.objective_scales[:count])[:, None]
+    problem = program.problems[k]
+    base, posture, _ = problem.quantities.at(program.of(x, k))
+    pulls = [problem.quantities.pulls(o, base, posture).ravel() for o in problem.objectives[: len(problem.kept) + 1]]
+    return np.array(pulls) / np.array(program.first.objective_scales[: len(pulls)])[:, None]
 
 
 def undecided(program: Program, x: Vector) -> Iterator[tuple[str, float]]:
@@ -142,7 +143,7 @@ def undecided(program: Program, x: Vector) -> Iterator[tuple[str, float]]:
             if objective.own is None:
                 continue
             # What is kept and has more than it needs does not matter.
-            value, size = float(problem.branches(objective, z)[0][0]), first.objective_scales[j]
+            value, size = value_at(problem, z, objective), first.objective_scales[j]
             own[j] = kept == -np.inf or not value > kept + ACTIVE_TOLERANCE * size
         (f, f_z, same), alphas = problem.factors(z), _pulls_of_w(program, k, x)
         for objective, matters in zip(problem.objectives, own[:, 0], strict=False):

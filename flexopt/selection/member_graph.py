@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Literal
+from typing import Literal
 
 import casadi as ca
 import numpy as np
 
+from flexopt.algebra.layout import Layout
 from flexopt.compiled import accelerate
-from flexopt.foundation.arrays import Vector
 from flexopt.model.own import OwnFunction
 from flexopt.robustness.margin import build_margin
 from flexopt.selection.configuration import Configuration
@@ -25,37 +25,6 @@ from flexopt.selection.own import OwnGraphs, OwnTerm, own_graphs
 
 # Of objectives in order, of each its branches: values, or slopes by x (1, n_x).
 BranchGraphs = list[list[ca.MX]]
-
-
-@dataclass(frozen=True)
-class SolverParameters:
-    """How the solver's parameters lie in one vector.
-
-    `target` (K n_task,) and `row_scale` (n_rows,): rows are (row − target) / row_scale. `z_scale` (n_z,): z = z_scale
-    x. For each objective `alpha` (m,), `beta`, `size`, which V is divided by, and `cost`: with `now` (n_z,) V / size is
-    less by cost |x − now|². `left` (m,): 1 for modes whose w_i is left out of second derivatives. `share` (K,) of the
-    configurations; the `level` of "motion"; `gain`, c and p.
-    """
-
-    sizes: tuple[tuple[str, int], ...]
-
-    def packed(self, parts: Mapping[str, Any]) -> Vector:
-        """The vector, from arrays by name."""
-        flat = [np.asarray(parts[name], dtype=float).reshape(-1) for name, _ in self.sizes]
-        assert [x.size for x in flat] == [size for _, size in self.sizes]
-        return np.concatenate(flat)
-
-    def place(self, name: str) -> slice:
-        """Where a part stands in the vector."""
-        names, edges = [each for each, _ in self.sizes], np.cumsum([0, *(size for _, size in self.sizes)]).tolist()
-        return slice(edges[names.index(name)], edges[names.index(name) + 1])
-
-    def symbols(self) -> tuple[ca.MX, dict[str, ca.MX]]:
-        """The vector as a symbol, and its parts."""
-        edges = np.cumsum([0, *(size for _, size in self.sizes)]).tolist()
-        whole = ca.MX.sym("parameters", edges[-1])
-        parts = ca.vertsplit(whole, edges)
-        return whole, {name: part for (name, _), part in zip(self.sizes, parts, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -72,14 +41,20 @@ class ObjectiveForm:
         return 2 if self.kinks else 1
 
 
-def parameters_of(configuration: Configuration, coupling: Coupling, objectives: int) -> SolverParameters:
-    """The parameters of a program with so many objectives."""
+def parameters_of(configuration: Configuration, coupling: Coupling, objectives: int) -> Layout:
+    """How the parameters of a program with so many objectives lie in one vector.
+
+    `target` (K n_task,) and `row_scale` (n_rows,): rows are (row − target) / row_scale. `z_scale` (n_z,): z = z_scale
+    x. For each objective `alpha` (m,), `beta`, `size`, which V is divided by, and `cost`: with `now` (n_z,) V / size is
+    less by cost |x − now|². `left` (m,): 1 for modes whose w_i is left out of second derivatives. `share` (K,) of the
+    configurations; the `level` of "motion"; `gain`, c and p.
+    """
     plant, count = configuration.measures.plant, coupling.count
     n_z, m = plant.n_base + plant.n_actuated, plant.n_passive
     sizes = {"target": plant.n_task * count, "row_scale": configuration.n_rows, "z_scale": n_z}
     sizes |= {"alpha": m * objectives, "beta": objectives, "size": objectives, "cost": objectives, "now": n_z}
     sizes |= {"left": m, "share": count, "level": 1, "gain": 1}
-    return SolverParameters((*sizes.items(), ("c", configuration.n_constants), ("p", len(plant.parameter_names))))
+    return Layout(sizes | {"c": configuration.n_constants, "p": len(plant.parameter_names)})
 
 
 class MemberGraph:

@@ -169,7 +169,9 @@ def _assembled(
 ) -> tuple[ca.MX, ca.MX, list[MemberGraph], _Arranged]:
     """The variables x, the parameters, and what a program is made of."""
     x = ca.MX.sym("x", coupling.n_x + (goal == "worst"))
-    parameters, s = parameters_of(configuration, coupling, len(forms)).symbols()
+    layout = parameters_of(configuration, coupling, len(forms))
+    parameters = ca.MX.sym("parameters", layout.total)
+    s: dict[str, ca.MX] = layout.split(parameters)
     members = [MemberGraph(configuration, coupling, forms, s, x, k, compiled=compiled) for k in range(coupling.count)]
     return x, parameters, members, _Arranged(coupling, s, x, goal)
 

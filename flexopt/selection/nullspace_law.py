@@ -111,7 +111,7 @@ class NullspaceLaw:
         """Δz of the law, and whether V descends along it to first order."""
         scaled = point.gradient / self.root
         wanted, jacobian = self.k_xi @ scaled, point.jacobian / self.root
-        free = wanted - _shortest(jacobian, jacobian @ wanted)
+        free = wanted - np.linalg.lstsq(jacobian, jacobian @ wanted, rcond=None)[0]
         downhill = float(scaled @ free) < -ROUNDING * float(np.linalg.norm(scaled) * np.linalg.norm(wanted))
         return free / self.root, downhill
 
@@ -211,11 +211,6 @@ def retime(
         between = law.moved(here.z, share * (there.z - here.z)) if 0 < share < 1 else None
         timed.append(law.point(between) if between is not None else there if share == 1 else here)
     return timed, cut
-
-
-def _shortest(matrix: Vector, right: Vector) -> Vector:
-    """The shortest x with A x nearest to b: A⁺ b."""
-    return cast(Vector, np.linalg.lstsq(matrix, right, rcond=None)[0])
 
 
 @lru_cache(maxsize=32)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +92,16 @@ class Quantities:
     measures: Measures
     margin: Margin
     gain: float
+
+    def at(self, z: Vector) -> list[Any]:
+        """Inputs base, posture, p of the Functions at z (n_z,), or at many (n_z, N)."""
+        plant = self.measures.plant
+        return [z[: plant.n_base], z[plant.n_base :], plant.parameter_values]
+
+    def w_at(self, z: Vector) -> Vector:
+        """The w_i at z (m, 1), or at many (m, N)."""
+        found: Vector = self.measures.w.call(self.at(z))[0].full()
+        return found
 
     def epsilon_max(self, bases: Vector, postures: Vector) -> Vector:
         """ε_max (N,) at many points (n_b, N), (n, N); compiled where that can be."""

@@ -21,11 +21,11 @@ from flexopt.selection.assumed import in_the_way
 from flexopt.selection.check import FIRST_ORDER, Proof, infeasible, prove, prove_program
 from flexopt.selection.exchanged import kept_apart
 from flexopt.selection.newton import polished
-from flexopt.selection.problem import SelectionProblem, beyond_bounds
+from flexopt.selection.problem import SelectionProblem, beyond_bounds, value_at
 from flexopt.selection.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, Program, single
 from flexopt.selection.result import SAME_VALUE, Attempt, Kept, missed_chance
 from flexopt.selection.rounds import IN_VAIN, LEFT_OPEN, ROUNDS, further_starts
-from flexopt.selection.seen import BETTER, better_than, kept_peaks, seen_values, value_at
+from flexopt.selection.seen import BETTER, better_than, kept_peaks, seen_values
 from flexopt.selection.starts import climbed_anywhere, climbs
 
 SAME_POINT = 1e-4
@@ -242,10 +242,6 @@ def _attempted(
     failures: list[tuple[Vector, Proof]] = []
     attempts: list[Attempt] = []
 
-    def done(number: int) -> None:
-        if progress is not None:
-            progress(number, len(starts))
-
     # What candidates are evaluated by is built while others solve.
     meanwhile = partial(prepare, problem.machine, problem.control, gravity=problem.gravity)
     lost = partial(_lost, starts)
@@ -253,13 +249,13 @@ def _attempted(
     if at_once:
         single(problem).build()
     task = partial(solve, problem, starts)
-    solved = in_parallel(task, len(starts), workers, done, meanwhile, lost, at_once=at_once)
+    solved = in_parallel(task, len(starts), workers, progress, meanwhile, lost, at_once=at_once)
     for behind in (BEHIND if known == -np.inf else 0, *[0] * (RESUMED - 1)):
         unfinished = _promising(problem, solved, known, behind)
         if not unfinished:
             break
         points = [solved[number][0] for number in unfinished]
-        task, lost = partial(_resume, problem, points), partial(_lost, points)
+        task, lost = partial(taken_up_again, single(problem), points), partial(_lost, points)
         resumed = in_parallel(task, len(points), workers, lost=lost, at_once=at_once)
         for number, (z, proof, more, status) in zip(unfinished, resumed, strict=True):
             solved[number] = z, proof, solved[number][2] + more, status
@@ -394,9 +390,9 @@ def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], num
     return z, proof, total, status
 
 
-def _resume(problem: SelectionProblem, points: list[Vector], number: int) -> SolveOutcome:
-    """A solve that was cut short, taken up again."""
-    return climbed_from(single(problem), points[number])
+def taken_up_again(program: Program, points: list[Vector], number: int) -> SolveOutcome:
+    """Where a solve that was cut short, or passes no proof, leads when it goes on."""
+    return climbed_from(program, points[number])
 
 
 def _promising(problem: SelectionProblem, solved: list[SolveOutcome], known: float, behind: int) -> list[int]:

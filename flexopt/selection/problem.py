@@ -293,10 +293,7 @@ class SelectionProblem:
             >>> many
             array([1., 1., 1.])
         """
-        plant, n_base = self.measures.plant, self.measures.plant.n_base
-        f, f_z, same = (
-            out.full() for out in self.measures.factors.call([z[:n_base], z[n_base:], plant.parameter_values])
-        )
+        f, f_z, same = (out.full() for out in self.measures.factors.call(self.quantities.at(z)))
         return *split_factors(f, f_z), same.sum(axis=0)
 
     @public(sizes=_sizes, objective=_OBJECTIVE, z=_MANY)
@@ -343,8 +340,7 @@ class SelectionProblem:
             >>> problem.rows(np.array([0.0, 0.9929, -2.6306])).round(2).tolist()[1:]
             [1.6, 0.24]
         """
-        n_base, p = len(self.machine.base_coordinates), self.measures.plant.parameter_values
-        at = [z[:n_base], z[n_base:], p]
+        at = self.quantities.at(z)
         parts = [self.measures.w.call(at)[2], self.measures.plant.singularity_sine_squared.call(at)[0]]
         if self.constraint_set is not None:
             parts += self.constraint_set.function.call([*at, self.constraint_set.constants])
@@ -403,7 +399,7 @@ class SelectionProblem:
         return build_solver(self.configuration, alone(self.scale.size), self.forms, "weighted", quick=quick)
 
     def solver_parameters(self) -> Vector:
-        """The numbers of this problem for `solver`, see `SolverParameters`.
+        """The numbers of this problem for `solver`, see `member_graph.parameters_of`.
 
         Example:
             >>> problem.solver_parameters().ndim
@@ -459,6 +455,11 @@ class SelectionProblem:
             "seed": self.seed,
             "scanned_points": self.scan.size,
         }
+
+
+def value_at(problem: SelectionProblem, z: Vector, objective: Objective | None = None) -> float:
+    """V of an objective at z, or of the one being solved; of ε_max the lower branch, the cost of travel taken off."""
+    return float(problem.branches(objective or problem.objective, z)[0][0])
 
 
 def elsewhere(problem: SelectionProblem, z: Vector) -> str:
@@ -518,7 +519,7 @@ def packed_parameters(
     level: float,
     shift: tuple[Vector, Vector],
 ) -> Vector:
-    """The numbers of problems with the same machine, objective, scales and constraints, see `SolverParameters`.
+    """The numbers of problems with the same machine, objective, scales and constraints, see `parameters_of`.
 
     `shift` of z and of the targets is as in `SelectionProblem.shift`.
     """
@@ -526,21 +527,20 @@ def packed_parameters(
     count, (of_z, of_target) = len(first.kept) + 1, shift
     objectives = first.objectives[:count]
     now = np.zeros(first.scale.size) if first.travel is None else (first.travel.now - of_z) / first.scale
-    return parameters_of(first.configuration, coupling, count).packed(
-        {
-            "target": np.concatenate([problem.target - of_target for problem in problems]),
-            "row_scale": first.row_bounds[2],
-            "z_scale": first.scale,
-            "alpha": np.array([objective.alpha for objective in objectives]),
-            "beta": [objective.beta for objective in objectives],
-            "size": first.objective_scales[:count],
-            "cost": [0.0 if first.travel is None or o.bounds else first.travel.cost for o in objectives],
-            "now": now,
-            "left": np.zeros(first.measures.plant.n_passive),
-            "share": share,
-            "level": level,
-            "gain": first.gain,
-            "c": first.constants,
-            "p": first.measures.plant.parameter_values.full(),
-        }
-    )
+    parts = {
+        "target": np.concatenate([problem.target - of_target for problem in problems]),
+        "row_scale": first.row_bounds[2],
+        "z_scale": first.scale,
+        "alpha": np.array([objective.alpha for objective in objectives]),
+        "beta": [objective.beta for objective in objectives],
+        "size": first.objective_scales[:count],
+        "cost": [0.0 if first.travel is None or o.bounds else first.travel.cost for o in objectives],
+        "now": now,
+        "left": np.zeros(first.measures.plant.n_passive),
+        "share": share,
+        "level": level,
+        "gain": first.gain,
+        "c": first.constants,
+        "p": first.measures.plant.parameter_values.full(),
+    }
+    return parameters_of(first.configuration, coupling, count).packed(parts).ravel()

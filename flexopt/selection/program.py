@@ -264,13 +264,13 @@ class Program:
         functions = build_branched(problem.configuration, problem.forms, compiled=self._compiles)
         parameters = packed_parameters((problem,), alone(len(place)), np.ones(1), 0.0, shift)
         objectives, sizes = problem.objectives[:count], np.array(problem.objective_scales[:count])
-        n_base, p, scale = problem.measures.plant.n_base, problem.measures.plant.parameter_values, problem.scale
+        scale = problem.scale
 
         def margin(x: Vector) -> Vector:
             # As the model is told z, without its shift.
-            z = x[own] * scale
             assert functions.margin is not None, "asked for without ε_max"
-            slopes: Vector = functions.margin.call([z[:n_base], z[n_base:], p, problem.gain])[1].full()
+            at = problem.quantities.at(x[own] * scale)
+            slopes: Vector = functions.margin.call([*at, problem.gain])[1].full()
             return slopes * scale
 
         def independent(x: Vector) -> Local:
@@ -279,7 +279,7 @@ class Program:
         limits = Bounds(bounds.x_lower[own], bounds.x_upper[own], bounds.g_lower, bounds.g_upper)
         given = partial(told_branches, functions, parameters)
         confirm_once(functions.model, parameters, given, independent, x0[own], limits)
-        left = parameters_of(problem.configuration, alone(len(place)), count).place("left")
+        left = parameters_of(problem.configuration, alone(len(place)), count).slices["left"]
 
         def without(modes: list[int]) -> Vector:
             changed = parameters.copy()
@@ -301,7 +301,7 @@ class Program:
         return calls * evaluation_seconds(margin.gradients) > compilation_seconds(margin.compacted.gradients)
 
     def parameters(self) -> Vector:
-        """The numbers of this program for its solver, see `SolverParameters`."""
+        """The numbers of this program for its solver, see `parameters_of`."""
         return packed_parameters(self.problems, self.coupling, self.share, self.level, self.shift)
 
     def _stated(self, x: Vector) -> Local:
@@ -397,17 +397,15 @@ def single(problem: SelectionProblem) -> Program:
 
 def margin_noise(problem: SelectionProblem, margin: ca.Function, z: Vector) -> float:
     """How much ε_max differs between points at z that are one but for rounding; `margin` is as `Margin.values`."""
-    n_base, p = problem.measures.plant.n_base, problem.measures.plant.parameter_values
-    near = [z + NOISE_STEP * k * problem.scale for k in range(NOISE_POINTS)]
-    epsilon = [float(margin.call([at[:n_base], at[n_base:], p, problem.gain])[0][0]) for at in near]
+    near = [problem.quantities.at(z + NOISE_STEP * k * problem.scale) for k in range(NOISE_POINTS)]
+    epsilon = [float(margin.call([*at, problem.gain])[0][0]) for at in near]
     return max(epsilon) - min(epsilon)
 
 
 def values_of(problem: SelectionProblem, z: Vector) -> Vector:
     """V (N,) of configurations z (n_z, N) without ε_max, the cost of travel taken off."""
-    plant, n_b = problem.measures.plant, problem.measures.plant.n_base
-    w = problem.measures.w.call([z[:n_b], z[n_b:], plant.parameter_values])[0].full()
-    values = problem.quantities.smooth(problem.objective, z[:n_b], z[n_b:], w)
+    base, posture, _ = problem.quantities.at(z)
+    values = problem.quantities.smooth(problem.objective, base, posture, problem.quantities.w_at(z))
     return values - problem.travel_cost(problem.objective, z.T)[0]
 
 
@@ -432,9 +430,8 @@ def _extra_slopes(machine: AnyMachine, rows: ConstraintRows) -> ca.Function:  # 
 
 def row_gradients(problem: SelectionProblem, z: Vector) -> Vector:
     """Derivatives of all constraints by z, (n_rows, n_z), in their units."""
-    plant, n_base = problem.measures.plant, problem.measures.plant.n_base
-    at = [z[:n_base], z[n_base:], plant.parameter_values]
-    parts = [problem.measures.end_point_gradient.call(at)[0], plant.singularity_gradient.call(at)[0]]
+    at, measures = problem.quantities.at(z), problem.measures
+    parts = [measures.end_point_gradient.call(at)[0], measures.plant.singularity_gradient.call(at)[0]]
     if problem.constraint_set is not None:
         extra = ConstraintRows(problem.constraint_set.structure, problem.constraint_set.function)
         slopes = _extra_slopes(problem.machine, extra)

@@ -25,7 +25,7 @@ from flexopt.robustness.residues import residue_unit, unit_in_words
 from flexopt.selection.constraint_values import ConstraintValue, nearest_told
 from flexopt.selection.continua import way_to
 from flexopt.selection.exchanged import at_edge
-from flexopt.selection.problem import SelectionProblem, beyond_bounds, beyond_own, broken, elsewhere
+from flexopt.selection.problem import SelectionProblem, beyond_bounds, beyond_own, broken, elsewhere, value_at
 
 SHOWN = 12
 # Below this share of what others have an ε_max that nobody asked for is told of.
@@ -302,8 +302,8 @@ class Selection(Pictured, Result):
 
     def _values(self, candidate: Candidate) -> list[float]:
         """What a candidate has of each objective."""
-        problem, z = self.problem, candidate.z
-        return [candidate.objective, *(float(problem.branches(later, z)[0][0]) for later in problem.sought[1:])]
+        later = self.problem.sought[1:]
+        return [candidate.objective, *(value_at(self.problem, candidate.z, objective) for objective in later)]
 
     @property
     def objective_unit(self) -> str:
@@ -316,8 +316,7 @@ class Selection(Pictured, Result):
         problem, now = self.problem, self.initial
         if now is None or len(problem.sought) > 1 or not self._present_keeps_all:
             return ""
-        z = np.concatenate([now.base, now.posture])
-        short = self.best.objective - float(problem.branches(problem.objective, z)[0][0])
+        short = self.best.objective - value_at(problem, now.z)
         if short > NOTHING * problem.objective_scale:
             return ""
         if short < -NOTHING * problem.objective_scale:
@@ -331,9 +330,8 @@ class Selection(Pictured, Result):
         problem, now = self.problem, self.initial
         if now is None:
             return False
-        z = np.concatenate([now.base, now.posture])
-        inside = bool(np.all((z >= problem.lower) & (z <= problem.upper)))
-        away = np.concatenate([np.abs(beyond_bounds(problem, z)), beyond_own(problem, z)])
+        inside = bool(np.all((now.z >= problem.lower) & (now.z <= problem.upper)))
+        away = np.concatenate([np.abs(beyond_bounds(problem, now.z)), beyond_own(problem, now.z)])
         return inside and bool(away.max() <= NOTHING)
 
     @property
@@ -342,11 +340,10 @@ class Selection(Pictured, Result):
         e = self.initial
         if e is None:
             return ""
-        z = np.concatenate([e.base, e.posture])
-        away = elsewhere(self.problem, z)
+        away = elsewhere(self.problem, e.z)
         if not away and self.problem.present_posture is None:
             away = "one of the postures that reach the target from there: none was given"
-        return "; ".join(filter(None, (away, broken(self.problem, z))))
+        return "; ".join(filter(None, (away, broken(self.problem, e.z))))
 
     @property
     def left_out(self) -> str:
@@ -412,10 +409,7 @@ class Selection(Pictured, Result):
         if self.initial is not None:
             e = self.initial
             off = self.present_told
-            value = ""
-            if self._apart:
-                there = problem.branches(problem.objective, np.concatenate([e.base, e.posture]))[0][0]
-                value = self._objective_in_column(float(there))
+            value = self._objective_in_column(value_at(problem, e.z)) if self._apart else ""
             lines.append(f"   now {in_columns(e)}{value}{_measures(problem, e)}{off and '   ' + off}")
         lines.append(f"  {units_told(best)}")
         lines += [f"  {sentence}" for sentence in (*self.constraints_told, *map(str, self.kept))]

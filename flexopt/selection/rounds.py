@@ -12,7 +12,8 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import values_of
-from flexopt.selection.starts import FEASIBLE, apart, bounds, climbed, onto_target
+from flexopt.selection.scan import FEASIBLE
+from flexopt.selection.starts import apart, bounds, climbed, onto_target
 
 # Chance that more starts would show other values from which on rounds follow the first starts; after how many in a row
 # that found nothing better they end, and how many there are at most.

@@ -26,6 +26,8 @@ GRID_POINTS = 1001
 SAMPLE_POINTS = 2048
 GRID_POINTS_MIN = 65
 NEIGHBOURS_PER_DEGREE = 3
+# Largest violation, in units of the rows' scales, of a point that counts as feasible.
+FEASIBLE = 1e-7
 # Rounding on the very edge of the margin.
 EDGE = 1e-10
 
@@ -69,8 +71,18 @@ class Scan:
         """Number of points, N."""
         return self.objective.size
 
+    @property
+    def z(self) -> Vector:
+        """[base, posture] of every point, (n_z, N)."""
+        return np.vstack([self.base, self.posture])
 
-def empty_scan(plant: Plant, *, reached: bool, unsound: bool = False) -> Scan:
+    @property
+    def feasible(self) -> NDArray[np.bool_]:
+        """Which points keep the other constraints, (N,)."""
+        return self.violation <= FEASIBLE
+
+
+def empty_scan(plant: Plant, *, reached: bool) -> Scan:
     """A scan that kept no point."""
     n, m, n_b = plant.n_actuated, plant.n_passive, plant.n_base
     none: Vector = np.zeros(0)
@@ -86,7 +98,7 @@ def empty_scan(plant: Plant, *, reached: bool, unsound: bool = False) -> Scan:
         index=np.zeros(0, dtype=np.int64),
         violation=none,
         reached=reached,
-        unsound=unsound,
+        unsound=False,
     )
 
 

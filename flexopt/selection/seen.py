@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from flexopt.algebra.feasible import shortest_steps
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.objective import Objective
-from flexopt.selection.problem import SelectionProblem, beyond_bounds
+from flexopt.selection.problem import SelectionProblem, beyond_bounds, value_at
 from flexopt.selection.program import row_gradients
 from flexopt.selection.scan import peaks
-from flexopt.selection.starts import FEASIBLE
 
 # By how much, of the objective's scale, a point counts as better: far above what a converged solve leaves.
 BETTER = 2e-8
@@ -34,13 +33,11 @@ def seen_values(problem: SelectionProblem, short: float = 0.0) -> Vector:
 
     −∞ where a point breaks a constraint or is short of what is kept by more than a share of that objective's scale.
     """
-    scan = problem.scan
-    z = np.vstack([scan.base, scan.posture])
-    allowed = scan.violation <= FEASIBLE
+    scan, allowed = problem.scan, problem.scan.feasible
     for objective, kept, size in zip(problem.objectives, problem.kept, problem.objective_scales, strict=False):
-        allowed[allowed] = _values(problem, objective, z, allowed) >= kept - short * size
+        allowed[allowed] = _values(problem, objective, allowed) >= kept - short * size
     values = np.full(scan.size, -np.inf)
-    found = _values(problem, problem.objective, z, allowed)
+    found = _values(problem, problem.objective, allowed)
     values[allowed] = np.where(np.isfinite(found), found, -np.inf)
     return values
 
@@ -51,23 +48,21 @@ def kept_peaks(problem: SelectionProblem) -> list[Vector]:
     for short in (0.0, NEARLY_KEPT):
         values = seen_values(problem, short)
         found |= dict.fromkeys(peaks(scan, values, np.isfinite(values))[:PEAKS].tolist())
-    z = np.vstack([scan.base, scan.posture])
-    return [z[:, k] for k in found]
+    return [scan.z[:, k] for k in found]
 
 
-def _values(problem: SelectionProblem, objective: Objective, z: Vector, among: NDArray[np.bool_]) -> Vector:
+def _values(problem: SelectionProblem, objective: Objective, among: NDArray[np.bool_]) -> Vector:
     """V of an objective at some of the scan's points."""
-    scan = problem.scan
+    scan, z = problem.scan, problem.scan.z[:, among]
     values = problem.quantities.smooth(objective, scan.base[:, among], scan.posture[:, among], scan.w[:, among])
     if objective.has_kinks and among.any():
         epsilon = scan.epsilon[among]
         unknown = np.flatnonzero(np.isnan(epsilon))
         if unknown.size:
-            margin, p = problem.quantities.margin, problem.measures.plant.parameter_values
-            at = [scan.base[:, among][:, unknown], scan.posture[:, among][:, unknown], p, problem.gain]
-            epsilon[unknown] = margin.values.call(at)[0].full()[0]
+            at = [*problem.quantities.at(z[:, unknown]), problem.gain]
+            epsilon[unknown] = problem.quantities.margin.values.call(at)[0].full()[0]
         values = values + objective.beta * epsilon
-    return values - problem.travel_cost(objective, z[:, among].T)[0]
+    return values - problem.travel_cost(objective, z.T)[0]
 
 
 def better_than(problem: SelectionProblem, value: float, values: Vector) -> Vector | None:
@@ -78,8 +73,7 @@ def better_than(problem: SelectionProblem, value: float, values: Vector) -> Vect
         value: V of the best that was found, −∞ where nothing was.
         values: from `seen_values`.
     """
-    least = value + BETTER * problem.objective_scale
-    z = np.vstack([problem.scan.base, problem.scan.posture])
+    least, z = value + BETTER * problem.objective_scale, problem.scan.z
     order = np.argsort(-values, kind="stable")[:TRIED]
     points = (settled(problem, z[:, k]) for k in order if values[k] > least)
     good = [point for point in points if point is not None and _keeps(problem, point)]
@@ -87,14 +81,9 @@ def better_than(problem: SelectionProblem, value: float, values: Vector) -> Vect
     return best if best is not None and value_at(problem, best) > least else None
 
 
-def value_at(problem: SelectionProblem, z: Vector) -> float:
-    """V of the objective being solved at z, the lower branch of ε_max, the cost of travel taken off."""
-    return float(problem.branches(problem.objective, z)[0][0])
-
-
 def _keeps(problem: SelectionProblem, z: Vector) -> bool:
     earlier = problem.objectives[: len(problem.kept)]
-    values = [problem.branches(objective, z)[0][0] for objective in earlier]
+    values = [value_at(problem, z, objective) for objective in earlier]
     return all(value >= kept for value, kept in zip(values, problem.kept, strict=True))
 
 

@@ -18,12 +18,12 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.later import later
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
-from flexopt.model.choices import OUTCOMES, RADIUS, asks_for_loop, of_loop
+from flexopt.model.choices import OUTCOMES, asks_for_loop, of_loop
 from flexopt.model.constraints import AnyConstraints, Constraints, LeastOutcomes
-from flexopt.model.loop import Loop, LoopLike, under_control
+from flexopt.model.loop import LoopLike
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
-from flexopt.model.uncertainty import RangesLike, Uncertainty
+from flexopt.model.uncertainty import RangesLike
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.plausibility import warn_implausible
@@ -32,9 +32,8 @@ from flexopt.selection.check import prove
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.continua import grouped, nearest, same, travel
 from flexopt.selection.newton import settled
-from flexopt.selection.objective import Objective
 from flexopt.selection.optima import SAME_POINT, first_optima, later_optima, next_stage
-from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.problem import SelectionProblem, value_at
 from flexopt.selection.program import single
 from flexopt.selection.result import TIE_TOLERANCE, Candidate, Kept, Selection
 from flexopt.selection.starts import starting_points
@@ -73,14 +72,6 @@ def loop_notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
 def least_of(constraints: Any) -> LeastOutcomes | None:
     """What the loop must do at least."""
     return constraints.outcome if isinstance(constraints, Constraints) else None
-
-
-def ranges_of(
-    machine: AnyMachine, ranges: Any, word: str | None, least: LeastOutcomes | None
-) -> tuple[Uncertainty, ...]:
-    """What is uncertain where the loop decides: what was given, or the machine's; a radius has its own, all springs."""
-    radius = RADIUS in (word or "").split(",") or (least is not None and least.radius is not None)
-    return ranges or (() if radius else machine.uncertainty)
 
 
 def without_loop(constraints: Any) -> Any:
@@ -132,8 +123,7 @@ def select(
         >>> selection.best.evaluation.joints
         ('boom', 'stick')
     """
-    real, measure = cast("Loop | None", loop or machine.loop), cast("str | None", keywords.get("objective"))
-    least = least_of(constraints)
+    measure = cast("str | None", keywords.get("objective"))
     if asks_for_loop(measure, constraints):
         # Its room is built on this one.
         room = later("flexopt.selection.outcomes", in_order="outcome_selection_in_order")
@@ -143,11 +133,8 @@ def select(
             if word != "V":
                 named["weights"] = None
             problems[word] = build_selection(machine, target, constraints=without_loop(constraints), **keywords | named)
-        problem = next(iter(problems.values()))
-        own = under_control(real or Loop(), machine, problem.control, "select")
         choose = cast(Any, room("outcome_selection_in_order"))
-        varied = ranges_of(machine, ranges, measure, least)
-        return choose(problems, own, varied, initial_evaluation(problem), workers, progress, least)
+        return choose(problems, loop, ranges, constraints, workers, progress)
     problem = build_selection(machine, target, constraints=constraints, **keywords)
     return solve_selection(problem, workers=workers, progress=progress)
 
@@ -229,11 +216,10 @@ def _candidate(problem: SelectionProblem, group: list[Best]) -> Candidate:
     n_base = problem.measures.plant.n_base
     places = [place for place in places if np.abs((place - z) / problem.scale)[:n_base].max(initial=0.0) > SAME_POINT]
     others = [other for best in group for other in best.others]
-    p = problem.measures.plant.parameter_values
     return Candidate(
         z=z,
-        w=problem.measures.w.call([z[:n_base], z[n_base:], p])[0].full().ravel(),
-        objective=float(problem.branches(problem.sought[0], z)[0][0]),
+        w=problem.quantities.w_at(z).ravel(),
+        objective=value_at(problem, z, problem.sought[0]),
         active=proof.active,
         constraints=constraint_values(problem, z),
         target_error=proof.target_error,
@@ -293,9 +279,8 @@ def _spread(problem: SelectionProblem, z: Vector, others: list[Vector]) -> list[
 
 def constraint_values(problem: SelectionProblem, z: Vector) -> dict[str, ConstraintValue]:
     """Every constraint besides the target: its value and bounds."""
-    plant, n_task = problem.measures.plant, problem.target.size
-    at = [z[: plant.n_base], z[plant.n_base :], plant.parameter_values]
-    values = [float(plant.singularity_sine_squared.call(at)[0])]
+    at, n_task = problem.quantities.at(z), problem.target.size
+    values = [float(problem.measures.plant.singularity_sine_squared.call(at)[0])]
     if problem.constraint_set is not None:
         reported = problem.constraint_set.report.call([*at, problem.constraint_set.constants])[0]
         values += reported.full().ravel().tolist()
@@ -331,19 +316,11 @@ def _criteria(problem: SelectionProblem) -> Iterator[tuple[Callable[[Candidate],
     """What candidates are ranked by, in order, the larger the better, and up to what they count as equal."""
     used, first = np.any([objective.uses for objective in problem.sought], axis=0), problem.bounding
     for objective, size in zip(reversed(problem.sought), reversed(problem.objective_scales[first:]), strict=True):
-        yield partial(_objective, problem, objective), TIE_TOLERANCE * size
+        yield lambda candidate, objective=objective: value_at(problem, candidate.z, objective), TIE_TOLERANCE * size
     if not used.all():
         yield lambda candidate: float(candidate.w[~used].min()), EQUAL * problem.measure_scale
     yield lambda candidate: candidate.evaluation.epsilon_max or 0.0, EQUAL
-    yield partial(_nearness, problem), EQUAL
-
-
-def _objective(problem: SelectionProblem, objective: Objective, candidate: Candidate) -> float:
-    return float(problem.branches(objective, candidate.z)[0][0])
-
-
-def _nearness(problem: SelectionProblem, candidate: Candidate) -> float:
-    return -travel(problem, candidate.z)
+    yield lambda candidate: -travel(problem, candidate.z), EQUAL
 
 
 def initial_evaluation(problem: SelectionProblem) -> Evaluation | None:

@@ -24,7 +24,7 @@ from flexopt.foundation.processes import in_parallel
 from flexopt.plant.inverse_kinematics import low_discrepancy, reach_steps
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import values_of
-from flexopt.selection.scan import Scan, empty_scan, peaks, scanned
+from flexopt.selection.scan import FEASIBLE, Scan, empty_scan, peaks, scanned
 
 # Enough for every peak of a curve; the redundancy of longer arms has maxima without end.
 STARTS_OF_SCAN = 64
@@ -54,8 +54,6 @@ CLIMBING, STEPS, STEP, STEP_LEAST, STEP_MOST, LONGER, SHORTER = 6, 60, 0.3, 1e-4
 SUMMITS = 16
 # Points that one process climbs with.
 BLOCK = 32
-# Largest violation, in units of the rows' scales, of a point that counts as feasible.
-FEASIBLE = 1e-7
 # The violation of an own constraint that is no number.
 NO_NUMBER = 1e100
 # Starts that differ by less, in scaled variables, are one.
@@ -98,7 +96,8 @@ def sample_configurations(problem: SelectionProblem, starts: int) -> tuple[Scan,
     region, plant = problem.region, problem.measures.plant
     n_b = plant.n_base
     loose = problem.lower < problem.upper
-    unit = low_discrepancy(int(loose.sum()), _count(starts), problem.seed) if loose.any() else np.zeros((0, 1))
+    size = int(np.clip(SAMPLES_EACH * starts, SAMPLES_MIN, SAMPLES_MAX))
+    unit = low_discrepancy(int(loose.sum()), size, problem.seed) if loose.any() else np.zeros((0, 1))
     z = np.repeat(region.low[:, None], unit.shape[1], axis=1)
     z[loose] += (region.high - region.low)[loose, None] * unit
     z, off = onto_target(problem, z)
@@ -124,14 +123,10 @@ def sample_configurations(problem: SelectionProblem, starts: int) -> tuple[Scan,
     ), 0.0
 
 
-def _count(starts: int) -> int:
-    return int(np.clip(SAMPLES_EACH * starts, SAMPLES_MIN, SAMPLES_MAX))
-
-
 def violated(problem: SelectionProblem, z: Vector) -> Vector:
     """The largest violation of any row at points z (n_z, N), in units of the scales; infinite where it is no number."""
-    plant, (lower, upper, scale) = problem.measures.plant, problem.row_bounds
-    at = [z[: plant.n_base], z[plant.n_base :], plant.parameter_values, problem.constants]
+    lower, upper, scale = problem.row_bounds
+    at = [*problem.quantities.at(z), problem.constants]
     rows = problem.configuration.rows_at_rest.call(at)[0].full().T
     beyond = np.maximum(lower - rows, rows - upper) / scale
     worst = np.maximum(np.maximum(beyond, 0.0).max(axis=1), _short(problem, z))
@@ -140,11 +135,11 @@ def violated(problem: SelectionProblem, z: Vector) -> Vector:
 
 def _short(problem: SelectionProblem, z: Vector) -> Vector:
     """The largest violation of an own constraint at points z (n_z, N), in units of the scales."""
-    plant, worst = problem.measures.plant, np.zeros(z.shape[1])
+    worst = np.zeros(z.shape[1])
     if not problem.bounding or not worst.size:
         return worst
-    base, posture = z[: plant.n_base], z[plant.n_base :]
-    w = np.zeros((plant.n_passive, worst.size))
+    base, posture, _ = problem.quantities.at(z)
+    w = np.zeros((problem.measures.plant.n_passive, worst.size))
     for objective, least, size in zip(
         problem.objectives[: problem.bounding], problem.kept, problem.objective_scales, strict=False
     ):
@@ -157,20 +152,17 @@ def with_kept(problem: SelectionProblem, scan: Scan) -> Scan:
     """A scan that knows of own constraints, too."""
     if not problem.bounding or not scan.size:
         return scan
-    short = _short(problem, np.vstack([scan.base, scan.posture]))
+    short = _short(problem, scan.z)
     return replace(scan, violation=np.maximum(scan.violation, np.where(short <= FEASIBLE, 0.0, short)))
 
 
 def starting_points(problem: SelectionProblem, workers: int = 1) -> list[Vector]:
     """Starts z for a problem, the most promising first; the same for any number of `workers`."""
-    scan = problem.scan
-    z = np.vstack([scan.base, scan.posture])
+    scan, z = problem.scan, problem.scan.z
     if problem.measures.plant.closed_form:
-        feasible = scan.violation <= FEASIBLE
-        chosen = peaks(scan, among=feasible)
-        points = [z[:, k] for k in chosen]
-        if not feasible.all():
-            points += _onto_constraints(problem, z, feasible)
+        points = [z[:, k] for k in peaks(scan, among=scan.feasible)]
+        if not scan.feasible.all():
+            points += _onto_constraints(problem)
         return points[: problem.starts or STARTS_OF_SCAN]
     # What breaks a constraint is started from only where nothing else is left.
     count, good = problem.starts or STARTS, scan.violation <= 0
@@ -248,10 +240,10 @@ def climbed_anywhere(problem: SelectionProblem, workers: int = 1) -> list[Vector
     The best points of a sample are often of one wide hill, and a higher, narrow one shows in none. Curves are seen
     whole, and without a closed form starts come from such climbs.
     """
-    scan, good = problem.scan, problem.scan.violation <= FEASIBLE
+    good = problem.scan.feasible
     if problem.redundancy < 2 or not problem.measures.plant.closed_form or not good.any():
         return []
-    z, count = np.vstack([scan.base, scan.posture])[:, good], CLIMBING * (problem.starts or STARTS_OF_SCAN)
+    z, count = problem.scan.z[:, good], CLIMBING * (problem.starts or STARTS_OF_SCAN)
     each = max(1, z.shape[1] // count)
     return apart(problem, climbed([(problem, z[:, ::each])], values_with_margin, workers)[0], SUMMITS)
 
@@ -279,9 +271,8 @@ def _planes(problem: SelectionProblem) -> list[SelectionProblem]:
 
     Optima like to stand there, on kinks that no random step leads to exactly.
     """
-    plant, found = problem.measures.plant, list[SelectionProblem]()
-    sample = np.vstack([problem.scan.base, problem.scan.posture])[:, :SYMMETRIC]
-    for k in range(plant.n_base, sample.shape[0]):
+    sample, found = problem.scan.z[:, :SYMMETRIC], list[SelectionProblem]()
+    for k in range(problem.measures.plant.n_base, sample.shape[0]):
         variable, before = problem.variables[k], list[float]()
         for value in PLANES:
             whole_turns = any(abs(math.remainder(value - other, math.tau)) < EVEN for other in before)
@@ -289,8 +280,7 @@ def _planes(problem: SelectionProblem) -> list[SelectionProblem]:
                 continue
             z = np.tile(sample, 3)
             z[k] = value + ASIDE * np.repeat([-1.0, 0.0, 1.0], sample.shape[1])
-            at = [z[: plant.n_base], z[plant.n_base :], plant.parameter_values]
-            w, size = (out.full() for out in problem.measures.w.call(at)[:2])
+            w, size = (out.full() for out in problem.measures.w.call(problem.quantities.at(z))[:2])
             left, middle, right = np.split(w, 3, axis=1)
             rounding = EVEN * np.split(size, 3, axis=1)[2]
             if np.all(np.abs(right - left) <= rounding) and np.any(np.abs(right - middle) > rounding):
@@ -309,8 +299,7 @@ def _into(plane: SelectionProblem, z: Vector) -> Vector:
 
 def worst_starts(problem: SelectionProblem, count: int, workers: int = 1) -> list[Vector]:
     """Points where the worst of all w_i is large, apart from each other, the best first; random steps lead there."""
-    scan = problem.scan
-    z = np.vstack([scan.base, scan.posture])[:, scan.violation <= FEASIBLE]
+    z = problem.scan.z[:, problem.scan.feasible]
     if not z.size:
         return []
     order = np.argsort(-_worst(problem, z), kind="stable")[: CLIMBING * count]
@@ -319,9 +308,7 @@ def worst_starts(problem: SelectionProblem, count: int, workers: int = 1) -> lis
 
 def _worst(problem: SelectionProblem, z: Vector) -> Vector:
     """The smallest w_i (N,) of points (n_z, N)."""
-    plant = problem.measures.plant
-    w = problem.measures.w.call([z[: plant.n_base], z[plant.n_base :], plant.parameter_values])[0].full()
-    least: Vector = w.min(axis=0)
+    least: Vector = problem.quantities.w_at(z).min(axis=0)
     return least
 
 
@@ -397,8 +384,9 @@ def _feasible(problem: SelectionProblem, z: Vector, values_at: ValuesAt, above: 
     return values
 
 
-def _onto_constraints(problem: SelectionProblem, z: Vector, feasible: NDArray[np.bool_]) -> list[Vector]:
+def _onto_constraints(problem: SelectionProblem) -> list[Vector]:
     """Points where the scan comes nearest to the constraints, moved into them; all of them where none is inside."""
+    z, feasible = problem.scan.z, problem.scan.feasible
     near = peaks(problem.scan, -problem.scan.violation, ~feasible)[:STARTS_OF_SCAN]
     there, left = moved(problem, z[:, near], near.size)
     good = left <= FEASIBLE
@@ -409,12 +397,11 @@ def _onto_constraints(problem: SelectionProblem, z: Vector, feasible: NDArray[np
 
 def idle_joints(problem: SelectionProblem, z: Vector) -> list[int]:
     """Joints that neither the end-point nor a measure depends on."""
-    plant, p = problem.measures.plant, problem.measures.plant.parameter_values
     found = list[int]()
-    for k in range(plant.n_base, z.size):
+    for k in range(problem.measures.plant.n_base, z.size):
         at = np.repeat(z[:, None], TURNS.size, axis=1)
         at[k] += TURNS
-        w, size, r = (x.full() for x in problem.measures.w.call([at[: plant.n_base], at[plant.n_base :], p])[:3])
+        w, size, r = (x.full() for x in problem.measures.w.call(problem.quantities.at(at))[:3])
         if np.all(np.abs(w - w[:, :1]) <= EVEN * size) and np.all(np.abs(r - r[:, :1]) <= EVEN):
             found.append(k)
     return found

@@ -19,7 +19,7 @@ from flexopt.selection.cones import TINY
 from flexopt.selection.continua import between, nearest, same, turns
 from flexopt.selection.objective import Objective
 from flexopt.selection.optima import SAME_POINT, Found
-from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.problem import SelectionProblem, value_at
 from flexopt.selection.program import ASCENT_LONG, single
 from flexopt.selection.second_order import DEPENDENT, surface_at
 from flexopt.selection.starts import worst_starts
@@ -115,7 +115,7 @@ def _next(problem: SelectionProblem) -> tuple[SelectionProblem, int]:
 
 
 def _value(stage: SelectionProblem, sought: int, z: Vector) -> float:
-    return min(float(stage.branches(objective, z)[0][0]) for objective in stage.objectives[-sought:])
+    return min(value_at(stage, z, objective) for objective in stage.objectives[-sought:])
 
 
 def _climbed(

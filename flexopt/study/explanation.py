@@ -311,7 +311,7 @@ def _moves(machine: AnyMachine, measures: Measures, stand: Evaluation, shared: s
     """For each mode what raises its measure most."""
     plant, names = measures.plant, stand.gradient.variables
     units = (*stand.base_units, *stand.joint_units)
-    z = np.concatenate([stand.base, stand.posture])
+    z = stand.z
     free = np.full((len(stand.base), 2), [-math.inf, math.inf])
     limits = np.concatenate([free, np.array(machine.limits, dtype=np.float64).reshape(-1, 2)])
     scale = np.array([1.0 if unit == "rad" else arm_length(plant) for unit in units])

@@ -23,8 +23,8 @@ from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import Quantity, pair
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.many import decays, expect_decays
-from flexopt.loop.outcome import DEAD_TIME
 from flexopt.loop.settings import LoopSettings
+from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.uncertain import UncertaintyBox
 from flexopt.model import AnyMachine
 from flexopt.model.loop import GAINS, LOOP_GAIN, Loop, LoopLike, loop_of_varied

@@ -7,7 +7,7 @@ each place what the loop does over the uncertainty, nonlinear runs, the drive th
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any, Unpack, cast
@@ -62,6 +62,8 @@ CORNERED = 3
 STAGES = 4
 # Length of a nonlinear run, s.
 DURATION = 20.0
+# Of values of a measure (targets, few members), and of others that are known, those of a search among all members.
+Further = Callable[[Vector, Sequence[float]], list[float]]
 
 
 def _judged(arguments: Arguments, field: str, value: Any) -> Any:
@@ -155,7 +157,8 @@ def verdict(
     decays: dict[str, Vector] = {name: own.min(axis=0) for name, own in each.items()}
     others = [name for name in ranked(decays) if name != STAY]
     told = list(dict.fromkeys(name for name in (STAY, *others[:TOLD], FIRST) if name in stands))
-    told += overlooked(decays, told)
+    shares = shares_better(decays)
+    told += overlooked(shares, told)
     slowest = {name: loops[name].slowest(points, each[name]) for name in told}
     drives = {name: drive_to(stands[name], cast(Vector, now)) for name in told}
     stages.next()
@@ -163,15 +166,13 @@ def verdict(
     for name in told if runs else []:
         shown[name] = loops[name].runs(points[:runs], each[name][:, :runs], duration)
     stages.next()
-    known = dict[str, Place]()
-    for name in told:
-        drive, turn = drives[name]
-        otherwise = besides_driving(machine, turn, stands[name], solved.present_posture)
-        known[name] = Place(name, decays[name], slowest[name].decay, drive, otherwise)
     breaks = broken_at(chosen, [(e.base, e.posture) for e in stands[STAY]]) if STAY in stands else ""
     absent = f"the present place {breaks}" if breaks else UNREACHED
-    if breaks:
-        del known[STAY]
+    known = {
+        name: Place(name, decays[name], slowest[name].decay, drives[name][0],
+                    besides_driving(machine, drives[name][1], stands[name], solved.present_posture))
+        for name in told if not (breaks and name == STAY)
+    }  # fmt: skip
     stay, rest = known.get(STAY), [known[name] for name in told if name != STAY]
     unconfirmed = [name for name, run in shown.items() if run.confirming < MOST]
     tried = tried_gains(asked) if known and _tries(asked, known, unconfirmed) else ""
@@ -185,14 +186,15 @@ def verdict(
     decision = decide(
         stay, rest, changed and changed[0], unconfirmed, tried=tried, refuted=refuted, gains=gains,
         alternates=_alternates(loops, slowest) if tried else "", absent=absent,
-        most=max(shares_better(decays).values(), default=0.0),
+        most=max(shares.values(), default=0.0),
     )  # fmt: skip
     if breaks and decision.word != "move":
         decision = replace(decision, reason=f"{absent}; apart from it {decision.reason}")
     places = tuple(
-        _place(name, stands[name], loops[name], points, decays, slowest[name], drives[name], shown.get(name))
+        _place(name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name],
+               drives[name], shown.get(name))
         for name in told
-    )
+    )  # fmt: skip
     return Verdict(
         word=decision.word,
         place=decision.place,
@@ -218,12 +220,11 @@ def shares_better(decays: Mapping[str, Vector]) -> dict[str, float]:
     return {} if stay is None else {name: float(np.mean(faster(own, stay))) for name, own in decays.items()}
 
 
-def overlooked(decays: Mapping[str, Vector], told: Sequence[str]) -> list[str]:
+def overlooked(shares: Mapping[str, float], told: Sequence[str]) -> list[str]:
     """The place that is better than the present one on the most grounds, where those told of are so on too few.
 
     These are stable on the most grounds; what speaks against staying may be another, which grows on some.
     """
-    shares = shares_better(decays)
     if not shares:
         return []
     first = max(shares, key=lambda name: shares[name])
@@ -310,32 +311,38 @@ def _place(
     stands: Configurations,
     place: PlaceLoops,
     points: Vector,
-    decays: Mapping[str, Vector],
+    decays: Vector,
+    better: float,
     slowest: Slowest,
     drive: tuple[float, float],
     runs: Runs | None,
 ) -> PlaceVerdict:
     few = [None, *place.box.corners(CORNERED), slowest.member]
     outcomes = [[loop.outcome(u) for u in few] for loop in place.loops]
-    own, stay = decays[name], decays.get(STAY)
     nominal = min(each[0].decay().value for each in outcomes)
 
-    def band(measure: str, *, least: bool = False, factor: float = 1.0) -> Band:
+    def band(measure: str, search: Further | None = None, *, least: bool = False, factor: float = 1.0) -> Band:
         values = np.array([[getattr(outcome, measure)().value for outcome in each] for each in outcomes])
         sense, worst = (1.0, np.min) if least else (-1.0, np.max)
         # Not every corner is among the few, nor is the worst always a corner.
         rows = list(zip(place.loops, values.tolist(), strict=True))
         more = [value for loop, own in rows for value in loop.farther(measure, few, own, sense)]
-        if measure == "allowed_gain":
-            more += [value for loop, own in rows for value in loop.lower_gains(points, min(own))]
-        if measure == "delay_margin" and not np.isnan(values).any():
-            seen = {np.asarray(u).tobytes() for u in few[1:]}
-            others = [u for u in points if u.tobytes() not in seen]
-            for loop, u in product(place.loops, others):
-                more.append(loop.outcome(u).delay_margin(below=min([*values.ravel(), *more])).value)
+        more += [] if search is None else search(values, more)
         found = _band(factor * worst(values, axis=0))
         end = float(worst([found.least if least else found.greatest, *(factor * value for value in more)]))
         return replace(found, least=end) if least else replace(found, greatest=end)
+
+    def lower_gains(values: Vector, _: Sequence[float]) -> list[float]:
+        rows = zip(place.loops, values.tolist(), strict=True)
+        return [value for loop, own in rows for value in loop.lower_gains(points, min(own))]
+
+    def shorter_margins(values: Vector, known: Sequence[float]) -> list[float]:
+        """Each looked for up to the least that is known; none of a loop that grows."""
+        seen, found = {np.asarray(u).tobytes() for u in few[1:]}, list[float]()
+        others = [] if np.isnan(values).any() else [u for u in points if u.tobytes() not in seen]
+        for loop, u in product(place.loops, others):
+            found.append(loop.outcome(u).delay_margin(below=min([*values.ravel(), *known, *found])).value)
+        return found
 
     return PlaceVerdict(
         name=name,
@@ -344,14 +351,14 @@ def _place(
         w=_rows([each.w for each in stands]),
         drive=drive[0],
         turn=drive[1],
-        decay=Band(nominal, slowest.decay, float(own.max())),
-        stable_share=float(np.mean(own > 0)),
+        decay=Band(nominal, slowest.decay, float(decays.max())),
+        stable_share=float(np.mean(decays > 0)),
         slowest_at=place.box.told(slowest.member),
         slowest_hz=outcomes[slowest.target][-1].loop.frequency_hz,
         slowest_target=slowest.target,
-        better=math.nan if stay is None else float(np.mean(faster(own, stay))),
-        allowed_gain=band("allowed_gain", least=True),
-        delay_margin=band("delay_margin", least=True),
+        better=better,
+        allowed_gain=band("allowed_gain", lower_gains, least=True),
+        delay_margin=band("delay_margin", shorter_margins, least=True),
         settling=band("settling"),
         swing=band("swing", factor=MOVE),
         swing_unit=swing_unit(outcomes[0][0]),

@@ -101,9 +101,7 @@ def broken_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:
     """Which constraints that were asked for a place breaks, (base, posture) at each target: "breaks …", or nothing."""
     pairs = zip(problems_of(chosen), map(np.concatenate, stand), strict=True)
     found = [broken(problem, z, asked=True) for problem, z in pairs]
-    of_loop = [chosen.present_broken_told] if isinstance(chosen, OutcomeSelection) else [""] * len(found)
-    if isinstance(chosen, ByLoop):
-        of_loop = chosen.loops_break(stand)
+    of_loop = chosen.loops_break(stand) if isinstance(chosen, OutcomeSelection | ByLoop) else [""] * len(found)
     each = ["; ".join(filter(None, both)) for both in zip(found, of_loop, strict=True)]
     if len(each) == 1:
         return each[0]
@@ -151,7 +149,7 @@ def _present(chosen: Chosen) -> Configurations | None:
 
 def held_now(problem: SelectionProblem, now: Evaluation) -> Evaluation:
     """How the arm is held now: where nobody said so, and one way breaks what is asked for, an allowed one if any."""
-    if problem.present_posture is not None or not broken(problem, np.concatenate([now.base, now.posture]), asked=True):
+    if problem.present_posture is not None or not broken(problem, now.z, asked=True):
         return now
     return (held_from([problem], now.base) or (now,))[0]
 

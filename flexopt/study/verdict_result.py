@@ -19,7 +19,6 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
-from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.problem import broken, elsewhere, reached
 from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
@@ -218,7 +217,8 @@ class Verdict(Pictured, Result):
         if self._stay is None or several:
             return self.present_breaks
         z = np.concatenate(next(iter(self._stay.stands)))
-        of_loop = self.selection.present_broken_told if isinstance(self.selection, OutcomeSelection) else ""
+        # What stands behind the constraints that were asked for is the loop's.
+        of_loop = self.present_breaks.removeprefix(broken(problem, z, asked=True)).removeprefix("; ")
         return "; ".join(filter(None, (elsewhere(problem, z), broken(problem, z), of_loop)))
 
     @property

@@ -14,9 +14,9 @@ import flexopt
 from flexopt.errors import InputError
 from flexopt.loop.assembly import OneSample
 from flexopt.loop.disturbance import left_over, summed, summed_to_rounding
-from flexopt.loop.functions import BY, outcome_function
+from flexopt.loop.functions import outcome_function
 from flexopt.loop.outcome import MEASURES, LoopPoint
-from flexopt.loop.small_motions import small_motions
+from flexopt.loop.small_motions import BY, small_motions
 from flexopt.loop.tangent import exponential
 from tests.oracles.late_cases import draw_case, nonlinear_growth, slopes_off
 from tests.oracles.late_loop import LateLoop, directional

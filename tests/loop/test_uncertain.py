@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.loop.outcome import DEAD_TIME
 from flexopt.loop.settings import loop_settings
+from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
 from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import Uncertainty

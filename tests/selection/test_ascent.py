@@ -14,9 +14,10 @@ from flexopt.selection.ascent import DONE, Ascent
 from flexopt.selection.ascent_member import AscentMember
 from flexopt.selection.check import prove
 from flexopt.selection.nlp import Branched
+from flexopt.selection.problem import value_at
 from flexopt.selection.program import single
 from flexopt.selection.programs import Bounds
-from flexopt.selection.seen import settled, value_at
+from flexopt.selection.seen import settled
 from flexopt.selection.starts import starting_points
 
 Entry = Callable[[ca.SX], ca.SX]

@@ -71,7 +71,7 @@ def _slowly(number: int) -> int:
 @pytest.mark.parametrize("workers", [1, 3])
 def test_results_come_in_order(workers):
     counts = []
-    assert in_parallel(_slowly, 6, workers, counts.append) == [0, 1, 4, 9, 16, 25]
+    assert in_parallel(_slowly, 6, workers, lambda number, _: counts.append(number)) == [0, 1, 4, 9, 16, 25]
     assert counts == [1, 2, 3, 4, 5, 6]
     assert not multiprocessing.active_children()
 
@@ -79,7 +79,15 @@ def test_results_come_in_order(workers):
 @pytest.mark.long
 def test_something_else_is_done_meanwhile():
     done, counts = [], []
-    assert in_parallel(_slowly, 7, 2, counts.append, lambda: done.append(len(counts))) == [0, 1, 4, 9, 16, 25, 36]
+    assert in_parallel(_slowly, 7, 2, lambda number, _: counts.append(number), lambda: done.append(len(counts))) == [
+        0,
+        1,
+        4,
+        9,
+        16,
+        25,
+        36,
+    ]
     # After the first, which showed that processes pay, and before any of theirs is read.
     assert done == [1]
     assert counts == [1, 2, 3, 4, 5, 6, 7]

@@ -16,10 +16,11 @@ import pytest
 import flexopt
 from flexopt.export.context import build_context
 from flexopt.export.optimiser_kernels import build_optimiser_kernels
-from flexopt.loop.functions import BY, outcome_function
+from flexopt.loop.functions import outcome_function
 from flexopt.loop.lag import lagged_modes
 from flexopt.loop.outcome import MEASURES
 from flexopt.loop.settings import loop_settings
+from flexopt.loop.small_motions import BY
 from flexopt.model.constraints import Constraints
 from flexopt.model.own import check_function
 from flexopt.plant.inverse_kinematics import reach_steps

@@ -11,7 +11,8 @@ import pytest
 import flexopt
 from flexopt.selection.check import prove
 from flexopt.selection.exchanged import APART, kept_apart
-from flexopt.selection.seen import settled, value_at
+from flexopt.selection.problem import value_at
+from flexopt.selection.seen import settled
 
 MACHINE, TARGET = flexopt.load("slewing-excavator"), (1.6155, 6.4194, 0.9496)
 # Weights, tool angle, and V that a search without slopes found, at the edge.

@@ -20,7 +20,8 @@ from flexopt.selection.outcomes.borders import Line
 from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.selection.starts import FEASIBLE, moved
+from flexopt.selection.scan import FEASIBLE
+from flexopt.selection.starts import moved
 from tests.selection.loops import EXCAVATOR, POSTURE, TARGET, posture_at, told, worth
 
 LATE = {"kp": 1e4, "kv": 1e3, "dead_time": 0.02}
@@ -197,6 +198,10 @@ def test_what_a_measure_cannot_be_had_of() -> None:
     ):
         with pytest.raises(flexopt.InputError, match=sentence):
             flexopt.select(EXCAVATOR, TARGET, objective=name, **options)
+    with pytest.raises(flexopt.InputError, match="asks for the largest Kp") as refused:
+        flexopt.select(EXCAVATOR, TARGET, loop={"kp": 0.0, "kv": 1e3}, constraints={"outcome": {"allowed_gain": 1e3}})
+    # There it is a constraint, and w1 the objective.
+    assert "objective" not in str(refused.value)
     with pytest.raises(flexopt.NoSolutionFound, match="every loop grows"):
         flexopt.select(EXCAVATOR, TARGET, objective="delay_margin", loop={"kp": 1e9, "kv": 1e9, "dead_time": 0.05})
 

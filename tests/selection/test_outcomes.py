@@ -21,7 +21,8 @@ from flexopt.model.loop import Loop
 from flexopt.selection.outcomes.climb import first_order
 from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.selection.starts import FEASIBLE, moved
+from flexopt.selection.scan import FEASIBLE
+from flexopt.selection.starts import moved
 from tests.cli.command import Command
 
 EXCAVATOR, TARGET = flexopt.load("excavator"), (0.0, 1.6)

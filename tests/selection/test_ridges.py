@@ -13,10 +13,9 @@ from benchmarks.selection_truth import GAIN, doubled_margins, machines
 from flexopt.selection.check import FIRST_ORDER, prove
 from flexopt.selection.first_order import linearised
 from flexopt.selection.multipliers import multipliers_of
-from flexopt.selection.problem import TravelCost
+from flexopt.selection.problem import TravelCost, value_at
 from flexopt.selection.program import single
 from flexopt.selection.second_order import lagrangian_hessian
-from flexopt.selection.seen import value_at
 
 CONTROL = "transpose"
 pytestmark = pytest.mark.filterwarnings("ignore:ε_max has a kink")

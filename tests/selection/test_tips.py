@@ -12,7 +12,8 @@ import pytest
 import flexopt
 from benchmarks.choice import Other, chosen
 from flexopt.selection.check import prove
-from flexopt.selection.seen import settled, value_at
+from flexopt.selection.problem import value_at
+from flexopt.selection.seen import settled
 
 # A configuration of the problem pipe-laying that a search without slopes found, and its V / |a||b|: within 1e-4.
 FOUND, WORTH = (4.1764, -6.0, -1.9542, np.pi, 0.72008, -1.54933, 0.10836), -0.11820

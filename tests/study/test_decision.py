@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flexopt.study.decision import Place, decide, deciding, faster, ranked
-from flexopt.study.move_verdict import overlooked
+from flexopt.study.move_verdict import overlooked, shares_better
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
 
@@ -105,11 +105,11 @@ def test_no_place_is_said_to_be_better_nowhere_without_a_look_at_all() -> None:
     grows = np.where(np.arange(40) == 0, -1.0, 2.0) * GROUNDS
     decays = {"stay": GROUNDS, **alike, "candidate 4": grows}
     told = ["stay", *ranked(alike)]
-    assert overlooked(decays, told) == ["candidate 4"]
-    assert overlooked({**decays, "candidate 4": GROUNDS}, told) == []
+    assert overlooked(shares_better(decays), told) == ["candidate 4"]
+    assert overlooked(shares_better({**decays, "candidate 4": GROUNDS}), told) == []
     # What is told of speaks against staying itself, or there is no staying.
-    assert overlooked({**decays, "candidate 2": 1.2 * GROUNDS}, told) == []
-    assert overlooked({**alike, "candidate 4": grows}, told[1:]) == []
+    assert overlooked(shares_better({**decays, "candidate 2": 1.2 * GROUNDS}), told) == []
+    assert overlooked(shares_better({**alike, "candidate 4": grows}), told[1:]) == []
 
 
 def test_staying_tells_the_most_that_any_place_that_was_judged_is_better_on() -> None:

@@ -478,3 +478,18 @@ def test_what_is_worse_where_it_moves_is_told() -> None:
         f"in the worst case it bears Kp up to 1e+04 instead of above {found.settings.highest_kp:.4g} N m, "
         "bears 10 instead of any number of ms more of dead time there"
     )
+
+
+@pytest.mark.long
+def test_what_objectives_before_keep_is_no_constraint_to_stay_by() -> None:
+    """Nobody asked for a least w1: a place that has less of it than the best may be stayed at all the same."""
+    found = flexopt.select(
+        flexopt.load("excavator"), (0.0, 1.6), objective="w1,decay", base=0.0, loop=ARTICLE, starts=2
+    )
+    now = found.initial
+    assert now is not None
+    assert now.w[0] < found.kept[0].at_least
+    assert "breaks w1" in found.present_told
+    judged_now = flexopt.verdict(found, loop=ARTICLE, members=2, runs=0)
+    assert judged_now.present_breaks == ""
+    assert judged_now.places[0].name == "stay"

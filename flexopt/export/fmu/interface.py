@@ -13,13 +13,13 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
+from flexopt.algebra.layout import Layout
 from flexopt.export.control import RATE_MAX
 from flexopt.export.fmu.settings import Groups, Served, settings
 from flexopt.export.fmu.variable import EFFORT, Variable, row_text, words
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.quantities import COORDINATE_MAX, coordinate_max
 from flexopt.loop.closed import ClosedLoop, closed_loop
-from flexopt.loop.structure import Layout
 from flexopt.model.parameter_ranges import parameter_range
 from flexopt.model.simulation import NOISE
 from flexopt.plant import Plant, build_plant

@@ -15,6 +15,7 @@ from typing import Any
 
 import casadi as ca
 
+from flexopt.algebra.layout import Layout
 from flexopt.export.fmu.guards import Guarded, GuardedConfiguration, ModelGuard
 from flexopt.export.fmu.interface import Interface
 from flexopt.loop.directions import Computed
@@ -22,7 +23,7 @@ from flexopt.loop.flow import Flow
 from flexopt.loop.integrators import State
 from flexopt.loop.rest import design_constants, in_base_axes, placed, state_at_rest
 from flexopt.loop.small_motions import damping_entries
-from flexopt.loop.structure import JACOBIAN_DAMPING, Layout
+from flexopt.loop.structure import JACOBIAN_DAMPING
 from flexopt.plant.machine_motion import constants_at, motion_of
 from flexopt.simulation.run import RESIDUAL_MAX
 

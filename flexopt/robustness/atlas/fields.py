@@ -11,6 +11,7 @@ machine has a reason to know, are zero together where it is, and else where it i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -103,10 +104,7 @@ class Slice:
 
     def postures(self, points: Vector) -> Vector:
         """Postures (n, N) of points (2, N)."""
-        posture = np.empty((len(self.machine.joints), points.shape[1]))
-        posture[[k for k in range(len(posture)) if k not in self.varies]] = self.rest[:, None]
-        posture[list(self.varies)] = points
-        return posture
+        return postures_of(self.varies, self.rest, points)
 
     def expect(self, points: int) -> None:
         """Have the code compiled where so many points are worth it."""
@@ -215,6 +213,14 @@ class SliceValues:
             dot: Vector = np.sum(a * b, axis=1) / self.divisor
             found: Vector = np.where(dot > 0, -crossed / (scale + dot) * crossed, dot - scale)
         return found
+
+
+def postures_of(varies: Sequence[int], rest: Vector, points: Vector) -> Vector:
+    """Postures (n, N) of points (2, N): those joints vary, the others (n − 2,) rest."""
+    posture = np.empty((2 + rest.size, points.shape[1]))
+    posture[[k for k in range(len(posture)) if k not in varies]] = rest[:, None]
+    posture[list(varies)] = points
+    return posture
 
 
 def _crossed(a: Vector, b: Vector, a_z: Vector, b_z: Vector) -> tuple[Vector, Vector]:

@@ -16,6 +16,7 @@ from flexopt.foundation.documents import write_netcdf
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Result
+from flexopt.robustness.atlas.fields import postures_of
 from flexopt.robustness.residues import posture_unit, residue_unit
 
 if TYPE_CHECKING:
@@ -235,7 +236,7 @@ class Atlas(Pictured, Result):
         return {
             "curve": ("vertex", numbers(self.curves), {"long_name": "number of the curve, from 0"}),
             "posture": (
-                ("joint", "vertex"), beside([_postures(self, c.points) for c in self.curves], n),
+                ("joint", "vertex"), beside([self._postures(c.points) for c in self.curves], n),
                 {**rad, "long_name": posture},
             ),
             "end_point": (("row", "vertex"), beside([c.end_point for c in self.curves], r), metres),
@@ -252,13 +253,16 @@ class Atlas(Pictured, Result):
             "point_kind": ("point", np.array([_kind(p) for p in points], dtype=str), {}),
             "edge": ("edge_vertex", numbers(self.edges), {"long_name": "number of the edge, from 0"}),
             "edge_posture": (
-                ("joint", "edge_vertex"), beside([_postures(self, e.points) for e in self.edges], n),
+                ("joint", "edge_vertex"), beside([self._postures(e.points) for e in self.edges], n),
                 {**rad, "long_name": posture},
             ),
             "edge_end_point": (("row", "edge_vertex"), beside([e.end_point for e in self.edges], r), metres),
             "edge_kind": ("edge_number", np.array([e.kind for e in self.edges], dtype=str), {}),
             "singular_posture": (("joint", "singular"), self.singular, rad),
         }  # fmt: skip
+
+    def _postures(self, points: Vector) -> Vector:
+        return postures_of([self.joints.index(name) for name in self.varied], self.fixed, points)
 
     def _coordinates(self) -> dict[str, Any]:
         modes = np.arange(1, self.modes + 1, dtype=np.int32)
@@ -359,14 +363,6 @@ _WHERE = {
     "limit": "a limit", "singular": "a singular posture", "a = 0": "a = 0", "b = 0": "b = 0",
     "equal frequencies": "equal frequencies", "undefined": "the border of what is defined",
 }  # fmt: skip
-
-
-def _postures(atlas: Atlas, points: Vector) -> Vector:
-    """Postures (n, K) of values (2, K) of the two joints."""
-    whole, at = np.empty((len(atlas.joints), points.shape[1])), [atlas.joints.index(name) for name in atlas.varied]
-    whole[[k for k in range(len(whole)) if k not in at]] = atlas.fixed[:, None]
-    whole[at] = points
-    return whole
 
 
 def _posture(point: RobustPoint) -> str:

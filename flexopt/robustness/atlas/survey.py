@@ -6,6 +6,7 @@ In: a slice of a machine's postures. Out: an `Atlas`.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -321,16 +322,26 @@ class _Survey:
         for arc in self.arcs:
             values = self.over(arc.points)[0]
             for other in {each.mode for each in self.arcs} - {arc.mode}:
-                starts = self._near_zeros(arc.mode, other, arc.points, values[other])
                 pair = min(arc.mode, other), max(arc.mode, other)
-                zeros, converged = common_zeros(self.over, self.rectangle, self.cells, pair, starts)
-                for zero in zeros[:, converged & (self._apart(zeros, starts) < FAR)].T:
-                    known = found.setdefault(pair, [])
-                    if all(self._apart(zero[:, None], k[:, None])[0] > SAME for k in known):
-                        known.append(zero)
+                starts = self._near_zeros(arc.mode, other, arc.points, values[other])
+                self._add_zeros(pair, starts, found.setdefault(pair, []))
         robust = [(pair, z) for pair, zeros in found.items() for z in zeros if self._robust(pair, z, largest)]
         points = [self._point(pair, "", zero) for pair, zero in robust]
         return sorted(points, key=lambda p: (p.modes, *p.posture))
+
+    def _add_zeros(
+        self,
+        pair: tuple[int, int],
+        starts: Vector,
+        known: list[Vector],
+        counts: Callable[[Vector], bool] = lambda _: True,
+    ) -> None:
+        """Add to the known zeros of two functions those that count and Newton's method finds near starts, each once."""
+        zeros, converged = common_zeros(self.over, self.rectangle, self.cells, pair, starts)
+        for zero in zeros[:, converged & (self._apart(zeros, starts) < FAR)].T:
+            new = all(self._apart(zero[:, None], other[:, None])[0] > SAME for other in known)
+            if new and counts(zero):
+                known.append(zero)
 
     def _parallel(self, curve: ZeroCurve) -> bool:
         """Whether all of a × b is zero along a curve."""
@@ -344,15 +355,9 @@ class _Survey:
         for curve in self.partly:
             mode = curve.function
             pair = mode, self.over.second(mode)
-            starts = self._near_zeros(*pair, curve.points, self.over(curve.points)[0][pair[1]])
-            zeros, converged = common_zeros(self.over, self.rectangle, self.cells, pair, starts)
-            near = converged & (self._apart(zeros, starts) < FAR)
-            known: list[Vector] = []
-            for zero in zeros[:, near].T:
-                new = all(self._apart(zero[:, None], other[:, None])[0] > SAME for other in known)
-                if new and self._robust((mode,), zero, largest):
-                    known.append(zero)
-                    points.append(self._point((mode,), "", zero))
+            starts, known = self._near_zeros(*pair, curve.points, self.over(curve.points)[0][pair[1]]), list[Vector]()
+            self._add_zeros(pair, starts, known, lambda zero, mode=mode: self._robust((mode,), zero, largest))
+            points += [self._point((mode,), "", zero) for zero in known]
         return sorted(points, key=lambda p: (p.modes, *p.posture))
 
     def _near_zeros(self, curve: int, function: int, points: Vector, values: Vector) -> Vector:
@@ -374,13 +379,13 @@ class _Survey:
     def _singular(self) -> Vector:
         """Singular postures of a redundant arm, (n, K): on the edges all other minors of Jv vanish, too."""
         over, found = self.over, list[Vector]()
+
+        def singular(zero: Vector) -> bool:
+            return bool(over.values(zero[:, None]).condition[0] > CONDITION_MAX)
+
         if over.rest.size and not over.spatial:
             for curve in self.edges:
                 pair = over.edge, over.minor(0)
                 starts = self._near_zeros(*pair, curve.points, over(curve.points)[0][pair[1]])
-                zeros, converged = common_zeros(over, self.rectangle, self.cells, pair, starts)
-                for zero in zeros[:, converged & (self._apart(zeros, starts) < FAR)].T:
-                    new = all(self._apart(zero[:, None], known[:, None])[0] > SAME for known in found)
-                    if new and over.values(zero[:, None]).condition[0] > CONDITION_MAX:
-                        found.append(zero)
+                self._add_zeros(pair, starts, found, singular)
         return over.postures(np.array(found).T.reshape(2, -1))

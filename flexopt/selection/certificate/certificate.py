@@ -26,7 +26,7 @@ from flexopt.foundation.writing import write_file
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch
 from flexopt.selection.certificate.bound import Covering, branch_and_bound
 from flexopt.selection.certificate.curve import RedundancyCurve
-from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.problem import SelectionProblem, value_at
 from flexopt.selection.result import Selection
 
 FORMAT = "flexopt certificate 1"
@@ -175,7 +175,7 @@ def certify(selection: Selection, *, gap: float | None = None) -> Certificate:
     asked = (gap or (GAP_OF_ONE if single else GAP)) * scale
     name = problem.objective.name
     if best.unsurpassed:
-        value = float(problem.branches(problem.objective, best.z)[0][0])
+        value = value_at(problem, best.z)
         short = max(-value, 0.0)
         return Certificate(
             "proven",

@@ -25,7 +25,7 @@ from flexopt.model.constraints import Area, Constraints
 from flexopt.model.polygons import Corners
 from flexopt.plant import Plant
 from flexopt.selection.constraints.convex_pieces import convex_pieces, hull, pockets
-from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene, lacks_support
 from flexopt.selection.constraints.polygon_distance import (
     NUMBERS,
     corners_of,
@@ -61,11 +61,7 @@ def _faults(plant: Plant, field: str, areas: Sequence[Area] | None) -> list[Faul
 def _region_faults(plant: Plant, given: Constraints) -> list[Fault]:
     faults = _faults(plant, "region", given.region)
     if given.holds == "footprint" and not plant.machine.support_points:
-        wanted = "[support] span = [rear, front]" if plant.frames.dimension == 2 else "[support] polygon = [[x, y], …]"
-        sentence = (
-            f"needs what the undercarriage stands on, and {plant.machine.name} has none: add {wanted} (m, anchor "
-        )
-        faults.append(Fault("holds", f"{sentence}frame) to the machine file, or ask for 'point'", "'footprint'"))
+        faults.append(Fault("holds", f"{lacks_support(plant)}, or ask for 'point'", "'footprint'"))
     return faults
 
 

@@ -117,6 +117,15 @@ class Scene:
         return ca.vertcat(c * away[0] + s * away[1], c * away[1] - s * away[0])
 
 
+def lacks_support(plant: Plant) -> str:
+    """Why a kind cannot be had that needs what a machine stands on."""
+    wanted = "[support] span = [rear, front]" if plant.frames.dimension == 2 else "[support] polygon = [[x, y], …]"
+    return (
+        f"needs what the undercarriage stands on, and {plant.machine.name} has none: add {wanted} (m, anchor frame) to "
+        "the machine file"
+    )
+
+
 def _no_faults(_: Plant, __: Constraints) -> list[Fault]:
     return []
 

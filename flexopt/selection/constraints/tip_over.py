@@ -15,18 +15,13 @@ import casadi as ca
 from flexopt.errors import Fault
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
-from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene, lacks_support
 
 
 def _faults(plant: Plant, constraints: Constraints) -> list[Fault]:
     if constraints.tip_over_margin is None or plant.machine.support_points:
         return []
-    wanted = "[support] span = [rear, front]" if plant.frames.dimension == 2 else "[support] polygon = [[x, y], …]"
-    sentence = (
-        f"needs what the undercarriage stands on, and {plant.machine.name} has none: add {wanted} (m, anchor frame) to "
-        "the machine file"
-    )
-    return [Fault("tip_over_margin", sentence, f"{constraints.tip_over_margin:g}")]
+    return [Fault("tip_over_margin", lacks_support(plant), f"{constraints.tip_over_margin:g}")]
 
 
 def _groups(plant: Plant, constraints: Constraints) -> list[Group]:

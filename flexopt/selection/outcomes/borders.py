@@ -18,9 +18,10 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.roots import root
-from flexopt.loop.outcome import DEAD_TIME, HIGH, SLOWEST_MOTIONS, LoopPoint
+from flexopt.loop.outcome import HIGH, SLOWEST_MOTIONS, LoopPoint
 from flexopt.loop.region import LARGEST, stability_radius
 from flexopt.loop.settings import LoopSettings
+from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.choices import ALLOWED_GAIN, DELAY_MARGIN, RADIUS
 from flexopt.model.loop import DELAY_MAX, GAINS

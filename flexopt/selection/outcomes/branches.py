@@ -37,6 +37,12 @@ class Branches:
     slopes: Vector
     by_level: Vector
 
+    @property
+    def in_order(self) -> Branches:
+        """The same, the smallest first."""
+        order = np.argsort(self.values, kind="stable")
+        return Branches(self.values[order], self.slopes[order], self.by_level[order])
+
 
 class Measure(ABC):
     """A measure of a loop, the larger the better: values are the measure, or where it shall be small its negative.

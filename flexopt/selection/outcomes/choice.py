@@ -12,40 +12,34 @@ from functools import partial
 
 import numpy as np
 
-from flexopt.errors import Fault, InputError, NoSolutionFound, raise_if_any
+from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.processes import in_parallel
 from flexopt.foundation.turns import available_cores
 from flexopt.loop.evaluation import with_outcome
 from flexopt.loop.region import stability_radius
-from flexopt.loop.settings import LoopSettings, loop_settings
+from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
-from flexopt.model import AnyMachine
-from flexopt.model.choices import ALLOWANCE, ALLOWED_GAIN, DECAY, RADIUS
-from flexopt.model.constraints import LeastOutcomes
-from flexopt.model.loop import Loop, gain_ranges
-from flexopt.model.uncertainty import GROUND, Uncertainty
+from flexopt.model.choices import DECAY
+from flexopt.model.uncertainty import GROUND
 from flexopt.robustness import Evaluation
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.continua import travel
 from flexopt.selection.optima import SAME_POINT
+from flexopt.selection.outcomes.asked import Asked, MeasureBounds, least_values
 from flexopt.selection.outcomes.borders import RADIUS_POINTS
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.climb import Climbed, climbed
-from flexopt.selection.outcomes.measures import MEASURES, OfModes
-from flexopt.selection.outcomes.program import OutcomeProgram, points_of
-from flexopt.selection.outcomes.result import OutcomeSelection, asked_by_loop
+from flexopt.selection.outcomes.program import OutcomeProgram
+from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import Seed, separation, starting_points
-from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.problem import SelectionProblem, reached
 from flexopt.selection.result import Attempt, Candidate, Kept
 from flexopt.selection.solve import constraint_values
-from flexopt.selection.starts import FEASIBLE
 
-# Intervals whose corners are members from the beginning; points that are looked at behind a climb, and how often what
-# they find is added and climbed again.
-CORNERED, MEMBERS, ROUNDS = 3, 32, 6
-MeasureBounds = tuple[tuple[Measure, float], ...]
+# Points that are looked at behind a climb, and how often what they find is added and climbed again.
+MEMBERS, ROUNDS = 32, 6
 # Of the value, by which two are equal.
 EQUAL = 1e-6
 # Of the value, by which a member that is slower than those that were climbed with is new.
@@ -54,13 +48,10 @@ NEW = 1e-3
 
 def outcome_selection(
     problem: SelectionProblem,
-    loop: Loop,
-    uncertainty: tuple[Uncertainty, ...],
+    asked: Asked,
     initial: Evaluation | None,
     workers: int | None,
     progress: Progress | None,
-    name: str = DECAY,
-    least: LeastOutcomes | None = None,
     *,
     bounds: MeasureBounds = (),
     seeds: Sequence[Seed] = (),
@@ -70,13 +61,10 @@ def outcome_selection(
 
     Args:
         problem: from `build_selection`; its objective is not asked.
-        loop: known to be good for the machine; gains that it gives ranges of are chosen, too.
-        uncertainty: over which the least counts; empty: the machine's own numbers. Of the radius its factors; empty:
-            one of all springs.
+        asked: of the loop.
         initial: the present configuration.
         workers, progress: as of `flexopt.solve_selection`.
-        name: of the measure; none of `OUTCOMES`: the problem's own objective.
-        least: what the loop must do at least;  bounds: the like, of any measures.
+        bounds: what further measures must be at least.
         seeds: configurations to start from, besides those that were scanned.
         kept: what is said of the bounds.
 
@@ -84,18 +72,9 @@ def outcome_selection(
         InputError: the uncertainty does not go with the loop or the measure; a measure of gains without one.
         NoSolutionFound: no climb ended at a feasible, stationary point.
     """
-    pool = _feasible(problem, initial)
-    n_base, machine = len(problem.machine.base_coordinates), problem.machine
+    pool, machine = _feasible(problem, initial), problem.machine
     stand = initial or problem.quantities.evaluated(pool[0])
-    settings = loop_settings(machine, loop, stand, gravity=problem.gravity)
-    measure = measure_of(name, problem)
-    bounds = (*asked_of(least), *bounds)
-    box, corners = box_and_corners(machine, uncertainty, name, settings.dead_time)
-    raise_if_any(
-        InputError, "select", [*box.faults(settings.rate), *unfit(name, bounds, loop, settings, box.uncertainty)]
-    )
-    held = UncertainLoop(settings, pool[0][:n_base], pool[0][n_base:], problem.gravity, box)
-    program = OutcomeProgram(problem, held, gain_ranges(loop), corners, measure=measure, least=bounds)
+    program = OutcomeProgram(**asked.parts(problem, stand, bounds))
     count = workers or available_cores()
     program, starts = starting_points(program, pool, count, seeds)
     found = climbs(program, starts, count, progress)
@@ -107,8 +86,9 @@ def outcome_selection(
     distinct[: len(alike)] = sorted(alike, key=lambda each: travel(problem, program.z(each.y)))
     loops = [program.at(each.y).settings for each in distinct]
     candidates = [_candidate(program, each, chosen) for each, chosen in zip(distinct, loops, strict=True)]
-    springs = UncertaintyBox(machine, GROUND, settings.dead_time)
+    springs = UncertaintyBox(machine, GROUND, program.loop.settings.dead_time)
     now = None if initial is None else with_outcome(machine, initial, loops[0], gravity=problem.gravity)
+    broken = () if initial is None else asked.broken(problem, loops[0], initial.base, initial.posture, bounds)
     return OutcomeSelection(
         best=candidates[0],
         candidates=tuple(candidates),
@@ -116,16 +96,13 @@ def outcome_selection(
         attempts=attempts,
         kept=kept,
         problem=problem,
-        provenance=provenance(
-            machine, target=problem.target.tolist(), **asked_by_loop(problem, name, loop, uncertainty, least)
-        ),
-        criterion=measure,
+        provenance=provenance(machine, target=problem.target.tolist(), **asked.stated(problem)),
+        asked=asked,
+        criterion=program.measure,
         present=None if initial is None else _present(program, initial, distinct[0]),
-        present_broken=() if initial is None else _breaks(program, initial, distinct[0]),
+        present_broken=broken,
         radii=tuple(stability_radius(replace(program.at(each.y), box=springs), RADIUS_POINTS) for each in distinct),
         settings=tuple(loops),
-        loop=loop,
-        uncertainty=uncertainty,
         unverified=unverified,
     )
 
@@ -134,8 +111,7 @@ def climbs(
     program: OutcomeProgram, starts: list[Vector], workers: int, progress: Progress | None
 ) -> list[Climbed | None]:
     """Where each start leads, in processes where that pays."""
-    done = None if progress is None else partial(_told, progress, len(starts))
-    return in_parallel(partial(_climbed, program, starts), len(starts), workers, done, at_once=len(starts) > 1)
+    return in_parallel(partial(_climbed, program, starts), len(starts), workers, progress, at_once=len(starts) > 1)
 
 
 def distinct_optima(program: OutcomeProgram, found: list[Climbed | None]) -> tuple[list[Climbed], float | None]:
@@ -156,39 +132,15 @@ def distinct_optima(program: OutcomeProgram, found: list[Climbed | None]) -> tup
     return distinct, program.measure.sign * max(more) if more else None
 
 
-def box_and_corners(
-    machine: AnyMachine, uncertainty: tuple[Uncertainty, ...], name: str, dead_time: float
-) -> tuple[UncertaintyBox, Vector]:
-    """What is not known, of the radius its factors; the members (n, k) over which the measure `name` is the worst."""
-    box = UncertaintyBox(machine, (uncertainty or GROUND) if name == RADIUS else uncertainty, dead_time)
-    return box, box.corners(CORNERED) if uncertainty and name != RADIUS else np.zeros((0, 0))
-
-
-def asked_of(least: LeastOutcomes | None) -> MeasureBounds:
-    """What the loop must do at least, as measures count."""
-    return tuple((MEASURES[word], MEASURES[word].sign * x) for word, x in least or () if x is not None)
-
-
-def measure_of(name: str, problem: SelectionProblem) -> Measure:
-    """What a word asks for: a measure of the loop, or the problem's own objective."""
-    return MEASURES[name] if name in MEASURES else OfModes(problem)
-
-
 def _feasible(problem: SelectionProblem, initial: Evaluation | None) -> Vector:
     """Feasible configurations (N, n_z): those that were scanned, and the present one."""
-    scan = problem.scan
-    feasible = scan.violation <= FEASIBLE
-    pool = np.concatenate([scan.base[:, feasible], scan.posture[:, feasible]]).T
+    pool = problem.scan.z[:, problem.scan.feasible].T
     if initial is not None:
-        pool = np.concatenate([np.concatenate([initial.base, initial.posture])[None], pool])
+        pool = np.concatenate([initial.z[None], pool])
     if not len(pool):
         sentence = "select: no configuration that was looked at keeps every constraint"
         raise NoSolutionFound(sentence, violations={}, iterate={})
     return pool
-
-
-def _told(progress: Progress, count: int, number: int) -> None:
-    progress(number, count)
 
 
 def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Climbed | None:
@@ -212,15 +164,16 @@ def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Clim
     return found
 
 
-def least_over(program: OutcomeProgram, y: Vector) -> tuple[float, Vector]:
-    """The least of the measure found over the uncertainty, and where."""
-    return min((_worst(part.at(own), program.measure) for part, own in program.parts(y)), key=lambda found: found[0])
+def least_over(program: OutcomeProgram, y: Vector, measure: Measure | None = None) -> tuple[float, Vector]:
+    """The least found over the uncertainty of a measure, by default of that which is largest, and where."""
+    every = (_worst(part.at(own), measure or program.measure) for part, own in program.parts(y))
+    return min(every, key=lambda found: found[0])
 
 
 def _broken(program: OutcomeProgram, y: Vector) -> Vector | None:
     """A member whose loop does less than it must."""
     for measure, least in program.least:
-        value, at = min((_worst(part.at(own), measure) for part, own in program.parts(y)), key=lambda found: found[0])
+        value, at = least_over(program, y, measure)
         if value < least - NEW * abs(least):
             return at
     return None
@@ -238,36 +191,6 @@ def _worst(loop: UncertainLoop, measure: Measure) -> tuple[float, Vector]:
 def kept_values(program: OutcomeProgram, y: Vector) -> dict[str, ConstraintValue]:
     """What the worst member's loop does of what it must at least."""
     return least_values(program.least, program.at(y), program.members)
-
-
-def least_values(bounds: MeasureBounds, loop: UncertainLoop, members: Vector) -> dict[str, ConstraintValue]:
-    """The same of a loop and members (n, k) of what is uncertain."""
-    points, found = points_of(loop, members), dict[str, ConstraintValue]()
-    for measure, least in bounds:
-        value = measure.sign * min(measure.value(loop, point) for point in points)
-        ends = (least, math.inf) if measure.sign > 0 else (-math.inf, -least)
-        found[measure.told] = ConstraintValue(value, *ends, measure.unit_of(loop.settings))
-    return found
-
-
-def unfit(
-    name: str, bounds: MeasureBounds, loop: Loop, settings: LoopSettings, varied: tuple[Uncertainty, ...]
-) -> list[Fault]:
-    """What measures cannot be had of."""
-    found, asked = list[Fault](), {name, *(measure.name for measure, _ in bounds)}
-    if RADIUS in asked - {name} and varied:
-        found.append(Fault("ranges", "do not go with a least radius, which is that of all springs"))
-    if ALLOWED_GAIN in asked and not settings.kp.any():
-        found.append(Fault("loop.kp", "is 0, and the objective allowed_gain asks for the largest Kp"))
-    if name == ALLOWANCE and gain_ranges(loop):
-        found.append(Fault("loop", "has ranges of gains, which the objective allowance does not depend on"))
-    if name == RADIUS:
-        found += [
-            Fault("ranges", "must be factors for the objective radius", each.name)
-            for each in varied
-            if each.factor is None
-        ]
-    return found
 
 
 def _attempt(program: OutcomeProgram, start: Vector, end: Climbed | None) -> Attempt:
@@ -294,41 +217,26 @@ def _none(program: OutcomeProgram, found: list[Climbed | None]) -> NoSolutionFou
 
 def _present(program: OutcomeProgram, initial: Evaluation, best: Climbed) -> float | None:
     """The measure of the present configuration with the best one's gains; None where it has none."""
-    z = np.concatenate([initial.base, initial.posture]) / program.problem.scale
+    z = initial.z / program.problem.scale
     own = replace(program, members=np.zeros((0, 0)), least=())
     value = own.value(np.append(z, best.y[program.n_z :]))
     return own.measure.sign * value if math.isfinite(value) else None
 
 
-def _breaks(program: OutcomeProgram, initial: Evaluation, best: Climbed) -> tuple[str, ...]:
-    """What the present configuration's loop does not do of what it must at least, with the best one's gains."""
-    if not program.least:
-        return ()
-    z = np.concatenate([initial.base, initial.posture]) / program.problem.scale
-    return broken_of(kept_values(program, np.append(z, best.y[program.n_z :])))
-
-
-def broken_of(kept: dict[str, ConstraintValue]) -> tuple[str, ...]:
-    """What is not kept, in words; what a loop that grows has no number of counts as broken."""
-    return tuple(f"{name} {value}" for name, value in kept.items() if not value.room >= 0)
-
-
 def _candidate(program: OutcomeProgram, end: Climbed, settings: LoopSettings) -> Candidate:
     problem = program.problem
     z = end.y[: problem.scale.size] * problem.scale
-    n_base, p = len(problem.machine.base_coordinates), problem.measures.plant.parameter_values
-    reached = problem.rows(z)[: problem.target.size]
 
     def evaluate() -> Evaluation:
         return with_outcome(problem.machine, problem.quantities.evaluated(z), settings, gravity=problem.gravity)
 
     return Candidate(
         z=z,
-        w=problem.measures.w.call([z[:n_base], z[n_base:], p])[0].full().ravel(),
+        w=problem.quantities.w_at(z).ravel(),
         objective=program.measure.sign * end.value,
         active=end.active,
         constraints=constraint_values(problem, z) | kept_values(program, end.y),
-        target_error=float(np.linalg.norm(reached - problem.target)),
+        target_error=float(np.linalg.norm(reached(problem, z) - problem.target)),
         stationarity=end.stationarity,
         iterations=end.steps,
         kinks={},

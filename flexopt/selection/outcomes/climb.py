@@ -18,7 +18,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.selection.nonnegative import nonnegative_least_squares
 from flexopt.selection.outcomes.branches import Branches
 from flexopt.selection.outcomes.program import MEETING, OutcomeProgram, ProgramPoint
-from flexopt.selection.starts import FEASIBLE
+from flexopt.selection.scan import FEASIBLE
 
 # Steps at most, how exactly t is sought, and how often the search begins anew from where it came to.
 STEPS, EXACT, AGAIN = 60, 1e-12, 3

@@ -7,29 +7,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Progress
-from flexopt.model.constraints import LeastOutcomes
-from flexopt.model.loop import Loop
-from flexopt.model.uncertainty import Uncertainty
-from flexopt.robustness import Evaluation
-from flexopt.selection.outcomes.choice import MeasureBounds, measure_of, outcome_selection
+from flexopt.selection.outcomes.asked import Asked, MeasureBounds, measure_of
+from flexopt.selection.outcomes.choice import outcome_selection
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import Seed
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import Kept
-from flexopt.selection.solve import solved
+from flexopt.selection.solve import initial_evaluation, solved
 
 
 def outcome_selection_in_order(
     problems: Mapping[str, SelectionProblem],
-    loop: Loop,
-    uncertainty: tuple[Uncertainty, ...],
-    initial: Evaluation | None,
+    loop: Any,
+    ranges: Any,
+    constraints: Any,
     workers: int | None,
     progress: Progress | None,
-    least: LeastOutcomes | None = None,
 ) -> OutcomeSelection:
     """Local optima of the last objective, the best first, of those that keep what is best of the others.
 
@@ -38,31 +36,32 @@ def outcome_selection_in_order(
 
     Args:
         problems: from `build_selection`, by objective, in order; of measures of the loop its objective is not asked.
-        loop, uncertainty, initial, workers, progress, least: as of `outcome_selection`.
+        loop, ranges, constraints, workers, progress: as of `flexopt.select`.
 
     Raises:
-        InputError, NoSolutionFound: as `outcome_selection`, of any of the objectives.
+        InputError, NoSolutionFound: as `outcome_selection`, of any of the objectives; the loop does not fit.
     """
     names, bounds, kept, seeds = list(problems), MeasureBounds(), list[Kept](), list[Seed]()
+    asked = Asked.of("select", problems[names[0]], loop, ranges, ",".join(names), constraints)
+    initial = initial_evaluation(problems[names[0]])
     for name in names[:-1]:
         problem, measure = problems[name], measure_of(name, problems[name])
-        if measure.of_modes and not bounds and least is None:
+        if measure.of_modes and not bounds and asked.least is None:
             found = solved(problem, workers, progress)
             seeds += [Seed(candidate.z) for candidate in found.candidates]
         else:
             seeds += _of_modes(problem, workers) if measure.of_modes else []
-            found = outcome_selection(problem, loop, uncertainty, initial, workers, progress, name, least,
-                                      bounds=bounds, seeds=seeds)  # fmt: skip
+            own = replace(asked, name=name)
+            found = outcome_selection(problem, own, initial, workers, progress, bounds=bounds, seeds=seeds)
             seeds += _seeds(found)
         best = measure.sign * found.best.objective
         at_least = best - (problem.given_up(best) if measure.of_modes else problem.slack * abs(best))
         ends = (at_least, math.inf) if measure.sign > 0 else (-math.inf, -at_least)
         bounds = (*bounds, (measure, at_least))
         kept.append(Kept(name, found.best.objective, *ends, found.unverified, found.objective_unit))
-    last = problems[names[-1]]
+    last, own = problems[names[-1]], replace(asked, name=names[-1])
     seeds += _of_modes(last, workers) if measure_of(names[-1], last).of_modes else []
-    return outcome_selection(last, loop, uncertainty, initial, workers, progress, names[-1], least,
-                             bounds=bounds, seeds=seeds, kept=tuple(kept))  # fmt: skip
+    return outcome_selection(last, own, initial, workers, progress, bounds=bounds, seeds=seeds, kept=tuple(kept))
 
 
 def _of_modes(problem: SelectionProblem, workers: int | None) -> list[Seed]:

@@ -14,8 +14,9 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.lag import lagged_modes
 from flexopt.loop.many import decays
-from flexopt.loop.outcome import DEAD_TIME, SLOWEST_MOTIONS, LoopPoint, Measured
+from flexopt.loop.outcome import SLOWEST_MOTIONS, LoopPoint, Measured
 from flexopt.loop.settings import LoopSettings
+from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.choices import ALLOWANCE, DECAY
 from flexopt.selection.outcomes.borders import AllowedGain, DelayMargin, Radius

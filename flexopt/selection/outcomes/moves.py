@@ -112,5 +112,5 @@ def _decays(at: ProgramPoint, point: LoopPoint) -> list[Branch]:
 
 
 def _joined(found: list[Branch]) -> Branches:
-    values, slopes, by_level = zip(*sorted(found, key=lambda entry: entry[0]), strict=True)
-    return Branches(np.array(values), np.array(slopes), np.array(by_level))
+    values, slopes, by_level = zip(*found, strict=True)
+    return Branches(np.array(values), np.array(slopes), np.array(by_level)).in_order

@@ -93,7 +93,7 @@ class OutcomeProgram:
         """The configuration."""
         return y[: self.n_z] * self.problem.scale
 
-    @property
+    @cached_property
     def row_bounds(self) -> tuple[Vector, Vector, Vector]:
         """Lower and upper bounds and scales of the rows."""
         lower, upper, scale = self.problem.row_bounds
@@ -247,8 +247,7 @@ class ProgramPoint:
             found.append(Branches(told.values, told.slopes, np.zeros(len(told.values))))
         values, slopes, by_level = (np.concatenate([getattr(each, name) for each in found])
                                     for name in ("values", "slopes", "by_level"))  # fmt: skip
-        order = np.argsort(values, kind="stable")
-        return Branches(values[order], slopes[order], by_level[order])
+        return Branches(values, slopes, by_level).in_order
 
     def once(self, name: str, made: Callable[[], Any]) -> Any:
         """What is the same at every level."""
@@ -273,8 +272,8 @@ class KeptPoint(ProgramPoint):
         bound: what the measure must be at least, without its sign.
     """
 
-    parent: ProgramPoint | None = None
-    bound: float = 1.0
+    parent: ProgramPoint = field(kw_only=True)
+    bound: float = field(kw_only=True)
 
     @property
     def size(self) -> float:
@@ -284,10 +283,8 @@ class KeptPoint(ProgramPoint):
     @cached_property
     def points(self) -> list[LoopPoint]:
         """Of every member."""
-        return super().points if self.parent is None else self.parent.points
+        return self.parent.points
 
     def once(self, name: str, made: Callable[[], Any]) -> Any:
         """As of the place."""
-        if self.parent is None:
-            return super().once(name, made)
         return self.parent.once(f"{name} kept by {self.bound!r}", made)

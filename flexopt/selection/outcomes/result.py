@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from flexopt.foundation.arrays import Document
+from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.plain import counted
 from flexopt.loop.region import LARGEST
 from flexopt.loop.settings import LoopSettings
-from flexopt.model.choices import DECAY
-from flexopt.model.constraints import LeastOutcomes
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import Uncertainty
+from flexopt.selection.outcomes.asked import Asked, broken_told, documents_of
 from flexopt.selection.outcomes.branches import Measure
-from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import Selection, units_of_columns, unverified_told
 
@@ -31,22 +29,50 @@ def asked_of_loop(document: Document, objective: str) -> Document:
     return document | {"objective": objective, "weights": weights, "objectives": objectives}
 
 
-def asked_by_loop(
-    problem: SelectionProblem,
-    objective: str,
-    loop: Loop,
-    uncertainty: Sequence[Uncertainty],
-    least: LeastOutcomes | None,
-) -> Document:
-    """What was asked beside the target, as provenance has it; `least`: of the loop, which the problem does not hold."""
-    known, stated = [each.model_dump(exclude_none=True) for each in uncertainty], problem.stated
-    if least is not None:
-        stated["constraints"] |= {"outcome": least.model_dump(exclude_none=True)}
-    return stated | {"objective": objective, "loop": loop.model_dump(exclude_unset=True), "ranges": known}
+@dataclass(frozen=True, repr=False)
+class ChosenByLoop:
+    """What choices by a measure of the loop have in common, of one target and of several.
+
+    Attributes:
+        asked: of the loop;  criterion: what is sought.
+    """
+
+    asked: Asked = field(repr=False, kw_only=True)
+    criterion: Measure = field(repr=False, kw_only=True)
+
+    @property
+    def measure(self) -> str:
+        """Its name."""
+        return self.criterion.told
+
+    @property
+    def loop(self) -> Loop:
+        """As it was given."""
+        return self.asked.loop
+
+    @property
+    def uncertainty(self) -> tuple[Uncertainty, ...]:
+        """What the worst case is taken over; empty: none."""
+        return self.asked.uncertainty
+
+    @property
+    def _uncertainty(self) -> list[dict[str, Any]]:
+        return documents_of(self.uncertainty)
+
+    def _chosen(self, settings: LoopSettings) -> dict[str, float]:
+        """Gains that were chosen with the configuration."""
+        return {name: float(getattr(settings, name)[0]) for name in gain_ranges(self.loop)}
+
+    def _breaks(
+        self, problems: Sequence[SelectionProblem], settings: LoopSettings, stand: Sequence[tuple[Vector, Vector]]
+    ) -> list[str]:
+        """At each target what the loop does not do of what it must at least, base and posture there: "breaks …"."""
+        pairs = zip(problems, stand, strict=True)
+        return [broken_told(self.asked.broken(problem, settings, *there)) for problem, there in pairs]
 
 
 @dataclass(frozen=True, repr=False)
-class OutcomeSelection(Selection):
+class OutcomeSelection(ChosenByLoop, Selection):
     """The answer to a configuration problem by what the loop does.
 
     Attributes:
@@ -57,18 +83,16 @@ class OutcomeSelection(Selection):
             before the loop grows, looked for up to 10; the fastest loop is often the most fragile one.
         loop: as it was given;  uncertainty: what the worst case is taken over; empty: none.
         present: the measure of the present configuration, of the machine's own numbers, where there is one that has it.
-        present_broken: of what the loop must do at least, what that of the present configuration does not.
+        present_broken: of what the loop must do at least, and of what objectives before keep, what that of the present
+            configuration does not.
         others: as of `Selection`, `unverified` in the measure's own unit; `initial` has the gains of the best candidate
             where gains were chosen.
     """
 
-    criterion: Measure = field(default=MEASURES[DECAY], repr=False)
     present: float | None = None
     present_broken: tuple[str, ...] = field(default=(), repr=False)
     radii: tuple[float, ...] = ()
     settings: tuple[LoopSettings, ...] = field(default=(), repr=False)
-    loop: Loop | None = field(default=None, repr=False)
-    uncertainty: tuple[Uncertainty, ...] = ()
 
     _OWN = " measure gains radii uncertainty=_uncertainty"
     DOCUMENT = Selection.DOCUMENT.replace("problem ", "problem=_asked ") + _OWN
@@ -76,13 +100,11 @@ class OutcomeSelection(Selection):
     @property
     def gains(self) -> tuple[dict[str, float], ...]:
         """See the class."""
-        names = {} if self.loop is None else gain_ranges(self.loop)
-        return tuple({name: float(getattr(each, name)[0]) for name in names} for each in self.settings)
+        return tuple(map(self._chosen, self.settings))
 
-    @property
-    def measure(self) -> str:
-        """See the class."""
-        return self.criterion.told
+    def loops_break(self, stand: Sequence[tuple[Vector, Vector]]) -> list[str]:
+        """As of `ByLoop`, with the gains of the best candidate."""
+        return self._breaks((self.problem,), self.settings[0], stand)
 
     @property
     def objective_unit(self) -> str:
@@ -92,10 +114,6 @@ class OutcomeSelection(Selection):
     @property
     def _asked(self) -> Document:
         return asked_of_loop(self.problem.to_dict(), self.objective)
-
-    @property
-    def _uncertainty(self) -> list[dict[str, Any]]:
-        return [each.model_dump(exclude_none=True) for each in self.uncertainty]
 
     @property
     def status(self) -> str:
@@ -141,12 +159,7 @@ class OutcomeSelection(Selection):
     @property
     def present_told(self) -> str:
         """As of `Selection`, and what its loop breaks of the constraint `outcome`."""
-        return "; ".join(filter(None, (super().present_told, self.present_broken_told)))
-
-    @property
-    def present_broken_told(self) -> str:
-        """`present_broken` in words: "breaks …", or nothing."""
-        return f"breaks {', '.join(self.present_broken)}" if self.present_broken else ""
+        return "; ".join(filter(None, (super().present_told, broken_told(self.present_broken))))
 
     @property
     def remarks(self) -> tuple[str, ...]:

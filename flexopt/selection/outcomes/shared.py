@@ -95,13 +95,9 @@ class SharedProgram(OutcomeProgram):
         found: Vector = self._spread(ys, self.n_z + len(self.ranges))
         return found
 
-    @property
+    @cached_property
     def row_bounds(self) -> tuple[Vector, Vector, Vector]:
         """See `OutcomeProgram`."""
-        return self._row_bounds
-
-    @cached_property
-    def _row_bounds(self) -> tuple[Vector, Vector, Vector]:
         of_steps = -self.steps, self.steps, np.ones(self.steps.size)
         each = [*(target.row_bounds for target in self.targets), of_steps]
         lower, upper, scale = (np.concatenate(part) for part in zip(*each, strict=True))
@@ -157,7 +153,7 @@ class SharedProgram(OutcomeProgram):
 
     def place(self, y: Vector) -> ProgramPoint:
         """See `OutcomeProgram`."""
-        return SharedPoint(self, y, shared=self)
+        return SharedPoint(self, y)
 
     def rows(self, y: Vector) -> Vector:
         """See `OutcomeProgram`."""
@@ -170,10 +166,7 @@ class SharedProgram(OutcomeProgram):
 
     def meeting(self, y: Vector, level: float) -> SharedProgram | None:
         """See `OutcomeProgram`."""
-        found = tuple(
-            target.met_near(own, level)
-            for target, own in zip(self.targets, (y[place] for place in self.places), strict=True)
-        )
+        found = tuple(target.met_near(own, level) for target, own in self.parts(y))
         return replace(self, met_at=found) if any(found) else None
 
     def _wide(self, slopes: Vector, place: NDArray[np.int64]) -> Vector:
@@ -186,21 +179,19 @@ class SharedProgram(OutcomeProgram):
         """The branches of every target, the smallest first."""
         values, by_level = (np.concatenate([getattr(b, name) for b in each]) for name in ("values", "by_level"))
         slopes = np.vstack([self._wide(b.slopes, place) for b, place in zip(each, self.places, strict=True)])
-        order = np.argsort(values, kind="stable")
-        return Branches(values[order], slopes[order], by_level[order])
+        return Branches(values, slopes, by_level).in_order
 
 
 @dataclass(frozen=True, eq=False)
 class SharedPoint(ProgramPoint):
     """A `SharedProgram` at one y."""
 
-    shared: SharedProgram | None = None
+    program: SharedProgram
 
     @cached_property
     def parts(self) -> list[ProgramPoint]:
         """The place of each target."""
-        assert self.shared is not None
-        return [target.place(own) for target, own in self.shared.parts(self.y)]
+        return [target.place(own) for target, own in self.program.parts(self.y)]
 
     @cached_property
     def points(self) -> list[LoopPoint]:
@@ -209,8 +200,7 @@ class SharedPoint(ProgramPoint):
 
     def branches(self, level: float) -> Branches:
         """See `ProgramPoint`."""
-        assert self.shared is not None
-        return self.shared.joint([part.branches(level) for part in self.parts])
+        return self.program.joint([part.branches(level) for part in self.parts])
 
 
 @dataclass(frozen=True)
@@ -241,22 +231,19 @@ class ShortestWay(SharedProgram):
 
     def place(self, y: Vector) -> ProgramPoint:
         """See `OutcomeProgram`."""
-        return ShortestPoint(self, y, shared=self, way=self)
+        return ShortestPoint(self, y)
 
 
 @dataclass(frozen=True, eq=False)
 class ShortestPoint(SharedPoint):
     """A `ShortestWay` at one y."""
 
-    way: ShortestWay | None = None
+    program: ShortestWay
 
     def branches(self, level: float) -> Branches:
         """Minus the length, less the level, and what keeps the measure."""
-        assert self.way is not None
-        way = self.way
+        way = self.program
         kept = super().branches(way.measure.level(way.kept, way.size))
         values = np.append(kept.values, -way.length(self.y) - level)
         slopes = np.vstack([kept.slopes, -2 * way.differences.T @ (way.differences @ self.y)])
-        by_level = np.append(np.zeros(len(kept.values)), -1.0)
-        order = np.argsort(values, kind="stable")
-        return Branches(values[order], slopes[order], by_level[order])
+        return Branches(values, slopes, np.append(np.zeros(len(kept.values)), -1.0)).in_order

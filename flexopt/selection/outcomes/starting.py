@@ -96,16 +96,25 @@ def _known(
     program: OutcomeProgram, ys: list[Vector], workers: int
 ) -> tuple[OutcomeProgram, list[Vector], list[float]] | None:
     """The program with the size of its values, points that have one, and these; None where none has."""
-    values = None if program.least or not ys else program.measure.values(program, ys, workers)
-    if values is None:
-        blocks = [ys[k : k + BLOCK] for k in range(0, len(ys), BLOCK)]
-        found = in_parallel(partial(_values, program, blocks), len(blocks), workers)
-        values = [value for block in found for value in block]
+    # In stacks nothing is known of what the loop must do at least.
+    values = (_in_blocks if program.least else values_at)(program, ys, workers)
     known = [k for k, value in enumerate(values) if math.isfinite(value)]
     if not known:
         return None
     program = replace(program, size=max(abs(max(values)), np.finfo(float).tiny))
     return program, [ys[k] for k in known], [values[k] for k in known]
+
+
+def values_at(program: OutcomeProgram, ys: list[Vector], workers: int) -> list[float]:
+    """The worst member's measure at many points, in stacks or in processes."""
+    values = program.measure.values(program, ys, workers) if ys else []
+    return _in_blocks(program, ys, workers) if values is None else values
+
+
+def _in_blocks(program: OutcomeProgram, ys: list[Vector], workers: int) -> list[float]:
+    blocks = [ys[k : k + BLOCK] for k in range(0, len(ys), BLOCK)]
+    found = in_parallel(partial(_values, program, blocks), len(blocks), workers)
+    return [value for block in found for value in block]
 
 
 def _some_steps(

@@ -14,15 +14,17 @@ from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.plant.inverse_kinematics import low_discrepancy
+from flexopt.selection.outcomes.asked import Asked
 from flexopt.selection.outcomes.choice import least_over
 from flexopt.selection.outcomes.climb import Climbed, climbed
 from flexopt.selection.outcomes.shared import SharedProgram, ShortestWay
+from flexopt.selection.outcomes.starting import values_at
 from flexopt.selection.program import Program
-from flexopt.selection.several.by_loop import Asked, ByLoop, climbs_from, places_by_loop, values_at
+from flexopt.selection.several.by_loop import ByLoop, climbs_from, places_by_loop, shared_program
 from flexopt.selection.several.postures import Reached
 from flexopt.selection.several.results import BasePlan, FixedPlacement
 from flexopt.selection.several.standing import standing_along
-from flexopt.selection.several.ways import Layer, coarse_ways, nodes_of, on_lines, travelled
+from flexopt.selection.several.ways import Layer, coarse_ways, no_way, nodes_of, on_lines, travelled
 
 # Gains with which coarse ways are looked for, where they are chosen; ways for each.
 GAINS, WAYS = 6, 3
@@ -91,13 +93,12 @@ def outcome_plan(
     if any(not values.size for _, values in layers):
         sentence = "at one of the targets no configuration that was looked at keeps every constraint"
         raise NoSolutionFound(f"plan_base: {sentence}", violations={}, iterate={})
-    program = asked.program(problems, along.coupling, along.steps, layers[0][0][:, 0], begin)
+    program = shared_program(asked, problems, along.coupling, along.steps, layers[0][0][:, 0], begin)
     still = _standing(program, along, common, found, workers)
     looked = _looked(program, along, [_thinned(layer, _most(program)) for layer in layers], workers)
     looked += [] if still is None else [program.joined([own for _, own in still[0].parts(still[1].y)])]
     if not looked:
-        sentence = "with these rates no configurations of neighbouring targets are near enough"
-        raise NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
+        raise no_way()
     chosen, optima, unverified, attempts = climbs_from(program, looked, workers, progress)
     best = _shortest(chosen, optima[0])
     x = along.unwound(chosen.z(best.y))
@@ -124,11 +125,9 @@ def outcome_plan(
             first.machine, path=[p.target.tolist() for p in problems], times=due.tolist(),
             start=None if begin is None else begin.tolist(), **asked.stated(first),
         ),
+        asked=asked,
         criterion=chosen.measure,
         settings=chosen.at(y).settings,
-        loop=asked.loop,
-        uncertainty=asked.uncertainty,
-        least=asked.least,
         unverified=unverified,
     )  # fmt: skip
 
@@ -157,9 +156,8 @@ def _standing(
 
 def _fixed(program: SharedProgram, end: Climbed) -> FixedPlacement:
     zs = [target.z(own) for target, own in program.parts(end.y)]
-    n_b = len(program.problem.machine.base_coordinates)
     values = program.measure.sign * np.array(program.values(end.y))
-    return FixedPlacement(base=zs[0][:n_b], posture=np.array([z[n_b:] for z in zs]), V=values)
+    return FixedPlacement.of(len(program.problem.machine.base_coordinates), zs, values)
 
 
 def _allowed(z: Vector, value: Vector) -> Layer:

@@ -14,9 +14,11 @@ from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.selection.continua import unwound
+from flexopt.selection.outcomes.asked import Asked
 from flexopt.selection.outcomes.shared import SharedProgram
+from flexopt.selection.outcomes.starting import values_at
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.several.by_loop import Asked, ByLoop, climbs_from, places_by_loop, values_at
+from flexopt.selection.several.by_loop import ByLoop, climbs_from, places_by_loop, shared_program
 from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.results import Stand
 from flexopt.selection.several.standing import one_placement, other_placements
@@ -58,7 +60,7 @@ def outcome_stand(
         raise none_reaches_all(len(problems))
     z = found[0].z[:, whole[0], int(np.argmax(np.isfinite(found[0].value[whole[0]])))]
     coupling = one_placement(problems, np.ones(len(problems)), weighted=False).coupling
-    program = asked.program(problems, coupling, np.zeros(0), z)
+    program = shared_program(asked, problems, coupling, np.zeros(0), z)
     looked = _looked(program, found, whole, workers)
     chosen, optima, unverified, attempts = climbs_from(program, looked, workers, progress)
     best, sign = optima[0], chosen.measure.sign
@@ -74,11 +76,9 @@ def outcome_stand(
         attempts=attempts,
         problems=problems,
         provenance=provenance(first.machine, targets=[p.target.tolist() for p in problems], **asked.stated(first)),
+        asked=asked,
         criterion=chosen.measure,
         settings=chosen.at(best.y).settings,
-        loop=asked.loop,
-        uncertainty=asked.uncertainty,
-        least=asked.least,
         unverified=unverified,
     )
 

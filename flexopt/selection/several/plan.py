@@ -15,7 +15,7 @@ from typing import Any, Unpack, cast
 
 import numpy as np
 
-from flexopt.errors import Fault, FlexoptError, NoSolutionFound
+from flexopt.errors import Fault, FlexoptError, InputError, NoSolutionFound, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import ArrayLike, BaseLike, Document, Progress, TargetsLike, Vector
 from flexopt.foundation.boundary import Keywords, by, public
@@ -24,9 +24,9 @@ from flexopt.foundation.quantities import DURATION
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets
-from flexopt.model.choices import asks_for_loop, of_loop
+from flexopt.model.choices import asks_for_loop
 from flexopt.model.constraints import AnyConstraints
-from flexopt.model.loop import Loop, LoopLike, under_control
+from flexopt.model.loop import LoopLike
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionOptions, SharedKeywords
 from flexopt.model.targets import RATES, TIMES
@@ -34,17 +34,17 @@ from flexopt.model.uncertainty import RangesLike
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.check import infeasible
 from flexopt.selection.coupling import Coupling
+from flexopt.selection.outcomes.asked import Asked
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Program, values_of
-from flexopt.selection.several.by_loop import Asked
 from flexopt.selection.several.outcome_plan import outcome_plan
 from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.results import KEPT, BasePlan, FixedPlacement
 from flexopt.selection.several.solving import End, end_from, ends_from, not_below, places_at, taken_up, verified
 from flexopt.selection.several.standing import best_placements, one_placement, standing_along
 from flexopt.selection.several.targets import build_problems, sample_bases, single_measure
-from flexopt.selection.several.ways import coarse_ways, nodes_of, on_lines, travelled
-from flexopt.selection.solve import least_of, loop_notes, ranges_of, solved, without_loop
+from flexopt.selection.several.ways import coarse_ways, no_way, nodes_of, on_lines, travelled
+from flexopt.selection.solve import loop_notes, solved
 
 # Placements that are looked at, for one coordinate and for more: from which all targets may be reached, and for each
 # target alone.
@@ -152,11 +152,7 @@ def plan_base(
     )
     now = asked.base if asked.base is not None or begin is None else begin
     alone = asked.model_copy(update={"starts": None, "base": now})
-    least, word = least_of(constraints), cast(str, asked.objective)
-    by_loop = asks_for_loop(word, constraints)
-    if of_loop(word):
-        alone = alone.model_copy(update={"objective": "w1", "weights": None})
-    problems = build_problems("plan_base", machine, points, "path", alone, without_loop(constraints))
+    problems = build_problems("plan_base", machine, points, "path", alone, constraints)
     if begin is not None:
         _check_start(problems[0], begin)
     program = _along(problems, due, np.concatenate([base_rates, joint_rates]), begin)
@@ -164,11 +160,9 @@ def plan_base(
     common = sample_bases(problems, *COMMON, seed) if begin is None else begin[:, None]
     found = [reached_from(problem, common, seed) for problem in problems]
     by_target = _with_own(problems, found, begin, seed)
-    if by_loop:
-        real = cast("Loop | None", loop or machine.loop) or Loop()
-        own = under_control(real, machine, problems[0].control, "plan_base")
-        known = ranges_of(machine, ranges, word, least)
-        sought = Asked("plan_base", own, known, word, least)
+    word = cast(str, asked.objective)
+    if asks_for_loop(word, constraints):
+        sought = Asked.of("plan_base", problems[0], loop, ranges, word, constraints)
         counted = tuple(replace(problem, starts=asked.starts) for problem in problems)
         return outcome_plan(replace(program, problems=counted), due, begin, common, by_target, sought, count, progress)
     still = _standing_still(program, common, found, begin, count)
@@ -179,8 +173,7 @@ def plan_base(
     if still is not None:
         begins.append(program.packed(still))
     if not begins:
-        sentence = "with these rates no configurations of neighbouring targets are near enough"
-        raise NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
+        raise no_way()
     ends = ends_from(program, begins, count, progress)
     good = verified(program, ends, "way")
     attempts = len(ends), len(good)
@@ -199,7 +192,9 @@ def plan_base(
     return BasePlan(
         time=due,
         places=places,
-        still=None if still is None else _still(program, still),
+        still=None
+        if still is None
+        else FixedPlacement.of(len(machine.base_coordinates), still, program.values(program.packed(still))),
         between=on_lines(
             problems, due, [program.of(best, k) for k in range(len(problems))], lambda _, z: values_of(problems[0], z)
         ),
@@ -217,16 +212,13 @@ def plan_base(
 
 def _check_start(problem: SelectionProblem, begin: Vector) -> None:
     """The start of the base must be where the first target may be worked at."""
-    arguments = Arguments("plan_base")
-    for variable, x in zip(problem.variables, begin, strict=False):
-        if not variable.lower <= x <= variable.upper:
-            name, ends = (
-                variable.name.removeprefix("base."),
-                f"{variable.lower:g} to {variable.upper:g} {variable.unit}",
-            )
+    faults = list[Fault]()
+    for v, x in zip(problem.variables, begin, strict=False):
+        if not v.lower <= x <= v.upper:
+            ends = f"{v.lower:g} to {v.upper:g} {v.unit}"
             sentence = f"must lie in {ends}: in base_range, and where the first target is reached from"
-            arguments.faults.append(Fault(f"start ({name})", sentence, f"{x:g}"))
-    arguments.done()
+            faults.append(Fault(f"start ({v.name.removeprefix('base.')})", sentence, f"{x:g}"))
+    raise_if_any(InputError, "plan_base", faults)
 
 
 def _along(problems: tuple[SelectionProblem, ...], due: Vector, rates: Vector, begin: Vector | None) -> Program:
@@ -309,13 +301,6 @@ def _with_own(
     first = [] if begin is None else [[found[0]]]
     others = list(zip(problems, found, strict=True))[len(first) :]
     return first + [[both, reached_from(own, sample_bases((own,), *OWN, seed), seed)] for own, both in others]
-
-
-def _still(program: Program, zs: list[Vector]) -> FixedPlacement:
-    n_b = program.first.measures.plant.n_base
-    return FixedPlacement(
-        base=zs[0][:n_b], posture=np.array([z[n_b:] for z in zs]), V=program.values(program.packed(zs))
-    )
 
 
 def _shortest(program: Program, good: list[End]) -> End:

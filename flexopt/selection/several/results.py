@@ -333,6 +333,11 @@ class FixedPlacement:
     posture: Vector
     V: Vector
 
+    @staticmethod
+    def of(n_base: int, zs: list[Vector], values: Vector) -> FixedPlacement:
+        """From configurations [base, posture]."""
+        return FixedPlacement(zs[0][:n_base], np.array([z[n_base:] for z in zs]), values)
+
 
 @dataclass(frozen=True)
 class BasePlan(Pictured, ConfigurationSet):

@@ -25,6 +25,7 @@ from flexopt.selection.optima import (
     nearly_feasible,
     promising,
     solved_once,
+    taken_up_again,
 )
 from flexopt.selection.program import SOLVED, Program
 from flexopt.selection.seen import BETTER
@@ -56,14 +57,10 @@ class End:
 def ends_from(program: Program, starts: list[Vector], workers: int, progress: Progress | None) -> list[End]:
     """One end for each start, in order; those that pass no proof are climbed from where they may lead to more."""
 
-    def tell(done: int) -> None:
-        if progress is not None:
-            progress(done, len(starts))
-
     def lost(number: int, sentence: str) -> SolveOutcome:
         return starts[number], None, 0, sentence
 
-    solved = in_parallel(partial(_solved, program, starts), len(starts), workers, tell, lost=lost)
+    solved = in_parallel(partial(_solved, program, starts), len(starts), workers, progress, lost=lost)
     stopped = list[int]()
     for k, (x, proof, iterations, status) in enumerate(solved):
         if proof is not None and not proof.holds:
@@ -79,7 +76,7 @@ def ends_from(program: Program, starts: list[Vector], workers: int, progress: Pr
     def left(number: int, _: str) -> SolveOutcome:
         return solved[chosen[number]]
 
-    climbed = in_parallel(partial(_climbed, program, points), len(points), workers, lost=left)
+    climbed = in_parallel(partial(taken_up_again, program, points), len(points), workers, lost=left)
     for k, found in zip(chosen, climbed, strict=True):
         solved[k] = found
     return [_told(program, found) for found in solved]
@@ -93,10 +90,6 @@ def _solved(program: Program, starts: list[Vector], number: int) -> SolveOutcome
         return found
     again = solved_once(program, x)
     return again if again[1] is not None and again[1].holds else found
-
-
-def _climbed(program: Program, points: list[Vector], number: int) -> SolveOutcome:
-    return climbed_from(program, points[number])
 
 
 def end_from(program: Program, start: Vector) -> End:

@@ -14,25 +14,25 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets as several_targets
-from flexopt.model.choices import COMBINES, asks_for_loop, of_loop
+from flexopt.model.choices import COMBINES, asks_for_loop
 from flexopt.model.constraints import AnyConstraints
-from flexopt.model.loop import Loop, LoopLike, under_control
+from flexopt.model.loop import LoopLike
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionOptions, StandKeywords
 from flexopt.model.targets import SOME_SHARES
 from flexopt.model.uncertainty import RangesLike
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.continua import unwound, way_to
+from flexopt.selection.outcomes.asked import Asked
 from flexopt.selection.program import Program
 from flexopt.selection.result import TIE_TOLERANCE
-from flexopt.selection.several.by_loop import Asked
 from flexopt.selection.several.outcome_stand import outcome_stand
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.several.results import Stand
 from flexopt.selection.several.solving import End, places_at
 from flexopt.selection.several.standing import best_placements, default_starts, one_placement, other_placements
 from flexopt.selection.several.targets import build_problems, none_reaches_all, sample_bases, single_measure
-from flexopt.selection.solve import least_of, loop_notes, ranges_of, without_loop
+from flexopt.selection.solve import loop_notes
 
 # Placements that are looked at, for one coordinate and for more.
 BASES = 401, 512
@@ -104,23 +104,15 @@ def select_stand(
     )
     share = np.array(asked.shares or (1.0,) * len(points))
     share = share / share.sum()
-    least, word = least_of(constraints), cast(str, asked.objective)
-    if asks_for_loop(word, constraints):
-        modes = not of_loop(word)
-        asked_of_modes = asked.model_copy(update={} if modes else {"objective": "w1", "weights": None})
-        problems = build_problems("select_stand", machine, points, "targets", asked_of_modes, without_loop(constraints))
-        bases = sample_bases(problems, *BASES, asked.seed)
-        if not bases.shape[1]:
-            raise none_reaches_all(len(points))
-        real = cast("Loop | None", loop or machine.loop) or Loop()
-        own = under_control(real, machine, problems[0].control, "select_stand")
-        known = ranges_of(machine, ranges, word, least)
-        return outcome_stand(problems, bases, Asked("select_stand", own, known, word, least), count, progress)
     problems = build_problems("select_stand", machine, points, "targets", asked, constraints)
-    program = one_placement(problems, share, weighted=asked.combine == "weighted")
     bases = sample_bases(problems, *BASES, asked.seed)
     if not bases.shape[1]:
         raise none_reaches_all(len(points))
+    word = cast(str, asked.objective)
+    if asks_for_loop(word, constraints):
+        sought = Asked.of("select_stand", problems[0], loop, ranges, word, constraints)
+        return outcome_stand(problems, bases, sought, count, progress)
+    program = one_placement(problems, share, weighted=asked.combine == "weighted")
     found = [reached_from(problem, bases, asked.seed) for problem in problems]
     good, unverified, attempts = best_placements(
         program, bases, found, asked.starts or default_starts(program), asked.seed, count, progress

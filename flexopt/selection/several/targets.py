@@ -11,17 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.errors import Fault, UnreachableTarget, sentence_list
+from flexopt.errors import Fault, InputError, UnreachableTarget, raise_if_any, sentence_list
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import shown
 from flexopt.model import AnyMachine
-from flexopt.model.choices import asks_for_loop
+from flexopt.model.choices import asks_for_loop, of_loop
 from flexopt.model.constraints import AnyConstraints
 from flexopt.model.problem import SelectionOptions
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.selection.build import build_one
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.solve import without_loop
 
 
 def build_problems(
@@ -38,7 +39,7 @@ def build_problems(
         call: the function that asks;  field: its argument that the targets are.
         machine: a machine.
         points: targets (K, n_task), m.
-        options, constraints: arguments of `flexopt.build_selection`, checked.
+        options, constraints: arguments of `flexopt.build_selection`, checked; what of them is the loop's is left out.
 
     Raises:
         InputError: several objectives, or ε_max among them.
@@ -48,11 +49,13 @@ def build_problems(
     asked = SelectionOptions.model_construct(
         **{name: getattr(options, name) for name in options.model_fields_set & names}
     )
+    if of_loop(options.objective):
+        asked = asked.model_copy(update={"objective": "w1", "weights": None})
     problems: list[SelectionProblem] = []
     missed: list[tuple[Fault, UnreachableTarget]] = []
     for k, point in enumerate(points):
         try:
-            problems.append(build_one(machine, point, constraints, asked, points))
+            problems.append(build_one(machine, point, without_loop(constraints), asked, points))
         except UnreachableTarget as error:
             missed.append((Fault(f"{field}[{k}]", str(error)), error))
     if missed:
@@ -62,9 +65,7 @@ def build_problems(
     first = problems[0].objective
     if len(problems[0].sought) > 1 or first.has_kinks:
         sentence = "must be a single one of the w_i or V without ε_max, where several configurations belong together"
-        arguments = Arguments(call)
-        arguments.faults.append(Fault("objective", sentence, shown(options.objective)))
-        arguments.done()
+        raise_if_any(InputError, call, [Fault("objective", sentence, shown(options.objective))])
     sizes = tuple(np.median([problem.objective_scales for problem in problems], axis=0).tolist())
     return tuple(replace(problem, objective_scales=sizes) for problem in problems)
 

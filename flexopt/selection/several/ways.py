@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.plant.inverse_kinematics import REACHED, solve_postures
@@ -57,6 +58,12 @@ def coarse_ways(program: Program, layers: list[Layer], count: int) -> list[Vecto
         if way is not None and not any(np.array_equal(way, other) for other in ways):
             ways.append(way)
     return [way * program.scale for way in ways[:count]]
+
+
+def no_way() -> NoSolutionFound:
+    """The error where there is none."""
+    sentence = "with these rates no configurations of neighbouring targets are near enough"
+    return NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
 
 
 def _best_way(layers: list[Layer], limits: Vector, turns: NDArray[np.bool_]) -> Vector | None:
