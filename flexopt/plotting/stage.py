@@ -8,6 +8,7 @@ In: a `Film`, the rows of a run that are drawn. Out: pictures, one for each row.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -70,7 +71,7 @@ def decimals(film: Film) -> int:
     return max(1, math.ceil(-math.log10(float(steps[steps > 0].min()))))
 
 
-class Shots:
+class Shots(ABC):
     """What films have in common: panels beside the scene, each with a cursor, a clock, a background drawn once."""
 
     def __init__(self, film: Film, size: tuple[float, float]) -> None:
@@ -118,9 +119,9 @@ class Shots:
         rgba: NDArray[np.uint8] = np.array(picture)
         return rgba[..., :3].copy()
 
+    @abstractmethod
     def _move(self, k: int) -> None:
         """Put everything where it is in row k."""
-        raise NotImplementedError
 
 
 class Stage(Shots):
