@@ -209,7 +209,7 @@ def _radius_guaranteed(loop: UncertainLoop, radius: float, boxes: int, stages: S
         told = partial(_ahead, stages, begun)
         best = max(best, certified_radius(_scaled(loop, size), size, boxes=boxes, told=told))
         size /= 2
-    return best
+    return min(best, radius)
 
 
 def _ahead(stages: Stages, begun: int, spent: float) -> None:
@@ -256,4 +256,4 @@ def _radius(loop: UncertainLoop, points: int) -> tuple[float, dict[str, float], 
         else:
             high, first = tried, here.box.told(at)
         tried = (low + high) / 2
-    return math.exp(low), first, looked
+    return min(math.exp(low), LARGEST), first, looked
