@@ -121,8 +121,8 @@ def _check_kind(options: dict[str, Any]) -> None:
 def verify_command(as_json: bool, folder: str, **options: Any) -> None:
     """Examine the bundle in DIR: compilers, Python's numbers, sanitizers, emulated processors, objects, MISRA.
 
-    Writes verification/report.html and report.json inside it. Missing tools are named. Exit code 3 where a check
-    failed, or where the target asked for could not be verified.
+    Writes verification/report.html and report.json inside it, check by check; a report on other targets stays beside
+    them. Missing tools are named. Exit code 3 where a check failed, or where the target asked for could not be verified.
     """
     from flexopt.export import verify_bundle  # noqa: PLC0415  (only this command needs it)
 
