@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -66,6 +66,11 @@ class FieldPlane:
         if any(self.logarithmic):
             return "auto"
         return "equal" if 0.25 <= float(np.ptp(self.y) / np.ptp(self.x)) <= 4.0 else "auto"
+
+
+def array_of(dataset: Any, name: str) -> Array:
+    """A variable of a map's dataset."""
+    return np.asarray(dataset[name].values, dtype=float)
 
 
 def cell_edges(values: Array) -> Array:
