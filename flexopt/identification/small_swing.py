@@ -20,7 +20,7 @@ from flexopt.foundation.arrays import Array, ComplexArray, Vector
 from flexopt.identification.log import MeasuredLog
 from flexopt.identification.measured import MISTAKEN
 from flexopt.identification.poles import Poles
-from flexopt.identification.swing import HeldSwing, eigen
+from flexopt.identification.swing import HeldSwing, eigen, oscillations
 from flexopt.plant.reach import outer_reach
 
 # Nothing known beyond the file: its numbers are right within a factor of e³, in standard deviations.
@@ -82,9 +82,7 @@ class SmallSwing:
         """C exp(A t), (N, c, 2m); not finite where its modes are out of bounds."""
         a, c, _ = self.swing.linear(theta)
         roots, v = eigen(a)
-        t = self.time - self.time[0]
-        waves: Any = np.exp(np.minimum(np.outer(t, roots.real), 60.0) + 1j * np.outer(t, roots.imag))
-        return np.einsum("cj,nj,jk->nck", c @ v, waves, np.linalg.inv(v)).real
+        return np.einsum("cj,nj,jk->nck", c @ v, oscillations(roots, self.time), np.linalg.inv(v)).real
 
     def fitted(self, theta: Vector, columns: Sequence[int] | None = None) -> tuple[Vector, Vector, Array]:
         """Residuals in multiples of sigma, the deviation x0 from rest, and what it gives in all columns (N, c).
