@@ -269,8 +269,6 @@ def _values(at: Context, measures: Measures, kernels: OptimiserKernels, texts: M
     """What header and configuration ask for."""
     real: Real = "float" if at.single else "double"
     plant, machine = measures.plant, measures.plant.machine
-    units = [*machine.base_units, *machine.joint_units]
-    names = [f"base.{c}" for c in machine.base_coordinates] + list(machine.joints)
     bounds = bounds_of(machine)
     ranges = [parameter_range(parameter) for parameter in machine.parameters]
     idle = _idle(measures)
@@ -287,8 +285,8 @@ def _values(at: Context, measures: Measures, kernels: OptimiserKernels, texts: M
             "machine": machine,
             "control": measures.control,
             "gravity": measures.gravity,
-            "variables": names,
-            "indices": constants(names),
+            "variables": at.choice,
+            "indices": constants(at.choice),
             "n_base": plant.n_base,
             "n_task": plant.n_task,
             "n_modes": plant.n_passive,
@@ -323,7 +321,7 @@ def _values(at: Context, measures: Measures, kernels: OptimiserKernels, texts: M
             "margin_edge": MARGIN_EDGE[real] if many_rows else 0.0,
             "target_tolerance": TARGET_TOLERANCES[real] * EPSILON[real],
             "margin_tolerance": 4 * (MARGIN_EDGE[real] if many_rows else EDGE * EPSILON[real]),
-            "angles": [int(unit == "rad") for unit in units],
+            "angles": [int(unit == "rad") for unit in at.choice_units],
             "spare": [*_spare(measures, idle), *still],
             "base_idle": kernels.posture is None and all(idle),
         }

@@ -126,7 +126,7 @@ class OptimiserPart:
             on_target=self.writer.number(self.on_target),
             z_tolerance=self.writer.number(Z_TOLERANCE),
             compare_z=int(self.real == "double"),
-            turns=[int(unit == "rad") for unit in self.units],
+            turns=[int(unit == "rad") for unit in self.at.choice_units],
             far_known=int(_far_row(self.at.machine) >= 0),
             far_row=_far_row(self.at.machine),
             nan_target=f"({self.prefix}_real)NAN",
@@ -143,17 +143,6 @@ class OptimiserPart:
     def on_target(self) -> float:
         """How far from the target still counts as on it, m."""
         return ON_TARGET[self.real] * max(1.0, outer_reach(self.at.plant)[1])
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        """Names of the variables z: the placement, then the actuated joints."""
-        machine = self.at.machine
-        return (*(f"base.{name}" for name in machine.base_coordinates), *machine.joints)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Unit of each variable of z, m or rad."""
-        return (*self.at.machine.base_units, *self.at.machine.joint_units)
 
     def vectors(self, count: int, seed: int) -> tuple[ReferenceProblem, ...]:
         """Random problems and starts with their verified optima."""
@@ -186,7 +175,7 @@ class OptimiserPart:
             budget=self.sources.budget,
             model_cost=self.sources.model_cost,
             control=self.at.control,
-            variables=list(zip(self.variables, self.units, strict=True)),
+            variables=list(zip(self.at.choice, self.at.choice_units, strict=True)),
             rows=self.at.machine.task_rows,
             example=self._example,
             statuses=self.statuses,
@@ -195,7 +184,7 @@ class OptimiserPart:
     def manifest(self) -> dict[str, Any]:
         """What manifest.json says of the part beside title and source."""
         plant, machine = self.at.plant, self.at.machine
-        n_z, of_z = len(self.units), unit_list(self.units)
+        n_z, of_z = len(self.at.choice_units), unit_list(self.at.choice_units)
 
         def field(name: str, shape: Sequence[int], unit: str, text: str) -> dict[str, Any]:
             return {"name": name, "shape": list(shape), "unit": unit, "text": text}
@@ -225,8 +214,8 @@ class OptimiserPart:
         return {
             "header": f"include/{self.prefix}_optimiser.h",
             "functions": list(self.functions),
-            "variables": list(self.variables),
-            "units": list(self.units),
+            "variables": list(self.at.choice),
+            "units": list(self.at.choice_units),
             "inputs": inputs,
             "outputs": outputs,
             "statuses": self.sources.statuses,
