@@ -298,7 +298,8 @@ def operation_of(
     options: Mapping[str, Any] | None = None,
 ) -> Operation:
     """An operation of graphs: inputs with their symbols, `p` unless it is baked, outputs with their sizes, guards."""
-    fields, results, refusing = (tuple(each[0] for each in listed) for listed in (inputs, outputs, guards))
+    fields, results = tuple(field for field, _ in inputs), tuple(field for field, _, _ in outputs)
+    refusing = tuple(guard for guard, _ in guards)
     symbols, names = [*(x for _, x in inputs), *p], [*(field.name for field in fields), *["p"] * len(p)]
     graphs, sizes = [*(x for _, x, _ in outputs), *(x for _, x in guards)], [size for _, _, size in outputs]
     told = [each.name for each in (*results, *refusing)]

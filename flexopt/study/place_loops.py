@@ -122,9 +122,10 @@ def configurations_of(chosen: Chosen) -> dict[str, Configurations]:
         found = [(each.evaluation,) for each in chosen.candidates[:LOOKED]]
     else:
         problems, others = chosen.problems, list[Configurations | None]()
+        now = problems[0].present_base
         if isinstance(chosen, Stand):
             others += [held_from(problems, base) for _, base in chosen.alternatives[: LOOKED - 1]]
-        elif chosen.still is not None and not np.array_equal(chosen.still.base, problems[0].present_base):
+        elif chosen.still is not None and not (now is not None and np.array_equal(chosen.still.base, now)):
             others.append(_evaluated(problems, [np.append(chosen.still.base, q) for q in chosen.still.posture]))
         found = [tuple(place.evaluation for place in chosen.places), *(each for each in others if each is not None)]
     named = {f"candidate {k}": each for k, each in enumerate(found, start=1)}
