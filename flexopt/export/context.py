@@ -15,11 +15,11 @@ import casadi as ca
 import numpy as np
 
 from flexopt.export.operations import Field, Guard, Operation, Parameters, Sizes, operation_of
-from flexopt.export.parameters import machine_parameters
 from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import COORDINATE_MAX, coordinate_max
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
+from flexopt.model.parameter_ranges import parameter_range
 from flexopt.plant import Plant, build_plant
 from flexopt.robustness.measures import Measures, build_measures
 
@@ -32,6 +32,8 @@ LIMIT_ALLOWANCE_DEG, LIMIT_ALLOWANCE_M = 5.0, 0.05
 # How far angles that turn freely may have been counted on, rad: single precision still tells 6e-5 rad there.
 TURNED_MAX = {False: 1e6, True: 1e3}
 
+# How far a parameter that is 0 is drawn from it.
+AWAY_FROM_ZERO = {"m": 0.02, "rad": 0.02}
 # Samples of a joint or a placement coordinate without limits: a turn, or as far each way, m.
 NEAR = {"rad": math.pi, "m": 2.0}
 
@@ -105,7 +107,11 @@ class Context:
     @cached_property
     def parameters(self) -> Parameters:
         """The machine's parameters and their ranges."""
-        return machine_parameters(self.machine.parameters, single=self.single)
+        listed = self.machine.parameters
+        low, high = zip(*(parameter_range(p) for p in listed), strict=True)
+        names, values, units = zip(*listed, strict=True)
+        spread = tuple(0.2 * abs(p.value) if p.value else AWAY_FROM_ZERO.get(p.unit, 0.0) for p in listed)
+        return Parameters(names, units, values, low, high, spread, self.single)
 
     @cached_property
     def measures(self) -> Measures:

@@ -22,7 +22,6 @@ from flexopt.export.context import Context, build_context
 from flexopt.export.kernels import Kernel, Real, kernel_text
 from flexopt.export.naming import CWriter, constants
 from flexopt.export.optimiser_kernels import OptimiserKernels, build_optimiser_kernels
-from flexopt.export.parameters import parameter_range
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Array
 from flexopt.foundation.boundary import anything, by, public, words
@@ -30,6 +29,7 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import COORDINATE_MAX, whole_number
 from flexopt.model import AnyMachine
 from flexopt.model.choices import SINGULARITY_MARGIN_DEG
+from flexopt.model.parameter_ranges import parameter_range
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reach import path_to_end_point
 from flexopt.robustness.measures import Measures, build_measures

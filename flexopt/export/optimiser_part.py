@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -95,18 +95,13 @@ class OptimiserPart:
         return CWriter(self.prefix, self.real)
 
     @cached_property
-    def header(self) -> str:
-        """The public header."""
-        return self.sources.header
-
-    @cached_property
     def library_files(self) -> dict[str, str]:
         """Path -> text of header and source."""
         source = self.writer.render(
             "optimiser_part.c", casadi=package_version("casadi"), body=self.sources.source.strip()
         )
         return {
-            f"include/{self.prefix}_optimiser.h": self.header,
+            f"include/{self.prefix}_optimiser.h": self.sources.header,
             f"src/{self.prefix}_optimiser.c": source,
         }
 
@@ -132,12 +127,8 @@ class OptimiserPart:
             nan_target=f"({self.prefix}_real)NAN",
             far=self.writer.number(1e5),
         )
-        return {"test/optimiser_selftest.h": selftest} | self.driver_files
-
-    @property
-    def driver_files(self) -> dict[str, str]:
-        """Path -> text of the program that replays calls from a file."""
-        return {"test/optimiser_driver.c": self.writer.render("optimiser_driver.c")}
+        driver = self.writer.render("optimiser_driver.c")
+        return {"test/optimiser_selftest.h": selftest, "test/optimiser_driver.c": driver}
 
     @property
     def on_target(self) -> float:
@@ -152,11 +143,6 @@ class OptimiserPart:
     def margin_deg(self) -> float:
         """The distance from singular postures that the problems keep, degrees."""
         return float(f"{math.degrees(math.asin(self.at.singularity_margin)):.12g}")
-
-    @property
-    def statuses(self) -> Mapping[str, tuple[int, str]]:
-        """Name -> value and meaning."""
-        return self.sources.status_texts
 
     @cached_property
     def _example(self) -> str:
@@ -178,7 +164,7 @@ class OptimiserPart:
             variables=list(zip(self.at.choice, self.at.choice_units, strict=True)),
             rows=self.at.machine.task_rows,
             example=self._example,
-            statuses=self.statuses,
+            statuses=self.sources.status_texts,
         )
 
     def manifest(self) -> dict[str, Any]:

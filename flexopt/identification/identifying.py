@@ -12,7 +12,7 @@ import numpy as np
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Array, ArrayLike, BaseLike, PostureLike, Progress, RangeLike, Vector
-from flexopt.foundation.boundary import of_machine, public
+from flexopt.foundation.boundary import by, of_machine, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import Quantity, pair, vector
 from flexopt.foundation.stages import Stages
@@ -56,17 +56,18 @@ NOISE = 0.02
 STARTED, GROWN, FITTED, STAGES = 5, 11, 19, 20
 
 
-def _window(arguments: Arguments, field: str, value: Any) -> tuple[float, float] | None:
-    return arguments.checked(field, value, pair(Quantity("s", low=-1e9, high=1e9)), None)
-
-
 def _imu(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> Any:
     axes = machine.kinematic_tree.axes
     place = vector(f"{len(axes)} numbers, {', '.join(axes)} in m", Quantity("m", low=-1e4, high=1e4), axes)
     return arguments.checked(field, value, place, None)
 
 
-@public(log=of_machine(read_log), unknown=of_machine(read_unknown), window=_window, imu=of_machine(_imu))
+@public(
+    log=of_machine(read_log),
+    unknown=of_machine(read_unknown),
+    window=by(pair(Quantity("s", low=-1e9, high=1e9))),
+    imu=of_machine(_imu),
+)
 def identify(
     machine: AnyMachine,
     log: str | os.PathLike[str] | Mapping[str, ArrayLike] | FrameLike,

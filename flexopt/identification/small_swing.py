@@ -135,7 +135,7 @@ def small_modes(swing: HeldSwing, theta: Vector) -> tuple[ComplexArray, ComplexA
     return roots, swing.linear(theta)[1] @ v
 
 
-def _alike(a: ComplexArray, b: ComplexArray) -> Array:
+def assurance(a: ComplexArray, b: ComplexArray) -> Array:
     """Modal assurance of shapes (c, k) and (c, l), columns scaled: (k, l) in 0 … 1."""
     inner = np.abs(a.conj().T @ b) ** 2
     return inner / np.maximum(np.outer((np.abs(a) ** 2).sum(0), (np.abs(b) ** 2).sum(0)), 1e-300)
@@ -173,7 +173,7 @@ def matched(swing: HeldSwing, poles: Poles, scale: Vector, theta: Vector) -> Vec
         if not roots.size:
             return theta
         apart = np.abs(np.log(np.abs(poles.values))[:, None] - np.log(np.abs(roots))[None])
-        cost = weight[:, None] * (3.0 * apart + 1.0 - _alike(poles.shapes / scale[:, None], shapes / scale[:, None]))
+        cost = weight[:, None] * (3.0 * apart + 1.0 - assurance(poles.shapes / scale[:, None], shapes / scale[:, None]))
         data, model = linear_sum_assignment(cost)
 
         def residuals(

@@ -197,7 +197,8 @@ def verify_bundle(
 def _keep_other(result: Verification) -> None:
     """Put a report on other targets, which the newer one would replace, beside it."""
     try:
-        others = json.loads(result.page.with_suffix(".json").read_text(encoding="utf-8"))["targets"]
+        told = json.loads(result.page.with_suffix(".json").read_text(encoding="utf-8"))["targets"]
+        others = [target for target in TARGETS if target in told]
         if set(others) <= set(result.targets):
             return
         named = {path.suffix: path.read_bytes() for path in result.page.parent.glob(f"{result.page.stem}.*")}
@@ -225,10 +226,7 @@ def _files(bench: Bench) -> Finding:
     sentence = f"{len(bench.manifest['files'])} files unchanged"
     if here != there:
         return Finding(f"{sentence}; exported by {there}, compared with {here}", changed)
-    different = [name for name, text in texts.items() if name != MANIFEST and _differs(bench.folder / name, text)]
+    kept = {name: bench.folder / name for name in texts if name != MANIFEST}
+    different = [name for name, path in kept.items() if not path.is_file() or path.read_bytes() != texts[name].encode()]
     faults = [*changed, *(f"{name} is not what this flexopt writes" for name in different if not changed)]
     return Finding(f"{sentence}, and identical to a fresh export", faults)
-
-
-def _differs(path: Path, text: str) -> bool:
-    return not path.is_file() or path.read_bytes() != text.encode()
