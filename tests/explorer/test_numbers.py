@@ -180,7 +180,9 @@ def test_operations_stand_inside_each_other() -> None:
     }  # fmt: skip
     graphs = [graph for inner in single.values() for graph in (x + inner, x - inner, inner + inner * y, -inner)]
     graphs += [(x < y) + (y < x), (x < y) - (x <= y), (x < y) < (y <= x), (x == y) != (x < y)]
-    texts = {f"f{k}": script_of(ca.Function("f", [x, y], [graph], ["x", "y"], ["all"])) for k, graph in enumerate(graphs)}
+    texts = {
+        f"f{k}": script_of(ca.Function("f", [x, y], [graph], ["x", "y"], ["all"])) for k, graph in enumerate(graphs)
+    }
     points = [(0.0, 0.0), (0.0, 2.0), (2.0, 0.0), (2.0, 2.0), (3.0, -1.0)]
     model = model_script(explored("excavator")[1].page).split("// The machine")[0]
     asked = ",\n".join(f"({text})" for text in texts.values())
