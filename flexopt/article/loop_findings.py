@@ -14,7 +14,7 @@ from flexopt.article.closed_loops import OPTIMUM, WITH, WITHOUT, ClosedLoops, pe
 from flexopt.article.findings import ArticleFinding
 from flexopt.simulation import SampledLoop, Trajectory
 from flexopt.simulation.linear import EXACT
-from flexopt.study.gains import KV_HELD, RATIOS, BorderRow, GainMap, held_words
+from flexopt.study.gains import KV_HELD, RATIOS, GainMap, held_words
 
 # A step whose own damping changes the slowest decay by more than this share is no faithful one.
 FAITHFUL = 0.1
@@ -150,7 +150,7 @@ def integration_step(loops: ClosedLoops, gains: GainMap) -> ArticleFinding:
             "stated": [at_b.stated.growth_rate, at_b.stated.frequency_hz],
             "accurate_mode_with_stated_integrator": damped,
         },
-        "highest_resonance_hz": highest, "border_B": {row.integrator: _largest(row) for row in (stated, accurate)},
+        "highest_resonance_hz": highest, "border_B": {row.integrator: row.border.largest for row in (stated, accurate)},
     }  # fmt: skip
     quote = "0.005 s (i.e., 200 Hz), which is significantly higher than the resonant frequencies of the flexible system"
     return ArticleFinding("integration step", quote, "section 5.1", max(shares.values()) < FAITHFUL, sentence, numbers)
@@ -210,7 +210,3 @@ def _rate_near(loop: SampledLoop, frequency: float) -> float:
     """Growth rate of the pole nearest to a frequency, Hz."""
     poles = loop.poles
     return float(poles[np.argmin(np.abs(np.abs(poles.imag) / (2 * np.pi) - frequency))].real)
-
-
-def _largest(row: BorderRow) -> float | None:
-    return row.border.largest

@@ -11,13 +11,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
 from flexopt.foundation.palette import colors
 from flexopt.plotting.fields import cell_edges, draw_border, signed_colors
-from flexopt.plotting.panels import Panel, draw_panel
+from flexopt.plotting.panels import Panel, draw_stack
 from flexopt.plotting.scene import Actor, draw_scene, legend_above
 from flexopt.plotting.shape import chain, views
 from flexopt.plotting.sheet import SettledLayout, sized
@@ -59,13 +58,8 @@ def plot_figure10(stopped: BaseTrajectory, climb: BaseTrajectory) -> Figure:
             tuple((name, t.time, t.V) for name, t in both.items()),
         ),
     ]
-    drawn: list[Axes] = []
-    for row, panel in enumerate(panels):
-        drawn.append(figure.add_subplot(grid[row, 1], sharex=drawn[0] if drawn else None))
-        draw_panel(drawn[-1], panel, legend=row == 0)
-        drawn[-1].tick_params(labelbottom=row == len(panels) - 1)
-    drawn[0].set_xlim(0.0, 1.02 * float(climb.time[-1]))
-    drawn[-1].set_xlabel("time, s")
+    first = draw_stack(figure, [grid[row, 1] for row in range(3)], panels, legends=1)[0]
+    first.set_xlim(0.0, 1.02 * float(climb.time[-1]))
     return figure
 
 

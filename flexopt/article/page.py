@@ -1,16 +1,15 @@
-"""The report of `flexopt reproduce`: one HTML file that needs no other, and one JSON file.
+"""The page of `flexopt reproduce`: one HTML file that needs no other.
 
-In: a `Reproduction`. Out: `report.html` with its pictures inside, `report.json`.
+In: a `Reproduction`. Out: HTML, its pictures inside.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.study.gains import BorderRow
-from flexopt.study.page import PageTable, pictures, write_files
+from flexopt.study.page import PageTable, pictures
 
 if TYPE_CHECKING:
     from flexopt.article.reproduction import Reproduction
@@ -34,11 +33,6 @@ CAPTIONS = {
     "where it is 0; marks: nonlinear runs by RK4 at 200 Hz, crosses where they show another sign than this decay.",
     "gaps": "Not in the article: ν-gap between kr R0/s² and the full plant, and ε_max, as the damping grows.",
 }
-
-
-def write_report(result: Reproduction, folder: Path) -> tuple[Path, Path]:
-    """Write both files into `folder`, made if missing."""
-    return write_files(folder, report_html(result), result.to_dict())
 
 
 def report_html(result: Reproduction) -> str:

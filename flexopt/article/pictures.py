@@ -18,7 +18,7 @@ from flexopt.article.curves import Curve
 from flexopt.article.gaps import GapSweep
 from flexopt.foundation.arrays import Array
 from flexopt.foundation.palette import colors
-from flexopt.plotting.fields import LOWEST_SHOWN, draw_arms, draw_field, draw_regions, label_plane
+from flexopt.plotting.fields import LOWEST_SHOWN, array_of, draw_arms, draw_field, draw_regions, label_plane
 from flexopt.plotting.sheet import SettledLayout, sized
 from flexopt.plotting.units import labelled
 from flexopt.plotting.workspace import dataset_plane
@@ -32,7 +32,7 @@ NAMED = 0.1
 @sized
 def plot_figure5(inverse: Any, arms: Arms) -> Figure:
     """In-phase regions of modes 1 to 3, and the first two together (their intersection)."""
-    plane, in_phase = dataset_plane(inverse), _array(inverse, "in_phase")
+    plane, in_phase = dataset_plane(inverse), array_of(inverse, "in_phase")
     figure = Figure(figsize=(9.0, 9.0), layout=SettledLayout())
     panels = [*in_phase[:3], in_phase[0] * in_phase[1]]
     titles = ["(a) mode 1", "(b) mode 2", "(c) mode 3", "(d) modes 1 and 2 (intersection)"]
@@ -51,7 +51,7 @@ def plot_figure6(transpose: Any, inverse: Any, arms: Arms) -> Figure:
     figure = Figure(figsize=(11.0, 4.9), layout=SettledLayout())
     for k, (title, dataset) in enumerate((("(a) Jacobian transpose", transpose), ("(b) Jacobian inverse", inverse))):
         axes, plane = figure.add_subplot(1, 2, k + 1), dataset_plane(dataset)
-        draw_field(axes, plane, _array(dataset, "epsilon_max"), label=labelled("$\\epsilon_{max}$", ""), clipped=True)
+        draw_field(axes, plane, array_of(dataset, "epsilon_max"), label=labelled("$\\epsilon_{max}$", ""), clipped=True)
         draw_arms(axes, arms)
         gain = f"kr = {dataset.attrs['gain']:.4g} {dataset.attrs['gain_unit']}"
         label_plane(axes, plane, f"{title}, {gain}", left=k == 0)
@@ -64,7 +64,7 @@ def plot_figure7(transpose: Any, inverse: Any) -> Figure:
     """w_i over the workspace: a row for each control, a column for each mode."""
     figure = Figure(figsize=(13.0, 7.6), layout=SettledLayout())
     for row, (control, dataset) in enumerate((("transpose", transpose), ("inverse", inverse))):
-        plane, w, frequency = dataset_plane(dataset), _array(dataset, "w"), _array(dataset, "frequency_hz")
+        plane, w, frequency = dataset_plane(dataset), array_of(dataset, "w"), array_of(dataset, "frequency_hz")
         unit = dataset["w"].attrs["units"]
         for mode in range(len(w)):
             axes = figure.add_subplot(2, len(w), row * len(w) + mode + 1)
@@ -142,7 +142,3 @@ def plot_gaps(sweep: GapSweep) -> Figure:
     figure.axes[0].legend(title="grey: further optima of $w_1$")
     figure.suptitle("Rigid plant kr R0/s² against the full one (dotted: sin π/8)")
     return figure
-
-
-def _array(dataset: Any, name: str) -> Array:
-    return np.asarray(dataset[name].values, dtype=float)

@@ -33,6 +33,7 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.palette import THEMES, Theme
 from flexopt.foundation.pictures import Size, check_size
 from flexopt.foundation.results import Result
+from flexopt.foundation.stages import Stages
 from flexopt.foundation.turns import in_turn
 from flexopt.foundation.writing import make_folder
 from flexopt.model import AnyMachine
@@ -142,9 +143,10 @@ class Reproduction(Result):
         Raises:
             WriteError: a file cannot be written.
         """
-        from flexopt.article.page import write_report  # noqa: PLC0415  (imports what only reports need)
+        from flexopt.article.page import report_html  # noqa: PLC0415  (imports what only reports need)
+        from flexopt.study.page import write_files  # noqa: PLC0415
 
-        return write_report(self, Path(folder))
+        return write_files(Path(folder), report_html(self), self.to_dict())
 
     def write_figures(
         self,
@@ -200,22 +202,15 @@ def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None
         points: of the workspace maps, along x and y.
         progress: called with the number of stages done and of all.
     """
-    done = 0
-
-    def stage() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, STAGES)
-
+    stages = Stages(progress, STAGES)
     machine = article_machine()
     table = reproduce_table2()
     gain = table.inferred.kr
-    stage()
+    stages.next()
     maps: dict[Control, WorkspaceMap] = {}
     for control in CONTROLS:
         maps[control] = map_workspace(machine, control=control, gain=gain, points=points)
-        stage()
+        stages.next()
     frequencies = mean_frequencies(machine, maps["inverse"])
     height = PRINTED_WORKSPACE["A"][1]
     curves = {
@@ -223,22 +218,22 @@ def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None
         for control in CONTROLS
         for elbow in ELBOWS
     }
-    stage()
+    stages.next()
     selection = select(machine, TARGET, base=0.0)
     random = _random_postures(machine)
     rigid = {
         control: evaluate_points(machine, random, control=control, epsilon_max=False).rigid for control in CONTROLS
     }
-    stage()
+    stages.next()
     named = _named_postures(machine)
     optima = {f"optimum {k + 1}": c.evaluation.posture for k, c in enumerate(selection.candidates)}
     gaps = sweep_gaps(machine, named | optima, gain=gain)
-    stage()
+    stages.next()
     stands = article_stands(machine, selection, gain)
     loops = close_loops(machine, stands)
-    stage()
+    stages.next()
     gain_map = map_gains(machine, stands, loops.stated)
-    stage()
+    stages.next()
     lines = tuple(curves.values())
     at_b = {name: q for name, q in named.items() if name.startswith("B")}
     contradictions = (
@@ -263,7 +258,7 @@ def reproduce(*, points: tuple[int, int] = (400, 400), progress: Progress | None
         loop_findings.higher_gain(loops, gain_map),
         loop_findings.robust_controller(loops, gain_map),
     )
-    stage()
+    stages.next()
     arms = {name: _arm(machine, workspace_posture(machine, PRINTED_WORKSPACE[name])) for name in ("A", "B")}
     where = provenance(machine, points=points, gain=gain, random_postures=RANDOM_POSTURES, seed=0)
     return Reproduction(

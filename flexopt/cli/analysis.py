@@ -18,6 +18,7 @@ from flexopt.cli.common import (
     GAIN,
     GRAVITY,
     JSON,
+    OUT,
     WEIGHTS,
     announce,
     check_output,
@@ -27,16 +28,15 @@ from flexopt.cli.common import (
     numbers,
     of_picture,
     option,
-    option_names,
     print_json,
-    progress_bar,
     read,
     say,
     table,
+    tell,
     typed,
     value,
-    warnings_to_stderr,
     whole,
+    working,
     write_output,
 )
 from flexopt.cli.completing import argument
@@ -75,14 +75,11 @@ def ranges(text: str) -> Any:
 def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     """Frequencies, measures w_i and gradients of MACHINE (a name or a file) in one posture."""
     loaded = read(load, machine)
-    with option_names(options), warnings_to_stderr(as_json):
+    with working(options, as_json):
         posture = asked_posture("evaluate", loaded, options)
         loop = real_loop(loaded.loop, options.pop("loop"))
         result = evaluate(loaded, posture, loop=loop, **given(options, "base", "control", "gain", "damped", "gravity"))
-    if as_json:
-        print_json(result.to_dict())
-    else:
-        say(repr(result))
+    tell(result, as_json=as_json)
 
 
 @click.command("select", short_help="Best placement and posture for a target, or for several.")
@@ -139,7 +136,7 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
 )
 @value("--imu", "X,Y[,Z]", "With --log: where the accelerometer sits, as of `flexopt identify`.", numbers)
 @of_picture("Draw the choice: .png, .svg or .pdf.")
-@value("--out", "PATH", "Write the JSON document to a file, too.")
+@OUT
 @JSON
 def select_command(
     as_json: bool, machine: str, out: str | None, certify: bool, proof: str | None, log: str | None, **options: Any
@@ -159,7 +156,7 @@ def select_command(
         raise InputError("select: --imu goes with --log", [Fault("--imu", "goes with --log", str(imu))])
     judged = {name: options.pop(name) for name in ("loop", "ranges")}
     settings, own = _selection_settings(machine, options)
-    with option_names(judged):
+    with working(judged, as_json):
         _refuse_early(settings, judged, own)
     identified = None if log is None else _identified(log, imu, settings, as_json)
     if asks_for_loop(settings.get("objective"), settings.get("constraints")):
@@ -170,7 +167,7 @@ def select_command(
     if certify and "target" not in settings:
         sentence = "goes with a single target: of several no bound over all ways and placements is known"
         raise InputError(f"select: --certify {sentence}", [Fault("--certify", sentence)])
-    with option_names(options | judged), warnings_to_stderr(as_json), progress_bar() as progress:
+    with working(options | judged, as_json, "starts") as progress:
         result = _solver(settings)(**settings, progress=progress)
     certificate = _certificate(result, proof) if certify else None
     draw(result)
@@ -181,7 +178,7 @@ def select_command(
     judgement = None
     if judged_too:
         announce("the verdict follows, which may take minutes")
-        with option_names(judged), warnings_to_stderr(as_json), progress_bar("stages of the verdict") as progress:
+        with working(judged, as_json, "stages of the verdict") as progress:
             judgement = _judgement(result, own, **judged, progress=progress)
 
     def document() -> Document:
@@ -222,8 +219,7 @@ def _identified(swing: str, imu: Any, settings: dict[str, Any], as_json: bool) -
 
     held = {name: settings[name] for name in ("base", "gravity") if settings.get(name) is not None}
     held |= {} if imu is None else {"imu": imu}
-    named = option_names({"log": swing, **held})
-    with named, warnings_to_stderr(as_json), progress_bar("stages of the log") as progress:
+    with working({"log": swing, **held}, as_json, "stages of the log") as progress:
         held |= {"progress": progress}
         try:
             found = identify(settings["machine"], swing, **held)

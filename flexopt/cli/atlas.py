@@ -10,19 +10,16 @@ from flexopt.cli.common import (
     CONTROL,
     GRAVITY,
     JSON,
-    check_output,
-    check_picture,
     given,
-    hand_out,
+    handing_out,
     names,
     numbers,
     of_picture,
-    option_names,
     placement,
     read,
     value,
-    warnings_to_stderr,
     wholes,
+    working,
 )
 from flexopt.cli.completing import argument
 from flexopt.model import load
@@ -41,7 +38,7 @@ from flexopt.model import load
 @value("--out", "FILE.nc|FILE.json", "Write all curves and points to a netCDF file, or the document as JSON.")
 @of_picture("Draw the atlas: .png, .svg or .pdf.")
 @JSON
-def atlas_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
+def atlas_command(as_json: bool, machine: str, **options: Any) -> None:
     """All robust postures of MACHINE (a name or a file) over two of its joints.
 
     With two task rows curves w_i = 0, the points where two of them meet (w_i = w_j = 0), those where they end, singular
@@ -49,9 +46,8 @@ def atlas_command(as_json: bool, machine: str, out: str | None, **options: Any) 
     """
     from flexopt.study import atlas  # noqa: PLC0415  (only this command needs it)
 
-    draw = check_picture(options)
-    check_output("--out", out, (".nc", ".json"))
+    hand_out = handing_out(options, ".nc", ".json", as_json=as_json)
     loaded = read(load, machine)
-    with option_names(options), warnings_to_stderr(as_json):
+    with working(options, as_json):
         result = atlas(loaded, **given(options))
-    hand_out(result, out, draw, as_json=as_json)
+    hand_out(result)

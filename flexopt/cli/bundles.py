@@ -17,14 +17,11 @@ from flexopt.cli.common import (
     names,
     number,
     option,
-    option_names,
-    print_json,
-    progress_bar,
     read,
-    say,
+    tell,
     value,
-    warnings_to_stderr,
     whole,
+    working,
 )
 from flexopt.cli.completing import argument
 from flexopt.cli.fmu import fmu_options, write_fmu
@@ -91,12 +88,9 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
     check_folder("--out", out)
     settings = given(options, *(name for name in OF_BUNDLE if name != "out"), "control", "gain", "posture", "base")
     settings |= given({"loop": real_loop(loaded.loop, options["loop"])})
-    with option_names(options | {"out": out}), warnings_to_stderr(as_json):
+    with working(options | {"out": out}, as_json):
         report = export_c(loaded, out, **settings)
-    if as_json:
-        print_json(report.to_dict())
-    else:
-        say(repr(report))
+    tell(report, as_json=as_json)
 
 
 def _check_kind(options: dict[str, Any]) -> None:
@@ -121,16 +115,14 @@ def _check_kind(options: dict[str, Any]) -> None:
 def verify_command(as_json: bool, folder: str, **options: Any) -> None:
     """Examine the bundle in DIR: compilers, Python's numbers, sanitizers, emulated processors, objects, MISRA.
 
-    Writes verification/report.html and report.json inside it. Missing tools are named. Exit code 3 where a check
-    failed, or where the target asked for could not be verified.
+    Writes verification/report.html and report.json inside it, check by check; a report on other targets stays beside
+    them. Missing tools are named. Exit code 3 where a check failed, or where the target asked for could not be
+    verified.
     """
     from flexopt.export import verify_bundle  # noqa: PLC0415  (only this command needs it)
 
-    with option_names(options), warnings_to_stderr(as_json), progress_bar("checks") as progress:
+    with working(options, as_json, "checks") as progress:
         result = verify_bundle(folder, progress=progress, **given(options))
-    if as_json:
-        print_json(result.to_dict())
-    else:
-        say(f"{result!r}\n\nreport: {result.page}")
+    tell(result, f"\n\nreport: {result.page}", as_json=as_json)
     if not result.passed or (options["target"] is not None and not result.complete):
         sys.exit(FAILED)

@@ -6,7 +6,7 @@ import sys
 
 import click
 
-from flexopt.cli.common import BAD_INPUT, JSON, print_json, say
+from flexopt.cli.common import BAD_INPUT, JSON, tell
 from flexopt.cli.completing import argument
 from flexopt.selection.checking import check
 
@@ -21,9 +21,6 @@ def check_command(as_json: bool, file: str) -> None:
     there are faults, with 0 where there are only warnings.
     """
     result = check(file)
-    if as_json:
-        print_json(result.to_dict())
-    else:
-        say(repr(result))
+    tell(result, as_json=as_json)
     if result.faults:
         sys.exit(BAD_INPUT)

@@ -55,20 +55,29 @@ def value(name: str, metavar: str, text: str, read: Callable[[str], Any] = str, 
     return option(name, metavar=metavar, help=text, type=read, multiple=multiple)
 
 
+def together(*options: Decorator) -> Decorator:
+    """Several options as one, in the order in which the help has them."""
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        for each in reversed(options):
+            command = each(command)
+        return command
+
+    return decorate
+
+
 def of_picture(text: str) -> Decorator:
-    """`--plot` with what it draws, and how large and on which ground: `plotted` writes it."""
-    return lambda command: value("--plot", "FILE.png", text)(of_sheet("--plot")(command))
+    """`--plot` with what it draws, and how large and on which ground: `check_picture` takes them."""
+    return together(value("--plot", "FILE.png", text), of_sheet("--plot"))
 
 
 def of_sheet(draws: str) -> Decorator:
     """How large, and on which ground, what another option draws is."""
-
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        sizes = f"With {draws}: how large, {', '.join(SIZES)} or W,H in inches (screen by default)."
-        command = value("--theme", "light|dark", f"With {draws}: on which ground (light by default).")(command)
-        return value("--size", "|".join((*SIZES, "W,H")), sizes, _size)(command)
-
-    return decorate
+    sizes = f"With {draws}: how large, {', '.join(SIZES)} or W,H in inches (screen by default)."
+    return together(
+        value("--size", "|".join((*SIZES, "W,H")), sizes, _size),
+        value("--theme", "light|dark", f"With {draws}: on which ground (light by default)."),
+    )
 
 
 def check_sheet(
@@ -245,19 +254,22 @@ class _Lines:
 
 
 @contextmanager
-def progress_bar(what: str = "starts") -> Generator[Callable[[int, int], None]]:
-    """A bar on standard error where that is a terminal, else a line now and then and at the end; none with --quiet."""
-    if VOICE.quiet:
+def progress_bar(of: str) -> Generator[Callable[[int, int], None]]:
+    """A bar on standard error where that is a terminal, else a line now and then and at the end.
+
+    None with --quiet, and where nothing says of what.
+    """
+    if VOICE.quiet or not of:
         yield lambda _done, _total: None
         return
     VOICE.telling = True
     try:
         if not sys.stderr.isatty():
-            lines = _Lines(what)
+            lines = _Lines(of)
             yield lines.show
             lines.end()
             return
-        with click.progressbar(length=1, label=what, file=sys.stderr, show_pos=True) as bar:
+        with click.progressbar(length=1, label=of, file=sys.stderr, show_pos=True) as bar:
 
             def show(done: int, total: int) -> None:
                 bar.length = total
@@ -266,6 +278,13 @@ def progress_bar(what: str = "starts") -> Generator[Callable[[int, int], None]]:
             yield show
     finally:
         VOICE.telling = False
+
+
+@contextmanager
+def working(options: dict[str, Any], as_json: bool, of: str = "") -> Generator[Callable[[int, int], None]]:
+    """A call: faults by the names of these options, warnings as lines, and where `of` says of what, how far it is."""
+    with option_names(options), warnings_to_stderr(as_json), progress_bar(of) as progress:
+        yield progress
 
 
 def announce(stage: str, *, always: bool = False) -> None:
@@ -322,16 +341,30 @@ def write_result(result: Any, out: str) -> None:
         write_output("--out", out, lambda: (result.to_csv if kind == ".csv" else result.to_netcdf)(out))
 
 
-def hand_out(result: Any, out: str | None, draw: Callable[[Any], None] | None, *, as_json: bool) -> None:
-    """Write a result's files and its picture, and print it."""
-    if out is not None:
-        write_result(result, out)
-    if draw is not None:
-        draw(result)
+def tell(result: Any, more: str = "", *, as_json: bool) -> None:
+    """A result on standard output: one JSON document, or text and what there is `more` to say."""
     if as_json:
         print_json(result.to_dict())
     else:
-        say(repr(result))
+        say(f"{result!r}{more}")
+
+
+def handing_out(options: dict[str, Any], *suffixes: str, as_json: bool) -> Callable[[Any], None]:
+    """Takes --out and those of `of_picture` out of all options, refuses what cannot be written.
+
+    Gives what writes a result's files, whose names end in `suffixes`, and its picture, and tells it.
+    """
+    out, draw = options.pop("out"), check_picture(options) if "plot" in options else None
+    check_output("--out", out, suffixes)
+
+    def hand_out(result: Any) -> None:
+        if out is not None:
+            write_result(result, out)
+        if draw is not None:
+            draw(result)
+        tell(result, as_json=as_json)
+
+    return hand_out
 
 
 def given(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
@@ -399,6 +432,7 @@ def table(name: str, entries: tuple[str, ...], read: Callable[[str], Any] = plac
 
 
 JSON = option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+OUT = value("--out", "PATH", "Write the JSON document to a file, too.")
 CONTROL = option(
     "--control", metavar="|".join((*CONTROLS, f"{DAMPED}:LAMBDA")),
     help="Jacobian inverse (default), transpose, or damped inverse with LAMBDA > 0 in the unit of Jv's entries.",

@@ -6,18 +6,7 @@ from typing import Any
 
 import click
 
-from flexopt.cli.common import (
-    JSON,
-    check_output,
-    check_picture,
-    given,
-    hand_out,
-    of_picture,
-    option_names,
-    read,
-    value,
-    warnings_to_stderr,
-)
+from flexopt.cli.common import JSON, OUT, given, handing_out, of_picture, read, working
 from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, real_loop
 from flexopt.cli.postures import asked_posture, configuration
@@ -29,9 +18,9 @@ from flexopt.model import load
 @configuration
 @LOOP
 @of_picture("Draw each mode's arrows and what to move: .png, .svg or .pdf.")
-@value("--out", "PATH", "Write the JSON document to a file, too.")
+@OUT
 @JSON
-def explain_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
+def explain_command(as_json: bool, machine: str, **options: Any) -> None:
     """Why a posture of MACHINE (a name or a file) is good or bad, mode by mode, and what to move and which way.
 
     For each mode its size |a||b|, the angle between a, how the end-point moves in it, and b, how feedback acts on it,
@@ -39,11 +28,10 @@ def explain_command(as_json: bool, machine: str, out: str | None, **options: Any
     """
     from flexopt.study.explanation import explain  # noqa: PLC0415  (only this command needs it)
 
-    check_output("--out", out, (".json",))
-    draw = check_picture(options)
+    hand_out = handing_out(options, ".json", as_json=as_json)
     loaded = read(load, machine)
-    with option_names(options), warnings_to_stderr(as_json):
+    with working(options, as_json):
         posture = asked_posture("explain", loaded, options)
         loop = real_loop(loaded.loop, options.pop("loop"))
         result = explain(loaded, posture, loop=loop, **given(options, "base", "control", "gravity"))
-    hand_out(result, out, draw, as_json=as_json)
+    hand_out(result)

@@ -14,14 +14,11 @@ from flexopt.cli.common import (
     check_output,
     given,
     numbers,
-    option_names,
-    print_json,
-    progress_bar,
     read,
-    say,
+    tell,
     value,
-    warnings_to_stderr,
     whole,
+    working,
     write_output,
 )
 from flexopt.cli.judging import LOOP, real_loop
@@ -54,10 +51,7 @@ def explore_command(as_json: bool, machine: str, out: str | None, **options: Any
     check_output("--out", path, (".html",))
     loaded = read(load_any, machine)
     own = loaded.loop or loaded.loaded_machine.loop if isinstance(loaded, Problem) else loaded.loop
-    with option_names(options), warnings_to_stderr(True), progress_bar() as progress:
+    with working(options, True, "starts") as progress:
         result = explore(loaded, loop=real_loop(own, options.pop("loop")), progress=progress, **given(options))
     write_output("--out", path, lambda: write_file(path, result.page))
-    if as_json:
-        print_json(result.to_dict())
-    else:
-        say(f"{result!r}\n\npage: {path}")
+    tell(result, f"\n\npage: {path}", as_json=as_json)

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
-from flexopt.cli.common import given, option_names, print_json, read, say, value, warnings_to_stderr
+from flexopt.cli.common import given, read, tell, together, value, working
 from flexopt.cli.judging import real_loop
 from flexopt.cli.simulation import TEXTS, loop_options, simulate_arguments, tell_gains
 from flexopt.errors import InputError
 from flexopt.model import load
 
 LEAD = "With --fmu"
-# All that `simulate` has but its noise, which comes in through an FMU's inputs.
-_OPTIONS = loop_options(LEAD, *(name for name in TEXTS if name != "seed"))
-
-
-def fmu_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The options of an FMU but --control and --gain, which `export` has."""
-    path = value("--fmu", "PATH", "Write an FMU of the closed loop instead, its reference run beside.")
-    version = value("--fmi", "2.0|3.0", f"{LEAD}: version of FMI (2.0 by default).")
-    kind = value("--kind", "co-simulation|model-exchange", f"{LEAD}: who integrates (co-simulation by default).")
-    return path(version(kind(_OPTIONS(command))))
+# The options of an FMU but --control and --gain, which `export` has.
+fmu_options = together(
+    value("--fmu", "PATH", "Write an FMU of the closed loop instead, its reference run beside."),
+    value("--fmi", "2.0|3.0", f"{LEAD}: version of FMI (2.0 by default)."),
+    value("--kind", "co-simulation|model-exchange", f"{LEAD}: who integrates (co-simulation by default)."),
+    # All that `simulate` has but its noise, which comes in through an FMU's inputs.
+    loop_options(LEAD, *(name for name in TEXTS if name != "seed")),
+)
 
 
 def write_fmu(machine: str, options: dict[str, Any], as_json: bool) -> None:
@@ -35,12 +32,6 @@ def write_fmu(machine: str, options: dict[str, Any], as_json: bool) -> None:
     asked |= given({"version": options["fmi"], "kind": options["kind"]})
     real = real_loop(loaded.loop, entries)
     tell_gains(loaded, real, asked, sampled=asked.get("kind") != "model-exchange")
-    with (
-        option_names(options | {"path": options["fmu"], "version": options["fmi"], "loop": entries}),
-        warnings_to_stderr(as_json),
-    ):
+    with working(options | {"path": options["fmu"], "version": options["fmi"], "loop": entries}, as_json):
         report = export_fmu(loaded, options["fmu"], loop=real, **asked)
-    if as_json:
-        print_json(report.to_dict())
-    else:
-        say(repr(report))
+    tell(report, as_json=as_json)

@@ -10,18 +10,15 @@ from flexopt.cli.common import (
     BASE,
     GRAVITY,
     JSON,
-    check_output,
-    check_picture,
+    OUT,
     given,
-    hand_out,
+    handing_out,
     names,
     numbers,
     of_picture,
-    option_names,
-    progress_bar,
     read,
     value,
-    warnings_to_stderr,
+    working,
 )
 from flexopt.cli.completing import argument
 from flexopt.model import load
@@ -37,9 +34,9 @@ from flexopt.model import load
 @value("--imu", "X,Y[,Z]", "Where the accelerometer sits on the body that carries the arm, m; its origin.", numbers)
 @GRAVITY
 @of_picture("Draw log, fit and residuals: .png, .svg or .pdf.")
-@value("--out", "PATH", "Write the JSON document to a file, too.")
+@OUT
 @JSON
-def identify_command(as_json: bool, machine: str, log: str, out: str | None, **options: Any) -> None:
+def identify_command(as_json: bool, machine: str, log: str, **options: Any) -> None:
     """Springs, dampers and load of MACHINE (a name or a file) from LOG: a CSV file of a free swing, the arm held.
 
     Its first line names the columns: t [s] and some of gyro_x [rad/s], base.pitch [deg], end_point.x [mm], acc_x [g],
@@ -47,9 +44,8 @@ def identify_command(as_json: bool, machine: str, log: str, out: str | None, **o
     """
     from flexopt.identification import identify  # noqa: PLC0415  (only this command needs it)
 
-    draw = check_picture(options)
-    check_output("--out", out, (".json",))
+    hand_out = handing_out(options, ".json", as_json=as_json)
     loaded = read(load, machine)
-    with option_names(options), warnings_to_stderr(as_json), progress_bar("stages") as progress:
+    with working(options, as_json, "stages") as progress:
         result = identify(loaded, log, progress=progress, **given(options))
-    hand_out(result, out, draw, as_json=as_json)
+    hand_out(result)

@@ -11,25 +11,24 @@ from flexopt.cli.common import (
     CONTROL,
     ELBOW,
     JSON,
+    OUT,
     PDF,
     WEIGHTS,
     check_output,
     check_pdf,
-    check_picture,
     given,
-    hand_out,
+    handing_out,
     number,
     numbers,
     of_picture,
-    option_names,
-    progress_bar,
     read,
     say_once,
     table,
+    together,
     typed,
     value,
-    warnings_to_stderr,
     whole,
+    working,
     write_output,
 )
 from flexopt.cli.completing import argument
@@ -45,10 +44,6 @@ LOOP = value(
     "place of the file's own; default: in place of the file's [loop] all follows from the machine.",
     multiple=True,
 )
-MEMBERS = value(
-    "--members", "N", "Points of the uncertainty that decays are computed of, corners at least (64 by default).", whole
-)
-RUNS = value("--runs", "N", "How many of them are run nonlinearly in each place, too (16 by default; 0: none).", whole)
 RANGES = value(
     "--ranges",
     "NAME=LO,HI",
@@ -56,6 +51,27 @@ RANGES = value(
     "(stiffness=0.5,2), parameters (payload.mass=0,300), dead_time; in place of the file's [[uncertainty]].",
     multiple=True,
 )
+# What a verdict rests on.
+judged = together(
+    LOOP,
+    RANGES,
+    value(
+        "--members", "N", "Points of the uncertainty that decays are computed of, corners at least (64 by default).",
+        whole,
+    ),
+    value("--runs", "N", "How many of them are run nonlinearly in each place, too (16 by default; 0: none).", whole),
+)  # fmt: skip
+# What makes a problem of a machine, where no file does.
+of_machine = together(
+    value("--end-point", "X,Y[,Z]", "Of a machine: target of the end-point, inertial frame, m.", numbers),
+    value("--posture", "A,B,…", "Of a machine: how it is held now, rad (slides: m), with --base.", numbers),
+    BASE,
+    ELBOW,
+    CONTROL,
+    value("--objective", "w1|w2|…|V|epsilon_max", "Of a machine: by what places are chosen (w1 by default)."),
+    WEIGHTS,
+)
+OF_MACHINE = ("end_point", "posture", "base", "elbow", "control", "objective", "weights")
 
 
 def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | None:
@@ -75,37 +91,25 @@ def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | No
 
 @click.command("verdict", short_help="Does it pay to move, with this controller, on this ground?")
 @argument("problem")
-@value("--end-point", "X,Y[,Z]", "Of a machine: target of the end-point, inertial frame, m.", numbers)
-@value("--posture", "A,B,…", "Of a machine: how it is held now, rad (slides: m), with --base.", numbers)
-@BASE
-@ELBOW
-@CONTROL
-@value("--objective", "w1|w2|…|V|epsilon_max", "Of a machine: by what places are chosen (w1 by default).")
-@WEIGHTS
-@LOOP
-@RANGES
-@MEMBERS
-@RUNS
+@of_machine
+@judged
 @value("--duration", "S", "Of a run, s (20 by default).", number)
 @of_picture("Draw the bands of every place: .png, .svg or .pdf.")
 @value("--html", "FILE", "Write a page: the word, the bands, the table, the rule.")
 @PDF
-@value("--out", "PATH", "Write the JSON document to a file, too.")
+@OUT
 @JSON
-def verdict_command(
-    as_json: bool, problem: str, out: str | None, html: str | None, pdf: str | None, **options: Any
-) -> None:
+def verdict_command(as_json: bool, problem: str, html: str | None, pdf: str | None, **options: Any) -> None:
     """Move, stay, change gains, or cannot tell: PROBLEM is a problem file, or a machine with --end-point and --base.
 
     The present configuration beside the best ones found, with the controller of --loop, over all that is uncertain.
     """
     from flexopt.study import verdict  # noqa: PLC0415  (only this command needs it)
 
-    check_output("--out", out, (".json",))
-    draw = check_picture(options)
+    hand_out = handing_out(options, ".json", as_json=as_json)
     check_output("--html", html, (".html",))
     check_pdf(pdf)
-    with option_names(options), warnings_to_stderr(as_json), progress_bar("stages") as progress:
+    with working(options, as_json, "stages") as progress:
         asked, own = asked_problem("verdict", problem, options)
         settings = given(options, "members", "runs", "duration")
         ranges = table("--ranges", options["ranges"])
@@ -114,7 +118,7 @@ def verdict_command(
         write_output("--html", html, lambda: result.to_html(html))
     if pdf is not None:
         write_output("--pdf", pdf, lambda: result.to_pdf(pdf))
-    hand_out(result, out, draw, as_json=as_json)
+    hand_out(result)
 
 
 @click.command("region", short_help="Is a loop stable over all that is uncertain, and is it proven?")
@@ -124,23 +128,23 @@ def verdict_command(
 @RANGES
 @value("--points", "N", "Points of the ranges that decays are computed of (64 by default).", whole)
 @value("--boxes", "N", "Parts of the ranges that a proof may look at (1,500 by default; 0: none).", whole)
-@value("--out", "PATH", "Write the JSON document to a file, too.")
+@OUT
 @JSON
-def region_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
+def region_command(as_json: bool, machine: str, **options: Any) -> None:
     """Whether the loop of MACHINE (a name or a file) in one posture is stable over all that is uncertain.
 
     The least stable point, what share of the ranges is proven to be stable, and the radius of stability.
     """
     from flexopt.loop.region import stable_region  # noqa: PLC0415  (only this command needs it)
 
-    check_output("--out", out, (".json",))
+    hand_out = handing_out(options, ".json", as_json=as_json)
     loaded = read(load, machine)
-    with option_names(options), warnings_to_stderr(as_json), progress_bar("parts") as progress:
+    with working(options, as_json, "parts") as progress:
         posture = asked_posture("region", loaded, options)
         settings = given(options, "base", "control", "gravity", "points", "boxes")
         loop, ranges = real_loop(loaded.loop, options["loop"]), table("--ranges", options["ranges"])
         result = stable_region(loaded, posture, loop=loop, ranges=ranges, progress=progress, **settings)
-    hand_out(result, out, None, as_json=as_json)
+    hand_out(result)
 
 
 def asked_problem(call: str, name: str, options: dict[str, Any]) -> tuple[Any, Loop | None]:
@@ -149,14 +153,12 @@ def asked_problem(call: str, name: str, options: dict[str, Any]) -> tuple[Any, L
     from flexopt.selection import build_selection  # noqa: PLC0415
 
     loaded: AnyMachine | Problem = read(load_any, name)
-    words = ("end_point", "posture", "base", "elbow", "control", "objective", "weights")
-    own = tuple(word for word in words if word in options)
+    asked = given(options, *OF_MACHINE)
     if isinstance(loaded, Problem):
         sentence = "goes with a machine; the problem file brings its own"
-        faults = [Fault(f"--{word.replace('_', '-')}", sentence, typed(v)) for word, v in given(options, *own).items()]
+        faults = [Fault(f"--{word.replace('_', '-')}", sentence, typed(v)) for word, v in asked.items()]
         raise_if_any(InputError, call, faults)
         return loaded, loaded.loop or loaded.loaded_machine.loop
-    if options["end_point"] is None:
+    if "end_point" not in asked:
         raise InputError(f"{call}: a machine needs --end-point (m, inertial frame); a problem file brings its own")
-    asked = given(options, *own)
     return build_selection(loaded, asked.pop("end_point"), **asked), loaded.loop

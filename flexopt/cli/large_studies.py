@@ -17,32 +17,26 @@ import click
 
 from flexopt.cli.common import (
     ABORTED,
-    BASE,
-    CONTROL,
-    ELBOW,
-    END_POINT,
-    GRAVITY,
     JSON,
+    OUT,
     check_folder,
     check_output,
-    check_picture,
     given,
-    hand_out,
-    numbers,
+    handing_out,
     of_picture,
-    option_names,
     print_json,
     read,
     say,
     table,
+    tell,
     value,
-    warnings_to_stderr,
     whole,
+    working,
     write_output,
 )
 from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, RANGES, real_loop
-from flexopt.cli.postures import asked_posture
+from flexopt.cli.postures import asked_posture, configuration
 from flexopt.cli.terminal import VOICE
 from flexopt.model import load
 
@@ -78,7 +72,7 @@ def run_command(as_json: bool, study: str, out: str | None, workers: Any, dask: 
     check_folder("--out", folder)
     options = {"workers": workers, "dask": dask}
     try:
-        with _interruptible() as check, option_names(options), warnings_to_stderr(as_json), _progress() as progress:
+        with _interruptible() as check, working(options, as_json), _progress() as progress:
 
             def told(done: int, total: int) -> None:
                 check()
@@ -94,7 +88,7 @@ def run_command(as_json: bool, study: str, out: str | None, workers: Any, dask: 
         )
         say(f"flexopt: {sentence}", err=True, colour="red")
         sys.exit(ABORTED)
-    hand_out(result, None, None, as_json=as_json)
+    tell(result, as_json=as_json)
 
 
 @study_command.command("status", short_help="How far a study is.")
@@ -104,7 +98,7 @@ def status_command(as_json: bool, folder: str) -> None:
     """How far the study in FOLDER is, at which rate, and what became of its points; also while it runs."""
     from flexopt.large_studies import open_study  # noqa: PLC0415  (only this command needs it)
 
-    hand_out(open_study(folder), None, None, as_json=as_json)
+    tell(open_study(folder), as_json=as_json)
 
 
 @study_command.command("export", short_help="One file of a whole study.")
@@ -128,34 +122,28 @@ def export_command(as_json: bool, folder: str, out: str | None) -> None:
 
 @click.command("sensitivity", short_help="Which unknown matters most.")
 @argument("machine")
-@value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
-@END_POINT
-@ELBOW
-@BASE
-@CONTROL
-@GRAVITY
+@configuration
 @LOOP
 @RANGES
 @value("--samples", "N", "Base samples, a power of two (1024 by default).", whole)
 @of_picture("Draw it: .png, .svg or .pdf.")
-@value("--out", "PATH", "Write the JSON document to a file, too.")
+@OUT
 @JSON
-def sensitivity_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
+def sensitivity_command(as_json: bool, machine: str, **options: Any) -> None:
     """Which of what is uncertain matters for every w_i of a posture of MACHINE and, with --loop, for its decay.
 
     The share of the variance that each explains alone and in all, with intervals, and bounds from exact slopes.
     """
     from flexopt.loop.sensitivity import sensitivity  # noqa: PLC0415  (only this command needs it)
 
-    draw = check_picture(options)
-    check_output("--out", out, (".json",))
+    hand_out = handing_out(options, ".json", as_json=as_json)
     loaded = read(load, machine)
-    with option_names(options), warnings_to_stderr(as_json):
+    with working(options, as_json):
         posture = asked_posture("sensitivity", loaded, options)
         ranges, loop = table("--ranges", options["ranges"]), real_loop(loaded.loop, options["loop"])
         chosen = given(options, "base", "control", "gravity", "samples")
         result = sensitivity(loaded, posture, loop=loop, ranges=ranges, **chosen)
-    hand_out(result, out, draw, as_json=as_json)
+    hand_out(result)
 
 
 @contextmanager

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from flexopt.cli.common import BASE, CONTROL, ELBOW, END_POINT, GRAVITY, numbers, say, value
+from flexopt.cli.common import BASE, CONTROL, ELBOW, END_POINT, GRAVITY, numbers, say, together, value
 from flexopt.cli.terminal import VOICE
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
@@ -19,13 +19,8 @@ from flexopt.plant import build_plant, inverse_kinematics
 from flexopt.robustness import build_measures
 
 POSTURE = value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", numbers)
-
-
-def configuration(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The options of a command that looks at one configuration."""
-    for option in (GRAVITY, CONTROL, BASE, ELBOW, END_POINT, POSTURE):
-        command = option(command)
-    return command
+# The options of a command that looks at one configuration.
+configuration = together(POSTURE, END_POINT, ELBOW, BASE, CONTROL, GRAVITY)
 
 
 def asked_posture(call: str, machine: AnyMachine, options: dict[str, Any]) -> Any:

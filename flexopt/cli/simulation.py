@@ -20,14 +20,14 @@ from flexopt.cli.common import (
     numbers,
     of_picture,
     option,
-    option_names,
     print_json,
     read,
     say,
     table,
+    together,
     value,
-    warnings_to_stderr,
     whole,
+    working,
     write_output,
     write_result,
 )
@@ -89,27 +89,22 @@ READERS: dict[Any, Callable[[str], Any]] = {float: number, int: whole, tuple: nu
 
 def loop_options(lead: str, *fields: str) -> Decorator:
     """Options for these fields of `SimulationOptions`, by their types; in the help of each, `lead` says with what."""
+    return together(*(_loop_option(lead, name) for name in fields))
 
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        for name in reversed(fields):
-            metavar, text = TEXTS[name]
-            if lead:
-                also = text.startswith("With ")
-                whole_lead = f"{lead} or --loop" if name in ("posture", "base") else lead
-                text = (
-                    f"{lead} and {text.removeprefix('With ')}" if also else f"{whole_lead}: {text[0].lower()}{text[1:]}"
-                )
-            word = f"--{NEGATED.get(name, name).replace('_', '-')}"
-            kind = type_of(SimulationOptions.model_fields[name].annotation)
-            made = value(word, metavar or "|".join(get_args(kind)), text, READERS.get(get_origin(kind) or kind, str))
-            if kind is bool:
-                made = option(word, is_flag=True, help=text)
-            elif kind in (Sensor, Actuator):
-                made = value(word, metavar, text, multiple=True)
-            command = made(command)
-        return command
 
-    return decorate
+def _loop_option(lead: str, name: str) -> Decorator:
+    metavar, text = TEXTS[name]
+    if lead:
+        also = text.startswith("With ")
+        whole_lead = f"{lead} or --loop" if name in ("posture", "base") else lead
+        text = f"{lead} and {text.removeprefix('With ')}" if also else f"{whole_lead}: {text[0].lower()}{text[1:]}"
+    word = f"--{NEGATED.get(name, name).replace('_', '-')}"
+    kind = type_of(SimulationOptions.model_fields[name].annotation)
+    if kind is bool:
+        return option(word, is_flag=True, help=text)
+    if kind in (Sensor, Actuator):
+        return value(word, metavar, text, multiple=True)
+    return value(word, metavar or "|".join(get_args(kind)), text, READERS.get(get_origin(kind) or kind, str))
 
 
 def type_of(annotation: Any) -> Any:
@@ -149,7 +144,7 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
         # Given entries of a table take the place of the file's, the others stay.
         for name in {"sensor", "actuator"} & asked.keys():
             asked[name] = getattr(loaded.simulation, name).model_dump(exclude_unset=True) | asked[name]
-    with option_names(options), warnings_to_stderr(as_json):
+    with working(options, as_json):
         if isinstance(loaded, Experiment):
             own = loaded.loop or loaded.loaded_machine.loop
             result = run_experiment(loaded, loop=real_loop(own, entries), **asked)

@@ -9,42 +9,35 @@ from typing import Any
 import click
 
 from flexopt.cli.common import (
-    BASE,
     CONTROL,
     FAILED,
     GAIN,
     GRAVITY,
     JSON,
     PDF,
-    WEIGHTS,
     announce,
     check_folder,
-    check_output,
     check_pdf,
-    check_picture,
     check_sheet,
     given,
-    hand_out,
+    handing_out,
     names,
     numbers,
     of_picture,
     of_sheet,
     option,
-    option_names,
     placement,
-    print_json,
-    progress_bar,
     read,
-    say,
     table,
+    tell,
     value,
-    warnings_to_stderr,
     whole,
     wholes,
+    working,
     write_output,
 )
 from flexopt.cli.completing import argument
-from flexopt.cli.judging import LOOP, MEMBERS, RANGES, RUNS, asked_problem, real_loop
+from flexopt.cli.judging import LOOP, asked_problem, judged, of_machine, real_loop
 from flexopt.cli.simulation import loop_options
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
@@ -96,7 +89,7 @@ REPORT_FOLDER, PROBLEM_FOLDER = "flexopt-reproduce", "flexopt-report"
 @value("--out", "FILE.nc", "Write the map to a netCDF file.")
 @of_picture("Draw the map: .png, .svg or .pdf.")
 @JSON
-def map_command(as_json: bool, machine: str, out: str | None, **options: Any) -> None:
+def map_command(as_json: bool, machine: str, **options: Any) -> None:
     """Frequencies, w_i, in-phase regions and ε_max of MACHINE over end-points, two joints or its placement.
 
     With --loop how fast its controller's loop decays, too; with --vary that alone, over gains, dead time or soil.
@@ -106,16 +99,15 @@ def map_command(as_json: bool, machine: str, out: str | None, **options: Any) ->
     """
     from flexopt.study import map_loop, map_workspace  # noqa: PLC0415  (only this command needs them)
 
-    draw = check_picture(options)
-    check_output("--out", out, (".nc",))
+    hand_out = handing_out(options, ".nc", as_json=as_json)
     loaded = read(load, machine)
     vary, options["loop"] = options.pop("vary"), real_loop(loaded.loop, options["loop"])
-    with option_names(options), warnings_to_stderr(as_json), progress_bar("loops" if vary else "postures") as progress:
+    with working(options, as_json, "loops" if vary else "postures") as progress:
         if vary:
             result = map_loop(loaded, **_of_loop(given(options), vary), progress=progress)
         else:
             result = map_workspace(loaded, progress=progress, **given(options))
-    hand_out(result, out, draw, as_json=as_json)
+    hand_out(result)
 
 
 def _of_loop(options: dict[str, Any], vary: tuple[str, ...]) -> dict[str, Any]:
@@ -150,32 +142,27 @@ def reproduce_command(as_json: bool, out: str | None, figures: str | None, **opt
 
     folder, drawn = out or REPORT_FOLDER, list[Path]()
     check_folder("--out", folder)
-    with warnings_to_stderr(as_json), progress_bar("stages") as progress:
+    with working({}, as_json, "stages") as progress:
         result = reproduce(progress=progress)
     write_output("--out", folder, lambda: result.write(folder))
     if figures is not None:
         write_output("--out", folder, lambda: drawn.extend(result.write_figures(folder, form=form, **look)))
-    if as_json:
-        print_json(result.to_dict())
-    else:
-        said = f"{result!r}\n\nreport: {Path(folder) / 'report.html'}, {Path(folder) / 'report.json'}"
-        say(said + (f"\nfigures: {', '.join(map(str, drawn))}" if drawn else ""))
+    figures_told = f"\nfigures: {', '.join(map(str, drawn))}" if drawn else ""
+    tell(result, f"{_report_told(folder)}{figures_told}", as_json=as_json)
+
+
+def _report_told(folder: str, *more: str) -> str:
+    """Where a report is."""
+    files = [str(Path(folder) / "report.html"), str(Path(folder) / "report.json"), *more]
+    return f"\n\nreport: {', '.join(files)}"
 
 
 @click.command("report", short_help="Everything about a problem on one page.")
 @argument("problem")
-@value("--end-point", "X,Y[,Z]", "Of a machine: target of the end-point, inertial frame, m.", numbers)
-@value("--posture", "A,B,…", "Of a machine: how it is held now, with --base.", numbers)
-@BASE
-@CONTROL
-@value("--objective", "w1|w2|…|V|epsilon_max", "Of a machine: what to maximise (w1 by default).")
-@WEIGHTS
+@of_machine
 @value("--experiment", "NAME", "Experiment (name or file) that gives the closed loops' gains and start.")
 @loop_options("", *LOOPS)
-@LOOP
-@RANGES
-@MEMBERS
-@RUNS
+@judged
 @value(
     "--points", "N", "Of the map along each axis (160; 48 in space and with four passive coordinates or more).", whole
 )
@@ -194,7 +181,7 @@ def report_command(as_json: bool, problem: str, out: str | None, pdf: str | None
     check_folder("--out", folder)
     check_pdf(pdf)
     experiment = None if options["experiment"] is None else read(load_experiment, options["experiment"])
-    with option_names(options), warnings_to_stderr(as_json), progress_bar("stages") as progress:
+    with working(options, as_json, "stages") as progress:
         asked, own = asked_problem("report", problem, options)
         simulation = given(options, *LOOPS)
         result = report(
@@ -207,11 +194,7 @@ def report_command(as_json: bool, problem: str, out: str | None, pdf: str | None
     if pdf is not None:
         announce("the page is printed", always=True)
         write_output("--pdf", pdf, lambda: result.to_pdf(pdf))
-    if as_json:
-        print_json(result.to_dict())
-    else:
-        written = [str(Path(folder) / "report.html"), str(Path(folder) / "report.json"), *([pdf] if pdf else [])]
-        say(f"{result!r}\n\nreport: {', '.join(written)}")
+    tell(result, _report_told(folder, *filter(None, [pdf])), as_json=as_json)
 
 
 @click.command("doctor", short_help="What this installation can do.")
@@ -221,9 +204,6 @@ def doctor_command(as_json: bool) -> None:
     from flexopt.study.doctor import examine  # noqa: PLC0415  (only this command needs it)
 
     report = examine()
-    if as_json:
-        print_json(report.to_dict())
-    else:
-        say(repr(report))
+    tell(report, as_json=as_json)
     if not report.healthy:
         sys.exit(FAILED)

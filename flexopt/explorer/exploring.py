@@ -16,7 +16,8 @@ import numpy as np
 
 from flexopt.errors import FlexoptWarning
 from flexopt.explorer.contents import SLIDE, TURN, contents, size_of
-from flexopt.explorer.graphs import explorer_functions, scripts
+from flexopt.explorer.graphs import explorer_functions
+from flexopt.explorer.javascript import script_of
 from flexopt.explorer.meshes import Meshes, body_meshes
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, Document, PostureLike, Progress, Vector
@@ -240,7 +241,7 @@ def _page(
         "explorer/templates/page.html",
         # Inside a script element nothing may look like its end.
         data=json.dumps(json_ready(data), allow_nan=False, ensure_ascii=False).replace("<", "\\u003c"),
-        graphs=scripts(functions),
+        graphs={name: script_of(function) for name, function in functions.items()},
         title=told["title"],
         weight=gravity,
         palettes=PALETTES,

@@ -1,4 +1,4 @@
-"""What a page computes with: the machine's own graphs, as Functions and in JavaScript.
+"""What a page computes with: the machine's own graphs.
 
 In: a machine, a control and the parts of its loop. Out: Functions by name. None is written for the page: they are what
 `Measures`, `Plant` and `SmallMotions` compute with. The browser adds what is no graph: eigenvalues and the like.
@@ -10,7 +10,6 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from flexopt.explorer.javascript import script_of
 from flexopt.loop.small_motions import SmallMotions
 from flexopt.plant.singularity import screened
 from flexopt.plant.statics import left_over
@@ -72,8 +71,3 @@ def moving_placement(functions: Mapping[str, ca.Function]) -> list[int]:
 
 def _depends(graph: ca.SX, by: ca.SX) -> list[bool]:
     return list(ca.which_depends(graph, by, 1, False)) if by.shape[0] else []
-
-
-def scripts(functions: Mapping[str, ca.Function]) -> dict[str, str]:
-    """The Functions in JavaScript, by name."""
-    return {name: script_of(function) for name, function in functions.items()}

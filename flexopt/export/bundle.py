@@ -50,7 +50,7 @@ JUDGED = ("decay", "frequency_hz", "allowed_gain", "delay_margin", "disk_margin"
 COMPILE_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 # What `make` and CMake leave behind when the README is followed.
 _PRODUCTS = re.compile(r".*\.(o|a|obj|lib)|\.compiled|selftest(\.exe)?|example(\.exe)?|build/.*|verification/.*")
-_REPORTS = (f"{VERIFICATION}/report.html", f"{VERIFICATION}/report.json")
+_REPORT = re.compile(rf"{VERIFICATION}/report(-[a-z0-9-]+)?\.(html|json)")
 
 
 @dataclass(frozen=True)
@@ -430,12 +430,12 @@ def _kept(folder: Path) -> Callable[[str], bool]:
 
     `build/` may hold a user's own files. A report on the older code says nothing of the newer one.
     """
-    gone = set(_REPORTS) | {".compiled", "selftest", "selftest.exe", "example", "example.exe"}
+    gone = {".compiled", "selftest", "selftest.exe", "example", "example.exe"}
     if (folder / MANIFEST).is_file():
         manifest = read_manifest(folder)
         gone |= {str(Path(name).with_suffix(".o").as_posix()) for name in manifest["files"] if name.endswith(".c")}
         gone.add(f"lib{manifest['options']['prefix']}_control.a")
-    return lambda name: _PRODUCTS.fullmatch(name) is not None and name not in gone
+    return lambda name: bool(_PRODUCTS.fullmatch(name)) and not _REPORT.fullmatch(name) and name not in gone
 
 
 def _some(names: list[str]) -> str:

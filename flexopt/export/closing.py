@@ -56,41 +56,36 @@ class InverseGains:
 
 
 @dataclass(frozen=True)
-class Start:
-    """Where the loop begins, and how it is controlled.
+class Hold:
+    """A posture, and gains that hold the machine in it.
 
     Attributes:
         posture: of the joints, rad or m.
-        rest: passive coordinates there.
-        gains: the stand-in's joints have their inertia.
-        substeps: steps of the machine in a sample of the controller.
-        distance: of the target from where the end-point starts, along each axis, m.
-        settled: error at the end that counts as on target, m.
-        decays: whether the machine's loop about rest does in this posture, see `steady_hold`.
+        gains: of the controller.
+        decays: whether the machine's loop about rest does there, see `steady_hold`; it may be that nothing that was
+            tried makes it.
     """
 
     posture: Array
-    rest: Array
     gains: InverseGains
-    substeps: int
-    distance: float
-    settled: float
     decays: bool
 
 
 @dataclass(frozen=True)
-class Hold:
-    """A posture that the ROS 2 node's gains hold.
+class Start(Hold):
+    """Where the example's loop begins; the stand-in's joints have the inertia of the gains.
 
     Attributes:
-        posture: of the joints, rad or m.
-        gains: of the node.
-        decays: whether the machine's loop about rest does there; it may be that nothing that was tried makes it.
+        rest: passive coordinates there.
+        substeps: steps of the machine in a sample of the controller.
+        distance: of the target from where the end-point starts, along each axis, m.
+        settled: error at the end that counts as on target, m.
     """
 
-    posture: Array
-    gains: InverseGains
-    decays: bool
+    rest: Array
+    substeps: int
+    distance: float
+    settled: float
 
 
 def steady_hold(at: Context) -> Hold:

@@ -14,12 +14,12 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from flexopt.export.operations import Field, Guard, Operation, Parameters, Sizes
-from flexopt.export.parameters import machine_parameters
+from flexopt.export.operations import Field, Guard, Operation, Parameters, Sizes, operation_of
 from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import COORDINATE_MAX, coordinate_max
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
+from flexopt.model.parameter_ranges import parameter_range
 from flexopt.plant import Plant, build_plant
 from flexopt.robustness.measures import Measures, build_measures
 
@@ -32,6 +32,8 @@ LIMIT_ALLOWANCE_DEG, LIMIT_ALLOWANCE_M = 5.0, 0.05
 # How far angles that turn freely may have been counted on, rad: single precision still tells 6e-5 rad there.
 TURNED_MAX = {False: 1e6, True: 1e3}
 
+# How far a parameter that is 0 is drawn from it.
+AWAY_FROM_ZERO = {"m": 0.02, "rad": 0.02}
 # Samples of a joint or a placement coordinate without limits: a turn, or as far each way, m.
 NEAR = {"rad": math.pi, "m": 2.0}
 
@@ -91,10 +93,25 @@ class Context:
             }
         )
 
+    @property
+    def choice(self) -> tuple[str, ...]:
+        """Names of the variables z: the placement, then the actuated joints."""
+        machine = self.machine
+        return (*(f"base.{name}" for name in machine.base_coordinates), *machine.joints)
+
+    @property
+    def choice_units(self) -> tuple[str, ...]:
+        """Unit of each, m or rad."""
+        return (*self.machine.base_units, *self.machine.joint_units)
+
     @cached_property
     def parameters(self) -> Parameters:
         """The machine's parameters and their ranges."""
-        return machine_parameters(self.machine.parameters, single=self.single)
+        listed = self.machine.parameters
+        low, high = zip(*(parameter_range(p) for p in listed), strict=True)
+        names, values, units = zip(*listed, strict=True)
+        spread = tuple(0.2 * abs(p.value) if p.value else AWAY_FROM_ZERO.get(p.unit, 0.0) for p in listed)
+        return Parameters(names, units, values, low, high, spread, self.single)
 
     @cached_property
     def measures(self) -> Measures:
@@ -214,32 +231,18 @@ class Context:
     ) -> Operation:
         """An operation from graphs: inputs with their symbols, outputs with their graphs and sizes."""
         g = self.plant.graph
-        fields = [field for field, _ in inputs]
-        symbols = [symbol for _, symbol in inputs]
-        if self.placement_matters and "placement" not in [field.name for field in fields]:
-            fields, symbols = [*fields, self.placement], [*symbols, g.base]
-        names = [field.name for field in fields]
-        # Row-major, as C has it.
-        results = [ca.densify(ca.vec(graph.T)) for _, graph, _ in outputs] + [graph for _, graph in guards]
-        result_names = [field.name for field, _, _ in outputs] + [guard.name for guard, _ in guards]
-        kernel = self._function(name, symbols, results, names, result_names)
-        sizes = [ca.densify(size) for _, _, size in outputs]
-        scales = self._function(f"{name}_scales", symbols, sizes, names, result_names[: len(outputs)])
-        return Operation(
-            name, text, tuple(fields), tuple(field for field, _, _ in outputs), tuple(guard for guard, _ in guards),
-            kernel, scales,
-        )  # fmt: skip
+        if self.placement_matters and "placement" not in [field.name for field, _ in inputs]:
+            inputs = [*inputs, (self.placement, g.base)]
 
-    def _function(
-        self, name: str, symbols: list[ca.SX], graphs: list[ca.SX], names: list[str], results: list[str]
-    ) -> ca.Function:
-        p = self.plant.graph.p
-        options = {"cse": True}
-        if self.baked:
-            values = ca.SX(self.plant.parameter_values)
-            constants = [ca.substitute(graph, p, values) for graph in graphs]
-            return ca.Function(name, symbols, constants, names, results, options)
-        return ca.Function(name, [*symbols, p], graphs, [*names, "p"], results, options)
+        def known(graph: ca.SX) -> ca.SX:
+            return ca.substitute(graph, g.p, ca.SX(self.plant.parameter_values)) if self.baked else graph
+
+        # Row-major, as C has it.
+        results = [
+            (field, known(ca.densify(ca.vec(graph.T))), known(ca.densify(size))) for field, graph, size in outputs
+        ]
+        checked, p = [(guard, known(graph)) for guard, graph in guards], [] if self.baked else [g.p]
+        return operation_of(name, text, inputs, p, results, checked, {"cse": True})
 
 
 def build_context(

@@ -12,7 +12,7 @@ from flexopt.algebra.riccati import lyapunov, riccati_pair, top_eigenpairs
 from flexopt.export.context import Context, unit_list
 from flexopt.export.control import GAIN_MAX
 from flexopt.export.modal_kernels import ModalKernels
-from flexopt.export.operations import TOLERANCES, Field, Guard, Operation
+from flexopt.export.operations import TOLERANCES, Field, Guard, Operation, operation_of
 from flexopt.model.choices import WEIGHT
 from flexopt.robustness.margin import Margin, build_margin, riccati_residual
 from flexopt.robustness.residues import MIXED, residue_unit
@@ -39,7 +39,7 @@ FAST_DOUBLINGS = 6
 
 def measures(at: Context) -> tuple[Operation, ...]:
     """The w_i, their weighted sum V and its gradient."""
-    field, choice = at.sizes.field, unit_list(_choice_units(at))
+    field, choice = at.sizes.field, unit_list(at.choice_units)
     about = _Weighted(at)
     graph, alpha, size = about.graph, about.alpha, about.size
     frequency = ca.sqrt(graph.omega_squared)
@@ -85,7 +85,7 @@ def nullspace(at: Context) -> tuple[Operation, ...]:
     limit = GAIN_MAX
     gain_field = field("step_gain", "", "z per dV/dz", "k_xi; a step along the gradient of V for k_xi > 0", low=-limit,
                        high=limit, sample=(1.0, 1e3))  # fmt: skip
-    output = field("step", "CHOICE", unit_list(_choice_units(at)), "change of z = [placement; joint_angles]",
+    output = field("step", "CHOICE", unit_list(at.choice_units), "change of z = [placement; joint_angles]",
                    scale="|k_xi| times the gradient's")  # fmt: skip
     placed = Guard("isotropy", "det(J_B J_B^T) relative to equal singular values, 0 where J_B loses rank",
                    "SINGULAR_POSTURE", minimum=at.singularity_margin**2)  # fmt: skip
@@ -117,25 +117,17 @@ def margin(at: Context) -> tuple[Operation, ...]:
     low, high = SERVO_GAIN_RANGE
     gain = field("servo_gain", "", "", "k_r, which multiplies the plant's input", low=low, high=high,
                  sample=(at.gain / 3, at.gain * 3), logarithmic=True)  # fmt: skip
-    fields, symbols = [at.joint_angles, gain], [posture, kr]
-    if at.placement_matters:
-        fields, symbols = [*fields, at.placement], [*symbols, base]
-    symbols = symbols if at.baked else [*symbols, p]
-    names = [f.name for f in fields] + ([] if at.baked else ["p"])
+    inputs = [(at.joint_angles, posture), (gain, kr), *([(at.placement, base)] if at.placement_matters else [])]
     output = field("epsilon_max", "", "", "robust stability margin, in (0, 1)",
                    scale="1, or 1e-3 of the largest X_ii Z_ii where that is more")  # fmt: skip
     # ε_max does not need Jv⁻¹ under transpose control, but there is no margin where the end-point cannot be driven.
-    results = [epsilon[0], sine, *measured]
-    result_names = ["epsilon_max", "sine_squared", *(guard.name for guard in guards)]
-    kernel = ca.Function("robust_margin", symbols, results, names, result_names)
-    scales = ca.Function("robust_margin_scales", symbols, [ca.fmax(1, 1e-3 * measured[1])], names, ["epsilon_max"])
+    checked = [(at.regular(modal=True), sine), *zip(guards, measured, strict=True)]
     text = (
         f"Robust stability margin epsilon_max of the plant (A, k_r B, C) under Jacobian {at.control} control, passive "
         "coordinates at rest, by structure-preserving doubling of both Riccati equations."
     )
-    return (
-        Operation("robust_margin", text, tuple(fields), (output,), (at.regular(modal=True), *guards), kernel, scales),
-    )
+    outputs = [(output, epsilon[0], ca.fmax(1, 1e-3 * measured[1]))]
+    return (operation_of("robust_margin", text, inputs, [] if at.baked else [p], outputs, checked),)
 
 
 def _margin_with_condition(margin: Margin, *, rounding: bool) -> ca.Function:
@@ -170,11 +162,6 @@ def _rounding(plant: list[ca.MX], solution: list[ca.MX], value: ca.MX, vector: c
     p_z = solve.call([a.T - c.T @ (c @ z), value * (vector @ vector.T)])[0]
     shares = (ca.dot(p_x, riccati_residual(a, b, c, x)[0]), ca.dot(p_z, riccati_residual(a.T, c.T, b.T, z)[0]))
     return (ca.fabs(shares[0]) + ca.fabs(shares[1])) / (2 * ca.sqrt(1 + value) * (1 + value))
-
-
-def _choice_units(at: Context) -> tuple[str, ...]:
-    """Units of z = [placement; joints]."""
-    return (*at.machine.base_units, *at.machine.joint_units)
 
 
 class _Weighted:
@@ -217,14 +204,8 @@ class _Weighted:
         guards: list[tuple[Guard, ca.MX]],
     ) -> Operation:
         """An operation of the shared inputs and `inputs`; guards of the modes come before `guards`."""
-        fields, symbols = zip(*self.inputs, *inputs, *self.placed, strict=True)
-        checked, measured = zip(*self._guards(), *guards, strict=True) if [*self._guards(), *guards] else ((), ())
-        names = [*(field.name for field in fields), *(["p"] if self.p else [])]
-        results = [*(field.name for field, _, _ in outputs), *(guard.name for guard in checked)]
-        kernel = ca.Function(name, [*symbols, *self.p], [*(x for _, x, _ in outputs), *measured], names, results)
-        sizes = [size for _, _, size in outputs]
-        scales = ca.Function(f"{name}_scales", [*symbols, *self.p], sizes, names, results[: len(sizes)])
-        return Operation(name, text, fields, tuple(field for field, _, _ in outputs), checked, kernel, scales)
+        inputs = [*self.inputs, *inputs, *self.placed]
+        return operation_of(name, text, inputs, self.p, outputs, [*self._guards(), *guards])
 
     def _guards(self) -> list[tuple[Guard, ca.MX]]:
         """Where the w_i can be computed accurately enough."""

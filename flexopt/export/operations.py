@@ -7,10 +7,10 @@ the verification are written.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -286,6 +286,26 @@ class Operation:
             for field, part in zip(self.inputs, self.split(rows), strict=False)
         ]
         return self.accepts(rows) & np.all(inside, axis=0)
+
+
+def operation_of(
+    name: str,
+    text: str,
+    inputs: Sequence[tuple[Field, Any]],
+    p: Sequence[Any],
+    outputs: Sequence[tuple[Field, Any, Any]],
+    guards: Sequence[tuple[Guard, Any]],
+    options: Mapping[str, Any] | None = None,
+) -> Operation:
+    """An operation of graphs: inputs with their symbols, `p` unless it is baked, outputs with their sizes, guards."""
+    fields, results = tuple(field for field, _ in inputs), tuple(field for field, _, _ in outputs)
+    refusing = tuple(guard for guard, _ in guards)
+    symbols, names = [*(x for _, x in inputs), *p], [*(field.name for field in fields), *["p"] * len(p)]
+    graphs, sizes = [*(x for _, x, _ in outputs), *(x for _, x in guards)], [size for _, _, size in outputs]
+    told = [each.name for each in (*results, *refusing)]
+    kernel = ca.Function(name, symbols, graphs, names, told, options or {})
+    scales = ca.Function(f"{name}_scales", symbols, sizes, names, told[: len(sizes)], options or {})
+    return Operation(name, text, fields, results, refusing, kernel, scales)
 
 
 @dataclass(frozen=True)

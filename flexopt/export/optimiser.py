@@ -22,7 +22,6 @@ from flexopt.export.context import Context, build_context
 from flexopt.export.kernels import Kernel, Real, kernel_text
 from flexopt.export.naming import CWriter, constants
 from flexopt.export.optimiser_kernels import OptimiserKernels, build_optimiser_kernels
-from flexopt.export.parameters import parameter_range
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Array
 from flexopt.foundation.boundary import anything, by, public, words
@@ -30,6 +29,7 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import COORDINATE_MAX, whole_number
 from flexopt.model import AnyMachine
 from flexopt.model.choices import SINGULARITY_MARGIN_DEG
+from flexopt.model.parameter_ranges import parameter_range
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reach import path_to_end_point
 from flexopt.robustness.measures import Measures, build_measures
@@ -269,8 +269,6 @@ def _values(at: Context, measures: Measures, kernels: OptimiserKernels, texts: M
     """What header and configuration ask for."""
     real: Real = "float" if at.single else "double"
     plant, machine = measures.plant, measures.plant.machine
-    units = [*machine.base_units, *machine.joint_units]
-    names = [f"base.{c}" for c in machine.base_coordinates] + list(machine.joints)
     bounds = bounds_of(machine)
     ranges = [parameter_range(parameter) for parameter in machine.parameters]
     idle = _idle(measures)
@@ -287,8 +285,8 @@ def _values(at: Context, measures: Measures, kernels: OptimiserKernels, texts: M
             "machine": machine,
             "control": measures.control,
             "gravity": measures.gravity,
-            "variables": names,
-            "indices": constants(names),
+            "variables": at.choice,
+            "indices": constants(at.choice),
             "n_base": plant.n_base,
             "n_task": plant.n_task,
             "n_modes": plant.n_passive,
@@ -323,7 +321,7 @@ def _values(at: Context, measures: Measures, kernels: OptimiserKernels, texts: M
             "margin_edge": MARGIN_EDGE[real] if many_rows else 0.0,
             "target_tolerance": TARGET_TOLERANCES[real] * EPSILON[real],
             "margin_tolerance": 4 * (MARGIN_EDGE[real] if many_rows else EDGE * EPSILON[real]),
-            "angles": [int(unit == "rad") for unit in units],
+            "angles": [int(unit == "rad") for unit in at.choice_units],
             "spare": [*_spare(measures, idle), *still],
             "base_idle": kernels.posture is None and all(idle),
         }

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -99,18 +99,13 @@ class OptimiserPart:
         return CWriter(self.prefix, self.real)
 
     @cached_property
-    def header(self) -> str:
-        """The public header."""
-        return self.sources.header
-
-    @cached_property
     def library_files(self) -> dict[str, str]:
         """Path -> text of header and source."""
         source = self.writer.render(
             "optimiser_part.c", casadi=package_version("casadi"), body=self.sources.source.strip()
         )
         return {
-            f"include/{self.prefix}_optimiser.h": self.header,
+            f"include/{self.prefix}_optimiser.h": self.sources.header,
             f"src/{self.prefix}_optimiser.c": source,
         }
 
@@ -130,34 +125,19 @@ class OptimiserPart:
             on_target=self.writer.number(self.on_target),
             z_tolerance=self.writer.number(Z_TOLERANCE),
             compare_z=int(self.real == "double"),
-            turns=[int(unit == "rad") for unit in self.units],
+            turns=[int(unit == "rad") for unit in self.at.choice_units],
             far_known=int(_far_row(self.at.machine) >= 0),
             far_row=_far_row(self.at.machine),
             nan_target=f"({self.prefix}_real)NAN",
             far=self.writer.number(1e5),
         )
-        return {"test/optimiser_selftest.h": selftest} | self.driver_files
-
-    @property
-    def driver_files(self) -> dict[str, str]:
-        """Path -> text of the program that replays calls from a file."""
-        return {"test/optimiser_driver.c": self.writer.render("optimiser_driver.c")}
+        driver = self.writer.render("optimiser_driver.c")
+        return {"test/optimiser_selftest.h": selftest, "test/optimiser_driver.c": driver}
 
     @property
     def on_target(self) -> float:
         """How far from the target still counts as on it, m."""
         return ON_TARGET[self.real] * max(1.0, outer_reach(self.at.plant)[1])
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        """Names of the variables z: the placement, then the actuated joints."""
-        machine = self.at.machine
-        return (*(f"base.{name}" for name in machine.base_coordinates), *machine.joints)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Unit of each variable of z, m or rad."""
-        return (*self.at.machine.base_units, *self.at.machine.joint_units)
 
     def vectors(self, count: int, seed: int) -> tuple[ReferenceProblem, ...]:
         """Random problems and starts with their verified optima."""
@@ -167,11 +147,6 @@ class OptimiserPart:
     def margin_deg(self) -> float:
         """The distance from singular postures that the problems keep, degrees."""
         return float(f"{math.degrees(math.asin(self.at.singularity_margin)):.12g}")
-
-    @property
-    def statuses(self) -> Mapping[str, tuple[int, str]]:
-        """Name -> value and meaning."""
-        return self.sources.status_texts
 
     @cached_property
     def _example(self) -> str:
@@ -190,16 +165,16 @@ class OptimiserPart:
             budget=self.sources.budget,
             model_cost=self.sources.model_cost,
             control=self.at.control,
-            variables=list(zip(self.variables, self.units, strict=True)),
+            variables=list(zip(self.at.choice, self.at.choice_units, strict=True)),
             rows=self.at.machine.task_rows,
             example=self._example,
-            statuses=self.statuses,
+            statuses=self.sources.status_texts,
         )
 
     def manifest(self) -> dict[str, Any]:
         """What manifest.json says of the part beside title and source."""
         plant, machine = self.at.plant, self.at.machine
-        n_z, of_z = len(self.units), unit_list(self.units)
+        n_z, of_z = len(self.at.choice_units), unit_list(self.at.choice_units)
 
         def field(name: str, shape: Sequence[int], unit: str, text: str) -> dict[str, Any]:
             return {"name": name, "shape": list(shape), "unit": unit, "text": text}
@@ -229,8 +204,8 @@ class OptimiserPart:
         return {
             "header": f"include/{self.prefix}_optimiser.h",
             "functions": list(self.functions),
-            "variables": list(self.variables),
-            "units": list(self.units),
+            "variables": list(self.at.choice),
+            "units": list(self.at.choice_units),
             "inputs": inputs,
             "outputs": outputs,
             "statuses": self.sources.statuses,

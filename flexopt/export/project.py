@@ -15,9 +15,8 @@ import numpy as np
 from flexopt.export.closing import AGE_MAX, DURATION_S, RATE_HZ, Start, settling_start, steady_hold
 from flexopt.export.context import SINGLE_MARGIN_DEG
 from flexopt.export.control import torque_unit
-from flexopt.export.operations import ACCEPTANCE_COUNT, TOLERANCES, Field, Operation, Samples
+from flexopt.export.operations import ACCEPTANCE_COUNT, TOLERANCES, Field, Operation
 from flexopt.export.sources import WITH_OUTPUT, Library
-from flexopt.foundation.arrays import Array
 
 VECTOR_COUNT = 12
 VECTOR_SEED = 1
@@ -63,7 +62,8 @@ class _Project:
         parameters, vectors = self.library.context.parameters, dict[str, list[float]]()
         for operation in self.library.all_operations:
             samples = operation.draw(parameters, VECTOR_COUNT, VECTOR_SEED)
-            bars = allowed(samples, self.library.real)
+            # Largest error allowed of each output.
+            bars = TOLERANCES[self.library.real] * samples.scales
             rows = np.hstack([samples.inputs, samples.beyond[:, None], samples.outputs, bars])
             vectors[operation.name] = rows.ravel().tolist()
         return self._render("vectors.h", count=VECTOR_COUNT, vectors=vectors)
@@ -167,8 +167,3 @@ class _Project:
             with_output=WITH_OUTPUT,
             allowance_deg=math.degrees(library.context.limit_allowance["rad"]),
         )
-
-
-def allowed(samples: Samples, real: str) -> Array:
-    """Largest error allowed of each output, (count, n_out)."""
-    return TOLERANCES[real] * samples.scales

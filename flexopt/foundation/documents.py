@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 from collections.abc import Mapping
 from dataclasses import is_dataclass
@@ -13,6 +14,7 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.foundation.arrays import Document
+from flexopt.foundation.boundary import path, public
 from flexopt.foundation.writing import AnyPath, write_file
 
 
@@ -77,3 +79,20 @@ def json_ready(value: Any) -> Any:
     if is_dataclass(value):
         return json_ready(vars(value))
     return value
+
+
+class Gridded:
+    """A result that has its numbers as an xarray.Dataset, `dataset`."""
+
+    @public(path=path(".nc"))
+    def to_netcdf(self, path: str | os.PathLike[str]) -> None:
+        """Write `dataset` as a netCDF 3 file, which needs nothing but SciPy to be written or read.
+
+        Raises:
+            InputError: the name does not end in `.nc`.
+            WriteError: the file cannot be written.
+
+        Example:
+            >>> chart.to_netcdf("map.nc")
+        """
+        write_netcdf(path, cast(Any, self).dataset)

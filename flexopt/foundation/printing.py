@@ -10,9 +10,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from abc import abstractmethod
 from pathlib import Path
 
 from flexopt.errors import FlexoptError, InputError
+from flexopt.foundation.boundary import path, public
 from flexopt.foundation.writing import write_file
 
 # Browsers that print without a window, by the names of their programs.
@@ -93,3 +95,30 @@ def _print(browser: str, html: str, folder: Path) -> tuple[bytes, str]:
     said = done.stderr.decode(errors="replace").strip().splitlines()
     why = f"exit code {done.returncode}{', ' + said[-1] if said else ''}"
     return paper.read_bytes() if paper.is_file() else b"", why
+
+
+class Printed:
+    """A result with a page."""
+
+    @abstractmethod
+    def _html(self) -> str:
+        """The page, which needs no other file."""
+
+    @public(path=path(".pdf"))
+    def to_pdf(self, path: str | os.PathLike[str]) -> None:
+        """Write the page as it is on paper, all folds open, through a browser that is installed.
+
+        Args:
+            path: file to write, `.pdf`.
+
+        Raises:
+            InputError: there is no browser; the message says what to install.
+            FlexoptError: the browser printed nothing.
+            WriteError: the file cannot be written.
+
+        Example:
+            >>> import contextlib
+            >>> with contextlib.suppress(flexopt.InputError):  # where no browser is found
+            ...     answer.to_pdf("verdict.pdf")
+        """
+        write_file(path, printed(self._html()))

@@ -10,10 +10,9 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.errors import Fault, InputError
 from flexopt.foundation.arrays import Array, Vector
 from flexopt.foundation.plain import counted
-from flexopt.identification.log import MeasuredLog
+from flexopt.identification.log import MeasuredLog, refused
 
 SAMPLES_MIN, SAMPLES_MAX = 40, 50_000
 # The arm stands still where its joints stay this near to where they end, rad or m, and within their noise.
@@ -79,18 +78,14 @@ def swinging(log: MeasuredLog) -> MeasuredLog:
         else:
             kept.append(k)
     if not shown:
-        raise _refused("measures nothing that swings: rates or coordinates of the base, or the end-point, are needed")
+        raise refused("measures nothing that swings: rates or coordinates of the base, or the end-point, are needed")
     if log.time.size < SAMPLES_MIN:
-        raise _refused(f"is too short: {log.time.size} samples, at least {SAMPLES_MIN} are needed")
+        raise refused(f"is too short: {log.time.size} samples, at least {SAMPLES_MIN} are needed")
     if log.time.size > SAMPLES_MAX:
-        raise _refused(f"is too long: {log.time.size:,} samples, at most {SAMPLES_MAX:,} are read; choose a window")
+        raise refused(f"is too long: {log.time.size:,} samples, at most {SAMPLES_MAX:,} are read; choose a window")
     if not kept:
-        raise _refused(f"shows no motion: {'; '.join(notes)}")
+        raise refused(f"shows no motion: {'; '.join(notes)}")
     return log.part(slice(None), kept, *notes, *_holes(log.time))
-
-
-def _refused(sentence: str) -> InputError:
-    return InputError(f"identify: the log {sentence}", [Fault("log", sentence)])
 
 
 def _holes(time: Vector) -> list[str]:

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.errors import Fault, InputError, NoSolutionFound
+from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Array, Vector
-from flexopt.identification.log import MeasuredLog
+from flexopt.identification.cleaning import MEDIAN_SHARE
+from flexopt.identification.log import MeasuredLog, refused
 from flexopt.identification.small_swing import PRIOR
 from flexopt.identification.swing import PHASE, STEPS_MAX, HeldSwing
 
@@ -108,8 +109,7 @@ def longest_step(swing: HeldSwing, theta: Vector, time: Vector) -> float:
         lasts = (
             f"lasts too long, {time[-1] - time[0]:g} s, beside the machine's fastest mode, {fastest / math.tau:.4g} Hz"
         )
-        sentence = f"{lasts}: choose a window; or is t in another unit than s?"
-        raise InputError(f"identify: the log {sentence}", [Fault("log", sentence)])
+        raise refused(f"{lasts}: choose a window; or is t in another unit than s?")
     return longest
 
 
@@ -172,7 +172,7 @@ def _noise(
     log: MeasuredLog, residual: Array, fitted: Array, unknowns: int, least: Vector
 ) -> tuple[Vector, NDArray[np.bool_]]:
     """Noise of each column, and which samples are within a few times of it."""
-    rough = np.nanmedian(np.abs(residual), axis=0) / 0.6745
+    rough = np.nanmedian(np.abs(residual), axis=0) / MEDIAN_SHARE
     away = np.abs(fitted - log.values)
     used = np.isfinite(log.values) & (away <= OUTLIER * np.maximum(rough, least))
     # What is far from all others is no spike but another motion than the machine's.

@@ -12,14 +12,14 @@ import numpy as np
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Array, ArrayLike, BaseLike, PostureLike, Progress, RangeLike, Vector
-from flexopt.foundation.boundary import of_machine, public
+from flexopt.foundation.boundary import by, of_machine, public
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import Quantity, pair, vector
 from flexopt.foundation.stages import Stages
 from flexopt.identification.cleaning import after_stop, evened, held_posture, swinging, with_samples, without_spikes
 from flexopt.identification.confidence import Confidence, confidence, hidden, is_open_in_words
 from flexopt.identification.fitting import INTEGRATION, Fit, fit, longest_step
-from flexopt.identification.log import FrameLike, MeasuredLog, read_log
+from flexopt.identification.log import FrameLike, MeasuredLog, read_log, refused
 from flexopt.identification.modes import described_modes, swinging_joints
 from flexopt.identification.poles import Poles, find_poles
 from flexopt.identification.result import FittedColumn, Identification
@@ -56,17 +56,18 @@ NOISE = 0.02
 STARTED, GROWN, FITTED, STAGES = 5, 11, 19, 20
 
 
-def _window(arguments: Arguments, field: str, value: Any) -> tuple[float, float] | None:
-    return arguments.checked(field, value, pair(Quantity("s", low=-1e9, high=1e9)), None)
-
-
 def _imu(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> Any:
     axes = machine.kinematic_tree.axes
     place = vector(f"{len(axes)} numbers, {', '.join(axes)} in m", Quantity("m", low=-1e4, high=1e4), axes)
     return arguments.checked(field, value, place, None)
 
 
-@public(log=of_machine(read_log), unknown=of_machine(read_unknown), window=_window, imu=of_machine(_imu))
+@public(
+    log=of_machine(read_log),
+    unknown=of_machine(read_unknown),
+    window=by(pair(Quantity("s", low=-1e9, high=1e9))),
+    imu=of_machine(_imu),
+)
 def identify(
     machine: AnyMachine,
     log: str | os.PathLike[str] | Mapping[str, ArrayLike] | FrameLike,
@@ -148,21 +149,21 @@ def identify(
 
     swing = swing_of(shown)
     if np.isfinite(shown.values).sum() < 2 * (2 * swing.m + len(entries) + len(shown.channels)):
-        raise _refused(f"has too few samples for {len(entries)} parameters")
+        raise refused(f"has too few samples for {len(entries)} parameters")
     springs = [k for k, i in enumerate(entries) if i in parameters_of((SPRINGS,), machine)]
-    starts, beginning = near_starts(_small(swing, shown), _poles(shown, swing.m), springs)
+    small, poles = _small(swing, shown), _poles(shown, swing.m)
+    starts, beginning = near_starts(small, poles, springs)
     units = unit_doubts(beginning, starts[0])
     doubts += list(units.values())
     kept = [k for k in range(len(shown.channels)) if k not in units]
     if units and kept:
         shown, spiked = shown.part(slice(None), kept), spiked[:, kept]
         swing = swing_of(shown)
-        starts, beginning = near_starts(_small(swing, shown), _poles(shown, swing.m), springs)
+        small, poles = _small(swing, shown), _poles(shown, swing.m)
+        starts, beginning = near_starts(small, poles, springs)
     stages.reach(STARTED)
     mounted = axis_doubts(swing, shown) + place_doubts(swing)
-    doubts += mounted
-    small, poles = _small(swing, shown), _poles(shown, swing.m)
-    doubts += size_doubts(small, poles)
+    doubts += mounted + size_doubts(small, poles)
     candidates = grown(
         small, starts, beginning, springs, lambda share: stages.reach(STARTED + share * (GROWN - STARTED))
     )
@@ -207,7 +208,7 @@ def _fits(
     """
     longest_step(swing, np.zeros(len(swing.names)), log.time)
     if not all(_is_slow(swing, theta, log.time) for theta, _ in starts):
-        raise _refused(
+        raise refused(
             "shows a motion that this machine does not make with any springs near its file's: are signs and units of "
             "its columns right, and its first and last samples no spikes?" + "".join(f" And {each}" for each in mounted)
         )
@@ -232,10 +233,6 @@ def _is_slow(swing: HeldSwing, theta: Vector, time: Vector) -> bool:
     except InputError:
         return False
     return True
-
-
-def _refused(sentence: str) -> InputError:
-    return InputError(f"identify: the log {sentence}", [Fault("log", sentence)])
 
 
 def _names(machine: AnyMachine, unknown: Any) -> tuple[str, ...]:
@@ -301,7 +298,7 @@ def _check_motion(log: MeasuredLog, noise: Vector) -> None:
     explained = 1.0 - (noise / np.maximum(np.nanstd(log.values, axis=0), 1e-300)) ** 2
     if explained.max() < EXPLAINED:
         sentence = "shows no swing that stands out of its noise"
-        raise _refused(f"{sentence}: of no column more than {max(0.0, explained.max()):.0%} is explained by one")
+        raise refused(f"{sentence}: of no column more than {max(0.0, explained.max()):.0%} is explained by one")
 
 
 def _check_duration(swing: HeldSwing, duration: float, found: Fit) -> None:
@@ -312,7 +309,7 @@ def _check_duration(swing: HeldSwing, duration: float, found: Fit) -> None:
     strength = (np.abs(swing.linear(found.theta)[1] @ shapes) / found.sigma[:, None]).max(axis=0)
     period = 2 * math.pi / abs(roots[int(np.argmax(strength))])
     if duration < PERIODS * period:
-        raise _refused(f"is too short: {duration:.3g} s, while its strongest motion takes {period:.3g} s to and fro")
+        raise refused(f"is too short: {duration:.3g} s, while its strongest motion takes {period:.3g} s to and fro")
 
 
 def _decay_doubts(swing: HeldSwing, poles: Poles, theta: Vector) -> list[str]:
@@ -330,7 +327,7 @@ def _decay_doubts(swing: HeldSwing, poles: Poles, theta: Vector) -> list[str]:
     grows = poles.evidence < -DECAYS
     if grows or FAR * (math.sqrt(DECAYS) * deviation - pole.real) < own:
         how = "grows" if grows else "lasts"
-        raise _refused(f"shows no decay: {motion} {how}; is an engine or a loop still driving it?")
+        raise refused(f"shows no decay: {motion} {how}; is an engine or a loop still driving it?")
     return [f"{motion} may last for ever, which the log does not tell: the numbers are right only of a free swing"]
 
 

@@ -54,6 +54,11 @@ class MeasuredLog:
         return MeasuredLog(self.time[rows], channels, self.values[rows][:, chosen], (*self.notes, *notes))
 
 
+def refused(sentence: str) -> InputError:
+    """That nothing can be identified from a log, and why."""
+    return InputError(f"identify: the log {sentence}", [Fault("log", sentence)])
+
+
 class FrameLike(Protocol):
     """A data frame of any library: columns by name."""
 

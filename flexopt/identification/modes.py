@@ -13,6 +13,7 @@ from flexopt.foundation.arrays import Array, Vector
 from flexopt.identification.fitting import Fit
 from flexopt.identification.log import MeasuredLog
 from flexopt.identification.result import IdentifiedMode
+from flexopt.identification.small_swing import assurance
 from flexopt.identification.swing import HeldSwing, oscillations
 
 # Where one coordinate has this share of the energy it is named alone; below it, all with the lesser share.
@@ -35,8 +36,7 @@ def described_modes(swing: HeldSwing, time: Vector, found: Fit) -> tuple[Identif
     roots0, v0, _ = told.modes(np.zeros(0))
     scale = np.sqrt(np.diag(springs))[:, None]
     a, b = scale * v[:m], scale * v0[:m]
-    alike = np.abs(a.conj().T @ b) ** 2 / np.outer((np.abs(a) ** 2).sum(0), (np.abs(b) ** 2).sum(0))
-    pairs = dict(zip(*(part.tolist() for part in linear_sum_assignment(-alike)), strict=True))
+    pairs = dict(zip(*(part.tolist() for part in linear_sum_assignment(-assurance(a, b))), strict=True))
     modes = list[IdentifiedMode]()
     for k, root in enumerate(roots.tolist()):
         energy = np.abs((v[:m, k].conj() * (springs @ v[:m, k])).real)

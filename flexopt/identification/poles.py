@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Array, ComplexArray, Vector
-from flexopt.identification.swing import eigen
+from flexopt.identification.swing import eigen, oscillations
 
 # Windows and rows of the matrix that is decomposed, at most.
 WINDOWS, ROWS = 700, 600
@@ -80,7 +80,7 @@ def _unbroken(there: NDArray[np.bool_], length: int) -> NDArray[np.bool_]:
 def _weighed(scaled: Array, scale: Vector, step: float, roots: ComplexArray, most: int) -> Poles:
     """Amplitudes by least squares, and the strongest of the poles."""
     t: Vector = step * np.arange(float(len(scaled)))
-    waves: ComplexArray = np.exp(np.minimum(np.outer(t, roots.real), 50.0) + 1j * np.outer(t, roots.imag))
+    waves = oscillations(roots, t)
     basis: Array = np.column_stack([waves.real, -waves.imag, np.ones(t.size)])
     k = roots.size
     shapes: ComplexArray = np.zeros((scaled.shape[1], k), complex)
@@ -100,7 +100,7 @@ def _decay(scaled: Array, t: Vector, roots: ComplexArray) -> float:
     """What the columns lose in likelihood, as twice its logarithm, where the first pole is held at the axis."""
 
     def left(poles: ComplexArray) -> Vector:
-        waves: ComplexArray = np.exp(np.outer(t, poles.real) + 1j * np.outer(t, poles.imag))
+        waves = oscillations(poles, t)
         basis: Array = np.column_stack([waves.real, -waves.imag, np.ones(t.size)])
         squares = list[float]()
         for column in scaled.T:

@@ -20,7 +20,7 @@ from flexopt.foundation.arrays import Array, ComplexArray, Vector
 from flexopt.identification.log import MeasuredLog
 from flexopt.identification.measured import MISTAKEN
 from flexopt.identification.poles import Poles
-from flexopt.identification.swing import HeldSwing, eigen
+from flexopt.identification.swing import HeldSwing, eigen, oscillations
 from flexopt.plant.reach import outer_reach
 
 # Nothing known beyond the file: its numbers are right within a factor of e³, in standard deviations.
@@ -82,9 +82,7 @@ class SmallSwing:
         """C exp(A t), (N, c, 2m); not finite where its modes are out of bounds."""
         a, c, _ = self.swing.linear(theta)
         roots, v = eigen(a)
-        t = self.time - self.time[0]
-        waves: Any = np.exp(np.minimum(np.outer(t, roots.real), 60.0) + 1j * np.outer(t, roots.imag))
-        return np.einsum("cj,nj,jk->nck", c @ v, waves, np.linalg.inv(v)).real
+        return np.einsum("cj,nj,jk->nck", c @ v, oscillations(roots, self.time), np.linalg.inv(v)).real
 
     def fitted(self, theta: Vector, columns: Sequence[int] | None = None) -> tuple[Vector, Vector, Array]:
         """Residuals in multiples of sigma, the deviation x0 from rest, and what it gives in all columns (N, c).
@@ -137,7 +135,7 @@ def small_modes(swing: HeldSwing, theta: Vector) -> tuple[ComplexArray, ComplexA
     return roots, swing.linear(theta)[1] @ v
 
 
-def _alike(a: ComplexArray, b: ComplexArray) -> Array:
+def assurance(a: ComplexArray, b: ComplexArray) -> Array:
     """Modal assurance of shapes (c, k) and (c, l), columns scaled: (k, l) in 0 … 1."""
     inner = np.abs(a.conj().T @ b) ** 2
     return inner / np.maximum(np.outer((np.abs(a) ** 2).sum(0), (np.abs(b) ** 2).sum(0)), 1e-300)
@@ -175,7 +173,7 @@ def matched(swing: HeldSwing, poles: Poles, scale: Vector, theta: Vector) -> Vec
         if not roots.size:
             return theta
         apart = np.abs(np.log(np.abs(poles.values))[:, None] - np.log(np.abs(roots))[None])
-        cost = weight[:, None] * (3.0 * apart + 1.0 - _alike(poles.shapes / scale[:, None], shapes / scale[:, None]))
+        cost = weight[:, None] * (3.0 * apart + 1.0 - assurance(poles.shapes / scale[:, None], shapes / scale[:, None]))
         data, model = linear_sum_assignment(cost)
 
         def residuals(

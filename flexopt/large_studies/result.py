@@ -14,7 +14,7 @@ import numpy as np
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import ArrayLike, Document, Vector
-from flexopt.foundation.boundary import as_array, path, public, words
+from flexopt.foundation.boundary import as_array, by, check_text, path, public, words
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import several
@@ -29,12 +29,6 @@ if TYPE_CHECKING:
 
 # Without dask so many bytes are read into memory, more are refused.
 IN_MEMORY = 2**30
-
-
-def _quantity(arguments: Arguments, field_: str, value: Any) -> Any:
-    if not isinstance(value, str):
-        arguments.note(field_, "must be the name of a quantity", value)
-    return value
 
 
 def _over(arguments: Arguments, field_: str, value: Any) -> Any:
@@ -157,7 +151,7 @@ class StudyResult(Result):
             return import_module("xarray").concat(list(self.datasets()), "point", combine_attrs="drop_conflicts")
         return reader.lazy()
 
-    @public(quantity=_quantity, how=words(*WAYS), over=_over)
+    @public(quantity=by(check_text), how=words(*WAYS), over=_over)
     def reduce(
         self, quantity: str, how: Literal["min", "max", "mean"], over: Sequence[str] | None = None
     ) -> xr.Dataset:
@@ -186,7 +180,7 @@ class StudyResult(Result):
         reader = self._whole("reduce")
         return reduced(reader, self._named("reduce", quantity), how, self._axes("reduce", over))
 
-    @public(quantity=_quantity, shares=_shares)
+    @public(quantity=by(check_text), shares=_shares)
     def quantiles(self, quantity: str, shares: ArrayLike) -> xr.Dataset:
         """Exact quantiles over all points, in four passes over the chunks; memory does not grow with their number.
 

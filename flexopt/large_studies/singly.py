@@ -55,9 +55,8 @@ class OneByOne(ABC):
     @property
     def units(self) -> dict[str, str]:
         """Of each quantity."""
-        known = {"posture": "rad or m", "base": "m or rad", "end_error": "m", "settling_time": "s"}
-        known |= {"linear_growth_rate": "1/s", "growth_rate": "1/s", "growth_rate_error": "1/s"}
-        known |= {"finite_until": "s", "peak_base_rotation": "rad"}
+        known = {"linear_growth_rate": "1/s", "growth_rate": "1/s", "growth_rate_error": "1/s", "finite_until": "s"}
+        known |= {"end_error": "m", "settling_time": "s", "peak_base_rotation": "rad"}
         return {name: known.get(name, "1") for name in self.study.kept}
 
     def parameters(self, column: Vector) -> dict[str, float]:
@@ -151,22 +150,16 @@ class ManySimulations(OneByOne):
         if held and experiment.simulation.posture is None and len(held) < self.sizes["joint"]:
             raise InputError(f"study {study.name!r}: vary: some joints vary, and the experiment's posture is not given")
 
-    @property
-    def units(self) -> dict[str, str]:
-        """See `OneByOne`."""
-        known = {"linear_growth_rate": "1/s", "growth_rate": "1/s", "growth_rate_error": "1/s", "finite_until": "s"}
-        known |= {"end_error": "m", "settling_time": "s", "peak_base_rotation": "rad"}
-        return {name: known.get(name, "1") for name in self.study.kept}
-
     def one(self, column: Vector) -> Mapping[str, Any]:
         """Of the run."""
         experiment = cast(Experiment, self.study.subject)
-        options = experiment.simulation
-        overrides: dict[str, Any] = {
-            axis.kind: float(x) for axis, x in zip(self.axes, column, strict=True) if axis.kind in GAINS
-        }
+        options, loop = experiment.simulation, experiment.loop
+        gains = {axis.kind: float(x) for axis, x in zip(self.axes, column, strict=True) if axis.kind in GAINS}
+        # A file's [loop] says its gains itself, else the run's options do.
+        overrides: dict[str, Any] = {} if loop else dict(gains)
+        loop = loop and loop.model_copy(update={name: (gain,) for name, gain in gains.items()})
         for kind in ("posture", "base"):
             if any(axis.kind == kind for axis in self.axes):
                 overrides[kind] = self.placed(kind, column, getattr(options, kind))
-        run = run_experiment(experiment.with_machine(self.varied_machine(column)), **overrides)
+        run = run_experiment(experiment.with_machine(self.varied_machine(column)), loop=loop, **overrides)
         return {name: getattr(run, name) for name in self.study.kept}

@@ -211,7 +211,7 @@ def _radius_guaranteed(loop: UncertainLoop, radius: float, boxes: int, stages: S
 
         best = max(best, certified_radius(_scaled(loop, size), size, boxes=boxes, told=told))
         size /= 2
-    return best
+    return min(best, radius)
 
 
 def _scaled(loop: UncertainLoop, size: float) -> UncertainLoop:
@@ -254,4 +254,4 @@ def _radius(loop: UncertainLoop, points: int) -> tuple[float, dict[str, float], 
         else:
             high, first = tried, here.box.told(at)
         tried = (low + high) / 2
-    return math.exp(low), first, looked
+    return min(math.exp(low), LARGEST), first, looked

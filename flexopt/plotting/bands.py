@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from flexopt.foundation.palette import colors
-from flexopt.plotting.sheet import SettledLayout, Sheet, picture, themed
+from flexopt.plotting.sheet import SettledLayout, Sheet, open_frame, picture, themed
 from flexopt.plotting.units import labelled
 
 # Ratio of the largest to the least from which an axis is logarithmic.
@@ -152,9 +152,7 @@ def _draw(axes: Axes, bands: Bands) -> None:
         axes.set_xticks([])
     elif axes.get_xscale() == "linear":
         axes.locator_params(axis="x", nbins=5)
-    axes.grid(axis="x")
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    open_frame(axes, "x")
 
 
 def _limits(axes: Axes, finite: Sequence[float]) -> tuple[float, float]:

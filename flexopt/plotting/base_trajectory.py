@@ -8,15 +8,12 @@ In: a `BaseTrajectory`. Out: a figure.
 from __future__ import annotations
 
 import textwrap
-from dataclasses import replace
-
-from matplotlib.axes import Axes
 
 from flexopt.foundation.boundary import instance
 from flexopt.foundation.escapes import mathtext
 from flexopt.foundation.palette import colors
-from flexopt.plotting.panels import NamedLine, Panel, draw_panel
-from flexopt.plotting.scene import Actor, draw_scene, legend_above, target_point
+from flexopt.plotting.panels import NamedLine, Panel, draw_stack
+from flexopt.plotting.scene import Actor, draw_views, target_point
 from flexopt.plotting.shape import shape_of, views
 from flexopt.plotting.sheet import Sheet, picture
 from flexopt.plotting.units import labelled
@@ -45,12 +42,7 @@ def plot_base_trajectory(sheet: Sheet, trajectory: BaseTrajectory) -> None:
     units = sorted({unit for _, unit in coordinates})
     grid = sheet.figure.add_gridspec(1, 2, width_ratios=[1.1, 1.0])
     scenes, right = grid[0].subgridspec(len(seen), 1), grid[1].subgridspec(2 * len(units) + 1, 1)
-    for k, view in enumerate(seen):
-        axes = sheet.figure.add_subplot(scenes[k, 0])
-        shown = actors if k == 0 else [replace(actor, label="") for actor in actors]
-        draw_scene(axes, view, shown, target, name="end-point")
-        if k == 0:
-            legend_above(axes)
+    draw_views([sheet.figure.add_subplot(scenes[k, 0]) for k in range(len(seen))], actors, target, name="end-point")
     panels: list[Panel] = []
     for rows, per, steps in ((t.base.T, "", False), (t.base_rate.T, "/s", True)):
         for unit in units:
@@ -61,17 +53,12 @@ def plot_base_trajectory(sheet: Sheet, trajectory: BaseTrajectory) -> None:
             panels.append(Panel(f"{what}, {unit}{per}", lines, steps=steps))
     unit = "" if t.objective == "epsilon_max" else residue_unit(t.control, t.final.joint_units)
     panels.append(Panel(labelled(f"V: {mathtext(t.objective)}", unit), (("V", t.time, t.V),)))
-    drawn: list[Axes] = []
-    for row, panel in enumerate(panels):
-        drawn.append(sheet.figure.add_subplot(right[row, 0], sharex=drawn[0] if drawn else None))
-        draw_panel(drawn[-1], panel)
-        drawn[-1].tick_params(labelbottom=row == len(panels) - 1)
-    drawn[-1].set_xlabel("time, s")
+    last = draw_stack(sheet.figure, right, panels)[-1]
     if t.descents:
         at = [descent.index for descent in t.descents]
-        drawn[-1].plot(t.time[at], t.V[at], "v", color=inks.grows, markersize=4, linestyle="none", label="V descends")
-        handles, labels = drawn[-1].get_legend_handles_labels()
-        drawn[-1].legend(handles[-1:], labels[-1:], loc="lower right")
+        last.plot(t.time[at], t.V[at], "v", color=inks.grows, markersize=4, linestyle="none", label="V descends")
+        handles, labels = last.get_legend_handles_labels()
+        last.legend(handles[-1:], labels[-1:], loc="lower right")
     heading = f"{mathtext(t.machine)}, Jacobian {t.control} control, objective {t.objective}: {t.status}"
     sheet.title(textwrap.fill(heading, TITLE_WIDTH))
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -24,6 +24,8 @@ from flexopt.foundation.palette import colors
 LOWEST_SHOWN = 0.05
 # Share of a field by which its values differ from rounding alone.
 SAME = 1e-9
+# Share of a field's range by which its greatest value may miss a bound of 0 that the colours then end at.
+MISSED = 0.01
 # A range up to which an axis that is logarithmic has no powers of ten enough.
 DECADES = 100.0
 # How far from an end-point its name stands, as a share of a field's width.
@@ -68,6 +70,11 @@ class FieldPlane:
         return "equal" if 0.25 <= float(np.ptp(self.y) / np.ptp(self.x)) <= 4.0 else "auto"
 
 
+def array_of(dataset: Any, name: str) -> Array:
+    """A variable of a map's dataset."""
+    return np.asarray(dataset[name].values, dtype=float)
+
+
 def cell_edges(values: Array) -> Array:
     """Edges (n + 1,) of the cells of evenly spaced values (n,)."""
     half = float(values[-1] - values[0]) / (values.size - 1) / 2
@@ -103,16 +110,12 @@ def draw_field(axes: Axes, plane: FieldPlane, values: Array, *, label: str, clip
     if finite.size and np.ptp(finite) <= SAME * np.max(np.abs(finite)):
         middle = float(np.mean(finite))
         low, high, clipped = *sorted((0.9 * middle, 1.1 * middle or 1.0)), False
+    elif finite.size and -MISSED * np.ptp(finite) < finite.max() < 0:
+        high = 0.0
     image = axes.imshow(
-        values,
-        extent=plane.extent,
-        origin="lower",
-        interpolation="nearest",
-        aspect=plane.aspect,
-        cmap="viridis",
-        vmin=low,
-        vmax=high,
-    )
+        values, extent=plane.extent, origin="lower", interpolation="nearest", aspect=plane.aspect, cmap="viridis",
+        vmin=low, vmax=high,
+    )  # fmt: skip
     _bar(axes, image, label, extend="min" if clipped and finite.size else "neither")
 
 

@@ -17,7 +17,7 @@ from flexopt.foundation.boundary import instance
 from flexopt.foundation.escapes import mathtext
 from flexopt.foundation.palette import colors
 from flexopt.identification.result import FittedColumn, Identification
-from flexopt.plotting.sheet import Sheet, picture
+from flexopt.plotting.sheet import Sheet, open_frame, picture
 
 TITLE_WIDTH = 105  # characters
 
@@ -72,7 +72,5 @@ def _draw_residuals(axes: Axes, found: Identification, k: int, column: FittedCol
 
 def _style(axes: Axes, label: str) -> None:
     axes.set_ylabel(label)
-    axes.grid(visible=True)
     axes.locator_params(axis="y", nbins=4)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    open_frame(axes)

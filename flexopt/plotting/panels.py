@@ -8,15 +8,18 @@ In: labelled samples. Out: drawn axes.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.palette import colors
+from flexopt.plotting.sheet import open_frame
 from flexopt.simulation.behaviour import ROUNDING
 
 STYLES = ("-", "--", "-.", ":")
@@ -85,15 +88,27 @@ def draw_panel(axes: Axes, panel: Panel, *, legend: bool = True) -> None:
     axes.locator_params(axis="x", nbins=6)
     if axes.get_yscale() == "linear":
         axes.locator_params(axis="y", nbins=5)
-    axes.grid(visible=True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    open_frame(axes)
     if legend and len(panel.lines) > 1:
         columns = max(1, ROW // (max(len(name) for name, _, _ in panel.lines) + HANDLE))
         axes.legend(
             loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, frameon=False,
             borderaxespad=0.0, borderpad=0.0, handlelength=1.4, columnspacing=1.0,
         )  # fmt: skip
+
+
+def draw_stack(
+    figure: Figure | SubFigure, rows: Any, panels: Sequence[Panel], beside: Axes | None = None, legends: int = 100
+) -> list[Axes]:
+    """Panels in rows on one time axis, that `beside`, which the last one names; the first `legends` have a legend."""
+    drawn: list[Axes] = []
+    for row, panel in enumerate(panels):
+        drawn.append(figure.add_subplot(rows[row], sharex=drawn[0] if drawn else beside))
+        last = row == len(panels) - 1
+        drawn[-1].tick_params(labelbottom=last)
+        drawn[-1].set_xlabel("time, s" if last else "")
+        draw_panel(drawn[-1], panel, legend=row < legends)
+    return drawn
 
 
 def _set_scale(axes: Axes, panel: Panel) -> None:

@@ -8,7 +8,7 @@ In: shapes with the colours of what they are, targets, constraints. Out: drawn a
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -18,7 +18,7 @@ from flexopt.foundation.palette import colors
 from flexopt.model.constraints import Constraints
 from flexopt.plotting.machine import HEIGHT, SPRING, draw_ground, draw_shape, draw_target
 from flexopt.plotting.scenery import draw_scenery, held, named_points, scenery_points
-from flexopt.plotting.shape import Points, Shape, View
+from flexopt.plotting.shape import Points, Shape, View, views
 
 # Room about what is drawn, share of the machine's size.
 ROOM = 0.1
@@ -95,6 +95,22 @@ def draw_scene(
     axes.set_ylim(float(low[1]), float(high[1]), auto=fill == "datalim")
     axes.set_xlabel(view.labels[0])
     axes.set_ylabel(view.labels[1])
+
+
+def draw_views(
+    panels: Sequence[Axes],
+    actors: Sequence[Actor],
+    targets: Points,
+    constraints: Constraints | None = None,
+    *,
+    name: str = "",
+    **settings: Any,
+) -> None:
+    """`draw_scene` in every view of the last machine, one for each pair of axes; the first has its names above it."""
+    for k, (axes, view) in enumerate(zip(panels, views(actors[-1].shape), strict=True)):
+        shown = actors if k == 0 else [replace(actor, label="") for actor in actors]
+        draw_scene(axes, view, shown, targets, constraints, name=name)
+        legend_above(axes, **settings)
 
 
 def legend_above(axes: Axes, side: Literal["left", "right"] = "left", **settings: Any) -> None:

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -16,8 +15,8 @@ from matplotlib.ticker import MaxNLocator
 from flexopt.foundation.boundary import instance
 from flexopt.foundation.escapes import mathtext
 from flexopt.foundation.palette import colors
-from flexopt.plotting.scene import Actor, draw_scene, legend_above, target_point
-from flexopt.plotting.shape import Points, shape_of, views
+from flexopt.plotting.scene import Actor, draw_views, legend_above, target_point
+from flexopt.plotting.shape import Points, shape_of
 from flexopt.plotting.sheet import Sheet, picture
 from flexopt.plotting.units import labelled, measure_label, objective_label
 from flexopt.robustness.evaluation import Evaluation, unreached, without_rounding
@@ -82,10 +81,7 @@ def draw_configurations(axes: Sequence[Axes], selection: Selection) -> None:
         present = Actor(shape_of(problem.machine, initial), colors().present, f"present: {_line(initial)}", ghost=True)
         actors.insert(0, present)
     target = target_point(best.skeleton[:, -1], problem.machine.task_rows, problem.target)
-    for k, (panel, view) in enumerate(zip(axes, views(actors[-1].shape), strict=True)):
-        shown = actors if k == 0 else [replace(actor, label="") for actor in actors]
-        draw_scene(panel, view, shown, target, problem.asked, name="target")
-        legend_above(panel)
+    draw_views(axes, actors, target, problem.asked, name="target")
 
 
 def _line(evaluation: Evaluation) -> str:

@@ -14,7 +14,7 @@ from matplotlib.patheffects import withStroke
 from flexopt.foundation.escapes import mathtext
 from flexopt.foundation.palette import colors
 from flexopt.loop.sensitivity import Sensitivity
-from flexopt.plotting.sheet import Sheet, picture
+from flexopt.plotting.sheet import Sheet, open_frame, picture
 from flexopt.plotting.units import labelled
 
 WIDE = 3
@@ -66,9 +66,7 @@ def plot_sensitivity(sheet: Sheet, found: Sensitivity) -> None:
         panel.set_xlim(float(np.nanmin(ends, initial=0.0)) - 0.02, float(np.nanmax(ends, initial=1.0)) + 0.05)
         panel.set_xlabel(labelled("share of the variance", ""))
         panel.set_ylim(len(found.names) - 0.4, -0.6)
-        panel.grid(axis="x")
-        for side in ("top", "right"):
-            panel.spines[side].set_visible(False)
+        open_frame(panel, "x")
     if sheet.axes is None:
         # One name for the whiskers of both kinds of bars.
         panels[0].errorbar([], [], xerr=[], fmt="none", ecolor=inks.text, elinewidth=0.8, capsize=2, label=INTERVAL)

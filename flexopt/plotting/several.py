@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from flexopt.foundation.boundary import instance
 from flexopt.foundation.escapes import mathtext
 from flexopt.foundation.palette import colors
 from flexopt.plotting.panels import NamedLine, Panel, draw_panel
-from flexopt.plotting.scene import Actor, draw_scene, legend_above, target_point
+from flexopt.plotting.scene import Actor, draw_scene, draw_views, legend_above, target_point
 from flexopt.plotting.shape import Points, Shape, View, shape_of, views
 from flexopt.plotting.sheet import Sheet, picture
 from flexopt.plotting.units import labelled, measure_label, objective_label
@@ -58,12 +57,10 @@ def plot_stand(sheet: Sheet, stand: Stand) -> None:
     worst = "at the worst target" if stand.differs else f"at target {stand.worst + 1}"
     actors.append(Actor(shapes[stand.worst], inks.chosen, worst))
     targets = _target_points(places, stand.problems[0].machine.task_rows)
-    for k, view in enumerate(seen):
-        axes = sheet.figure.add_subplot(left[k, 0])
-        shown = actors if k == 0 else [replace(actor, label="") for actor in actors]
-        draw_scene(axes, view, shown, targets, stand.problems[0].asked)
+    scenes = [sheet.figure.add_subplot(left[k, 0]) for k in range(len(seen))]
+    draw_views(scenes, actors, targets, stand.problems[0].asked, ncols=2)
+    for axes, view in zip(scenes, seen, strict=True):
         _number(axes, view.of(targets))
-        legend_above(axes, ncols=2)
     panels: list[Axes] = [sheet.figure.add_subplot(right[k, 0]) for k in range(2)]
     numbers = np.arange(1, len(places) + 1)
     shades = [inks.chosen if k == stand.worst else inks.other for k in range(numbers.size)]

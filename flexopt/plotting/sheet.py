@@ -15,7 +15,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -141,6 +141,13 @@ class PlainTicks(ScalarFormatter):
     def __call__(self, x: float, pos: int | None = None) -> str:
         """A number's text."""
         return super().__call__(x, pos).removeprefix(r"$\mathdefault{").removesuffix("}$")
+
+
+def open_frame(axes: Axes, axis: Literal["both", "x"] = "both") -> None:
+    """A grid at the numbers of these axes, and no sides but those that have numbers or a name."""
+    axes.grid(visible=True, axis=axis)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
 
 
 def plain_numbers(figure: Figure | SubFigure, only: Axes | None = None) -> None:

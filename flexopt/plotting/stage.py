@@ -8,6 +8,7 @@ In: a `Film`, the rows of a run that are drawn. Out: pictures, one for each row.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -70,7 +71,14 @@ def decimals(film: Film) -> int:
     return max(1, math.ceil(-math.log10(float(steps[steps > 0].min()))))
 
 
-class Shots:
+def usual(points: Vector, anchor: Vector, size: float) -> tuple[Vector, Vector]:
+    """Least and greatest of points (K, points, 2), most of the time: not where a run flies away from the anchor."""
+    center = anchor[:, None]
+    ends = np.quantile(np.clip(points, center - 1.1 * size, center + 1.1 * size), [1 - USUAL, USUAL], axis=0)
+    return ends[0].min(axis=0), ends[1].max(axis=0)
+
+
+class Shots(ABC):
     """What films have in common: panels beside the scene, each with a cursor, a clock, a background drawn once."""
 
     def __init__(self, film: Film, size: tuple[float, float]) -> None:
@@ -118,9 +126,20 @@ class Shots:
         rgba: NDArray[np.uint8] = np.array(picture)
         return rgba[..., :3].copy()
 
+    def _frame(self, axes: Axes, low: Vector, high: Vector, above: float, x: str, y: str, title: str) -> None:
+        """A scene at one scale, in a frame that is filled: what is too narrow is given more, heights so much above."""
+        frame = np.array(axes.get_position().size) * self.figure.get_size_inches()
+        more = frame * np.max((high - low) / frame) - (high - low)
+        low, high = low - more * [0.5, 1.0 - above], high + more * [0.5, above]
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        axes.set_xlabel(x, fontsize=8)
+        axes.set_ylabel(y, fontsize=8)
+        axes.tick_params(labelsize=7.5)
+        axes.set_title(title, fontsize=8, pad=3)
+
+    @abstractmethod
     def _move(self, k: int) -> None:
         """Put everything where it is in row k."""
-        raise NotImplementedError
 
 
 class Stage(Shots):
@@ -149,25 +168,13 @@ class Stage(Shots):
     def _draw_scene(self, axes: Axes) -> None:
         """Ground, limits and labels; limits hold the machine's usual motion, not a run that flies away."""
         skeleton, anchor, length = self.film.skeleton, self.film.anchor, self.length
-        center = anchor[:, None]
-        near = np.clip(skeleton, center - 1.1 * length, center + 1.1 * length)
-        ends = np.quantile(near, [1 - USUAL, USUAL], axis=0)
-        low, high = ends[0].min(axis=0), ends[1].max(axis=0)
+        low, high = usual(skeleton, anchor, length)
         floor = float(anchor[:, 1].min()) - (HALF_HEIGHT + SPRING) * length
         low = np.minimum(low, [float(anchor[:, 0].min()) - 0.26 * length, floor]) - 0.06 * length
         high = np.maximum(high, [float(anchor[:, 0].max()) + 0.26 * length, high[1]])
         high += np.array([0.06, 0.2]) * length
         draw_ground(axes, floor)
-        # The same scale on both axes, in a frame that is filled: the narrower direction is given more.
-        frame = np.array([SCENE[2] * SIZE[0], SCENE[3] * SIZE[1]])
-        more = frame * np.max((high - low) / frame) - (high - low)
-        low, high = low - more * [0.5, 0.0], high + more * [0.5, 1.0]
-        axes.set_xlim(float(low[0]), float(high[0]))
-        axes.set_ylim(float(low[1]), float(high[1]))
-        axes.set_xlabel("x, m (inertial frame)", fontsize=8)
-        axes.set_ylabel("y, m", fontsize=8)
-        axes.tick_params(labelsize=7.5)
-        axes.set_title(self.film.caption, fontsize=8, pad=3)
+        self._frame(axes, low, high, 1.0, "x, m (inertial frame)", "y, m", self.film.caption)
 
     def _move(self, k: int) -> None:
         film, length = self.film, self.length

@@ -21,7 +21,7 @@ from flexopt.plant import build_plant
 from flexopt.plotting.machine import draw_ground
 from flexopt.plotting.scene import target_point
 from flexopt.plotting.shape import Shape, View, bars_of, capsule_outline, shape_at, views
-from flexopt.plotting.stage import USUAL, AxesPlace, Film, Shots
+from flexopt.plotting.stage import AxesPlace, Film, Shots, usual
 from flexopt.simulation.trajectory import Trajectory
 
 SIZE = (8.6, 6.4)
@@ -66,7 +66,7 @@ class SpaceStage(Shots):
 
     def _scene(self, place: AxesPlace, view: View, first: Shape) -> _Scene:
         axes = self.figure.add_axes(place)
-        self._set_limits(axes, place, view, first)
+        self._set_limits(axes, view, first)
         color = to_rgb(colors().present)
         capsules = PolyCollection(
             [], facecolors=[(*color, 0.12)], edgecolors=[(*color, 0.6)], linewidths=0.7, zorder=2.7
@@ -79,14 +79,11 @@ class SpaceStage(Shots):
         (target,) = axes.plot([], [], "+", color=colors().target, markersize=10, markeredgewidth=1.3, zorder=6)
         return _Scene(axes, view, capsules, bars, joints, trace, target)
 
-    def _set_limits(self, axes: Axes, place: AxesPlace, view: View, first: Shape) -> None:
+    def _set_limits(self, axes: Axes, view: View, first: Shape) -> None:
         """Limits that hold the machine's usual motion, not a run that flies away; the same scale on both axes."""
         film, size = self.film, first.size
         points = np.einsum("ij,kpj->kpi", view.axes, film.skeleton)
-        center = view.of(film.anchor.T).T[:, None]
-        near = np.clip(points, center - 1.1 * size, center + 1.1 * size)
-        ends = np.quantile(near, [1 - USUAL, USUAL], axis=0)
-        low, high = ends[0].min(axis=0), ends[1].max(axis=0)
+        low, high = usual(points, view.of(film.anchor.T).T, size)
         for start, end, radius in first.capsules:
             both = view.of(np.column_stack([start, end]))
             low, high = np.minimum(low, both.min(axis=1) - radius), np.maximum(high, both.max(axis=1) + radius)
@@ -94,15 +91,8 @@ class SpaceStage(Shots):
         if view.upright:
             ground = float(view.of(film.anchor[0])[1])
             draw_ground(axes, ground)
-        frame = np.array([place[2] * SIZE[0], place[3] * SIZE[1]])
-        more = frame * np.max((high - low) / frame) - (high - low)
-        low, high = low - more / 2, high + more / 2
-        axes.set_xlim(float(low[0]), float(high[0]))
-        axes.set_ylim(float(low[1]), float(high[1]))
-        axes.set_xlabel(view.labels[0], fontsize=8)
-        axes.set_ylabel(view.labels[1], fontsize=8)
-        axes.tick_params(labelsize=7.5)
-        axes.set_title(f"{view.name}; {film.caption}" if view.upright else view.name, fontsize=8, pad=3)
+        caption = f"{view.name}; {film.caption}" if view.upright else view.name
+        self._frame(axes, low, high, 0.5, *view.labels, caption)
 
     def _move(self, k: int) -> None:
         for scene in self.scenes:

@@ -22,7 +22,7 @@ from flexopt.foundation.boundary import instance
 from flexopt.foundation.doubt import with_doubt
 from flexopt.foundation.escapes import LEGEND_MAX, mathtext
 from flexopt.plant import build_plant
-from flexopt.plotting.panels import Panel, draw_panel
+from flexopt.plotting.panels import Panel, draw_stack
 from flexopt.plotting.sheet import Sheet, picture
 from flexopt.simulation.trajectory import Trajectory
 
@@ -95,7 +95,7 @@ def plot_trajectories(sheet: Sheet, trajectories: Mapping[str, Trajectory]) -> N
         for k, axis in enumerate(axis_names(first))
     ]
     right = [deflection_panel(trajectories, k) for k in range(first.n_passive)]
-    panels = _draw_columns(sheet.figure, left, right, legends=False)
+    panels = _draw_columns(sheet.figure, left, right, legends=0)
     handles = panels[0].get_lines()[: len(trajectories)]
     labels = [f"{mathtext(name)}: {outcome(t)}" for name, t in trajectories.items()]
     sheet.figure.legend(handles, labels, loc="outside upper center", ncols=1 if len(labels) > 2 else 2)
@@ -158,17 +158,11 @@ def deflection_panel(runs: Mapping[str, Trajectory], k: int, rate: float | None 
     return Panel(f"{mathtext(name, LEGEND_MAX)}, {unit}", lines, rate)
 
 
-def _draw_columns(figure: Figure | SubFigure, *columns: Sequence[Panel], legends: bool = True) -> list[Axes]:
+def _draw_columns(figure: Figure | SubFigure, *columns: Sequence[Panel], legends: int = 100) -> list[Axes]:
     """Columns of panels that share their time axis, each column as high as the figure."""
     grid = figure.add_gridspec(1, len(columns))
     drawn: list[Axes] = []
     for column, panels in enumerate(columns):
         rows = grid[column].subgridspec(max(1, len(panels)), 1)
-        for row, panel in enumerate(panels):
-            axes = figure.add_subplot(rows[row], sharex=drawn[0] if drawn else None)
-            last = row == len(panels) - 1
-            axes.tick_params(labelbottom=last)
-            axes.set_xlabel("time, s" if last else "")
-            draw_panel(axes, panel, legend=legends)
-            drawn.append(axes)
+        drawn += draw_stack(figure, rows, panels, drawn[0] if drawn else None, legends)
     return drawn

@@ -17,6 +17,7 @@ from flexopt.foundation.arrays import Array
 from flexopt.foundation.escapes import TITLE_MAX, mathtext
 from flexopt.plotting.fields import (
     FieldPlane,
+    array_of,
     draw_best,
     draw_field,
     draw_marks,
@@ -34,12 +35,12 @@ def dataset_plane(dataset: Any) -> FieldPlane:
     rows, columns = dataset["reachable"].dims
     if dataset.attrs["frame"].startswith("workspace"):
         labels = [f"{columns}, m (workspace frame)", f"{rows}, m (workspace frame)"]
-        return FieldPlane(_array(dataset, columns), _array(dataset, rows), labels[0], labels[1])
+        return FieldPlane(array_of(dataset, columns), array_of(dataset, rows), labels[0], labels[1])
     labels = [
         f"{mathtext(dataset[name].attrs['long_name'], TITLE_MAX)}, {dataset[name].attrs['units']}"
         for name in (columns, rows)
     ]
-    x, y = (_array(dataset, name) for name in (columns, rows))
+    x, y = (array_of(dataset, name) for name in (columns, rows))
     plain = [f"{label.removesuffix(', 1')}, –" if label.endswith(", 1") else label for label in labels]
     return FieldPlane(x, y, plain[0], plain[1], (_geometric(x), _geometric(y)))
 
@@ -162,7 +163,7 @@ def _panels(dataset: Any) -> list[list[MapPanel]]:
     rows: list[list[MapPanel]] = []
     whole: list[MapPanel] = []
     if "w" in dataset:
-        frequency, w, in_phase = (_array(dataset, name) for name in ("frequency_hz", "w", "in_phase"))
+        frequency, w, in_phase = (array_of(dataset, name) for name in ("frequency_hz", "w", "in_phase"))
         unit = written_unit(dataset["w"].attrs["units"])
         modes = range(len(w))
         rows.append([("field", f"mode {i + 1}: frequency", "frequency, Hz", frequency[i]) for i in modes])
@@ -175,26 +176,21 @@ def _panels(dataset: Any) -> list[list[MapPanel]]:
                 "clipped",
                 "rigid part: $\\lambda_{min}(R_0 + R_0^T)$",
                 labelled("$\\lambda_{min}$", unit),
-                _array(dataset, "rigid"),
+                array_of(dataset, "rigid"),
             )
         )
     if "epsilon_max" in dataset:
-        whole.insert(
-            0, ("clipped", "robust stability margin", labelled("$\\epsilon_{max}$", ""), _array(dataset, "epsilon_max"))
-        )
+        label = labelled("$\\epsilon_{max}$", "")
+        whole.insert(0, ("clipped", "robust stability margin", label, array_of(dataset, "epsilon_max")))
     loop: list[MapPanel] = []
     if "decay" in dataset:
-        loop.append(("signed", "sampled loop: decay, above 0 it settles", "decay, 1/s", _array(dataset, "decay")))
-        loop.append(("field", "its slowest motion", "frequency, Hz", _array(dataset, "loop_frequency_hz")))
+        loop.append(("signed", "sampled loop: decay, above 0 it settles", "decay, 1/s", array_of(dataset, "decay")))
+        loop.append(("field", "its slowest motion", "frequency, Hz", array_of(dataset, "loop_frequency_hz")))
     if dataset.attrs["over"] == "loop":
         return [loop]
     if not whole:
         whole.append(
-            ("field", "condition of the rigid-body Jacobian", labelled("cond Jv", ""), _array(dataset, "condition"))
+            ("field", "condition of the rigid-body Jacobian", labelled("cond Jv", ""), array_of(dataset, "condition"))
         )
     rows = [*rows, whole] if max(map(len, rows), default=0) != 1 else [sum(rows, list[MapPanel]()), whole]
     return [*rows, loop] if loop else rows
-
-
-def _array(dataset: Any, name: str) -> Array:
-    return np.asarray(dataset[name].values, dtype=float)

@@ -164,49 +164,33 @@ def _joint_axis(machine: AnyMachine, k: int, values: Vector) -> Axis:
     return Axis(f"{word}_{k + 1}", values, machine.joint_units[k], f"{what} of {machine.joints[k]}")
 
 
-def task_grid(
-    machine: AnyMachine, ranges: Sequence[Interval], points: tuple[int, int], rows: AxisPair, end_point: Vector,
-    base: Vector, reference: Vector, told: Callable[[int], None],
+def followed_grid(
+    machine: AnyMachine, over: Over, ranges: Sequence[Interval], points: tuple[int, int], varies: AxisPair,
+    end_point: Vector, base: Vector, reference: Vector, told: Callable[[int], None],
 ) -> Grid:  # fmt: skip
-    """Postures followed over a plane of the task: the rows of the indices `rows` vary, the others are `end_point`'s."""
-    plant, names = build_plant(machine), machine.task_rows
-    x, y = (np.linspace(*span, count) for span, count in zip(ranges, points, strict=True))
-    shape = y.size, x.size
-    target = np.broadcast_to(end_point[:, None, None], (end_point.size, *shape)).copy()
-    target[rows[0]], target[rows[1]] = np.meshgrid(x, y)
-    bases = np.broadcast_to(base[:, None, None], (base.size, *shape))
-    here = end_point_at(plant, base, reference)
-    distance = np.hypot(*(target[k] - here[k] for k in rows))
-    found = follow(plant, MapPoints((here, base), target, bases, distance), reference, told)
-    column, row = (
-        Axis(names[k], values, "m", f"{names[k]} of the end-point at rest, inertial frame")
-        for k, values in zip(rows, (x, y), strict=True)
-    )
-    return Grid(row, column, found.posture, found.reached, bases)
+    """Postures followed over a plane of the task, or over the base with the end-point held.
 
-
-def placement_grid(
-    machine: AnyMachine, ranges: Sequence[Interval], points: tuple[int, int], coordinates: AxisPair, end_point: Vector,
-    base: Vector, reference: Vector, told: Callable[[int], None],
-) -> Grid:  # fmt: skip
-    """Postures followed over placements with the end-point held: two coordinates vary, the others are `base`'s.
+    The rows, or coordinates, of the indices `varies` vary, the others are those of `end_point` and `base`.
 
     Raises:
-        InputError: the end-point is reached from `base`, but from no placement of the grid.
+        InputError: over the base, the end-point is reached from `base`, but from no placement of the grid.
         UnreachableTarget: from none of both.
     """
-    plant, names = build_plant(machine), machine.base_coordinates
+    plant, placed = build_plant(machine), over == "base"
     x, y = (np.linspace(*span, count) for span, count in zip(ranges, points, strict=True))
-    shape = y.size, x.size
-    bases = np.broadcast_to(base[:, None, None], (base.size, *shape)).copy()
-    bases[coordinates[0]], bases[coordinates[1]] = np.meshgrid(x, y)
-    target = np.broadcast_to(end_point[:, None, None], (end_point.size, *shape))
-    distance = np.hypot(*(bases[k] - base[k] for k in coordinates))
-    found = follow(plant, MapPoints((end_point, base), target, bases, distance), reference, told)
-    _expect_reached(plant, end_point, base, found, (x, y), coordinates)
+    target, bases = (np.tile(each[:, None, None], (1, y.size, x.size)) for each in (end_point, base))
+    start = end_point if placed else end_point_at(plant, base, reference)
+    varied, here = (bases, base) if placed else (target, start)
+    varied[varies[0]], varied[varies[1]] = np.meshgrid(x, y)
+    distance = np.hypot(*(varied[k] - here[k] for k in varies))
+    found = follow(plant, MapPoints((start, base), target, bases, distance), reference, told)
+    if placed:
+        _expect_reached(plant, end_point, base, found, (x, y), varies)
+    names, units = (machine.base_coordinates, machine.base_units) if placed else (machine.task_rows, ("m",) * 6)
+    what = "of the placement" if placed else "of the end-point at rest, inertial frame"
     column, row = (
-        Axis(f"base_{names[k]}", values, machine.base_units[k], f"{names[k]} of the placement")
-        for k, values in zip(coordinates, (x, y), strict=True)
+        Axis(f"base_{names[k]}" if placed else names[k], values, units[k], f"{names[k]} {what}")
+        for k, values in zip(varies, (x, y), strict=True)
     )
     return Grid(row, column, found.posture, found.reached, bases)
 

@@ -5,7 +5,6 @@ In: a machine in a posture, its loop, two of these and their ranges. Out: a `Wor
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -18,7 +17,6 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, PointsLike, PostureLike, Progress, RangeLike, Vector
 from flexopt.foundation.boundary import of_machine, public
 from flexopt.foundation.control import Control
-from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import Quantity, pair
 from flexopt.loop.evaluation import settings_at
@@ -32,7 +30,7 @@ from flexopt.model.uncertainty import LATE, Uncertainty, kind_of, parameters_of,
 from flexopt.robustness.evaluation import in_words
 from flexopt.study.grid import Axis, Grid
 from flexopt.study.workspace import TWO_POINTS
-from flexopt.study.workspace_map import WorkspaceMap, loop_dataset
+from flexopt.study.workspace_map import WorkspaceMap, finished_map, loop_dataset
 
 POINTS = (200, 200)
 POSITIVE = Quantity(LOOP_GAIN.unit, above=0.0, high=1e15)
@@ -175,15 +173,10 @@ def map_loop(
     name = "proposed" if {x.name, y.name} & (settings.sources.keys() - {DEAD_TIME}) else "present"
     marks = {name: (present[x.name], present[y.name])} if all(map(math.isfinite, present.values())) else {}
     marks = {name: at for name, at in marks.items() if x.low <= at[0] <= x.high and y.low <= at[1] <= y.high}
-    proof = provenance(machine, **options)
-    dataset.attrs |= {
-        "title": f"{machine.name}: loop over {x.name} and {y.name}", "machine": machine.name,
-        "control": settings.control, "gravity": str(gravity).lower(), "over": "loop",
-        "frame": f"one posture, {in_words(machine.joints, held, machine.joint_units)}",
-        "loop": f"{repr(settings).splitlines()[0]}; {x.name} and {y.name} as they vary",
-        "marks": json.dumps(marks), "provenance": json.dumps(proof),
-    }  # fmt: skip
-    return WorkspaceMap(machine.name, options, dataset, proof)
+    title = f"{machine.name}: loop over {x.name} and {y.name}"
+    frame = f"one posture, {in_words(machine.joints, held, machine.joint_units)}"
+    told = {"loop": f"{repr(settings).splitlines()[0]}; {x.name} and {y.name} as they vary"}
+    return finished_map(machine, options, dataset, title, frame, marks, told)
 
 
 def _unfit(settings: LoopSettings, box: UncertaintyBox, varied: tuple[Varied, ...]) -> list[Fault]:

@@ -120,9 +120,10 @@ def configurations_of(chosen: Chosen) -> dict[str, Configurations]:
         found = [(each.evaluation,) for each in chosen.candidates[:LOOKED]]
     else:
         problems, others = chosen.problems, list[Configurations | None]()
+        now = problems[0].present_base
         if isinstance(chosen, Stand):
             others += [held_from(problems, base) for _, base in chosen.alternatives[: LOOKED - 1]]
-        elif chosen.still is not None and not _same(chosen.still.base, problems[0].present_base):
+        elif chosen.still is not None and not (now is not None and np.array_equal(chosen.still.base, now)):
             others.append(_evaluated(problems, [np.append(chosen.still.base, q) for q in chosen.still.posture]))
         found = [tuple(place.evaluation for place in chosen.places), *(each for each in others if each is not None)]
     named = {f"candidate {k}": each for k, each in enumerate(found, start=1)}
@@ -134,10 +135,6 @@ def found_in(chosen: Chosen) -> int:
     if isinstance(chosen, Selection):
         return len(chosen.candidates)
     return 1 + (len(chosen.alternatives) if isinstance(chosen, Stand) else chosen.still is not None)
-
-
-def _same(base: Vector, present: Vector | None) -> bool:
-    return present is not None and np.array_equal(base, present)
 
 
 def _present(chosen: Chosen) -> Configurations | None:

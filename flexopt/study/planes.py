@@ -28,12 +28,11 @@ from flexopt.study.grid import (
     closed_form,
     end_point_at,
     end_point_grid,
+    followed_grid,
     joint_ranges,
-    placement_grid,
     placement_ranges,
     posture_grid,
     reach_ranges,
-    task_grid,
     task_ranges,
 )
 
@@ -93,8 +92,8 @@ class Plane:
         if self.over == "posture":
             return posture_grid(machine, *self.ranges, points, self.varies, self.posture, self.base)
         if self.followed:
-            make = task_grid if self.over == "end_point" else placement_grid
-            return make(machine, self.ranges, points, self.varies, self.end_point, self.base, self.posture, told)
+            at = self.end_point, self.base, self.posture
+            return followed_grid(machine, self.over, self.ranges, points, self.varies, *at, told)
         return end_point_grid(machine, *self.ranges, points, elbow)
 
     def options(self, elbow: Elbow) -> dict[str, Any]:

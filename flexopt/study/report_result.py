@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from flexopt.foundation.arrays import Document, Vector
-from flexopt.foundation.boundary import instance, path, public
+from flexopt.foundation.boundary import instance, public
 from flexopt.foundation.control import gain_units
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.palette import Theme
-from flexopt.foundation.printing import printed
+from flexopt.foundation.printing import Printed
 from flexopt.foundation.results import Tabled
-from flexopt.foundation.writing import write_file
 from flexopt.model import AnyMachine
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation, build_measures
@@ -51,7 +50,7 @@ class ReportLoop(Tabled):
 
 
 @dataclass(frozen=True)
-class Report(Tabled):
+class Report(Printed, Tabled):
     """Everything that `flexopt report` shows.
 
     Attributes:
@@ -186,30 +185,13 @@ class Report(Tabled):
             ['report.html', 'report.json']
         """
         from flexopt.study.page import write_files  # noqa: PLC0415  (imports what only reports need)
-        from flexopt.study.problem_page import report_html  # noqa: PLC0415
 
-        return write_files(Path(folder), report_html(self), self.to_dict())
+        return write_files(Path(folder), self._html(), self.to_dict())
 
-    @public(path=path(".pdf"))
-    def to_pdf(self, path: str | os.PathLike[str]) -> None:
-        """Write the page as it is on paper, all folds open, through a browser that is installed.
+    def _html(self) -> str:
+        from flexopt.study.problem_page import report_html  # noqa: PLC0415  (imports what only reports need)
 
-        Args:
-            path: file to write, `.pdf`.
-
-        Raises:
-            InputError: there is no browser; the message says what to install.
-            FlexoptError: the browser printed nothing.
-            WriteError: the file cannot be written.
-
-        Example:
-            >>> import contextlib
-            >>> with contextlib.suppress(flexopt.InputError):  # where no browser is found
-            ...     report.to_pdf("report.pdf")
-        """
-        from flexopt.study.problem_page import report_html  # noqa: PLC0415
-
-        write_file(path, printed(report_html(self)))
+        return report_html(self)
 
     @property
     def gain_unit(self) -> str:

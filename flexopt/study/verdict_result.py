@@ -12,7 +12,7 @@ import numpy as np
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import path, public
 from flexopt.foundation.pictures import Pictured
-from flexopt.foundation.printing import printed
+from flexopt.foundation.printing import Printed
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.settings import LoopSettings
@@ -105,7 +105,7 @@ class PlaceVerdict(Result):
 
 
 @dataclass(frozen=True)
-class Verdict(Pictured, Result):
+class Verdict(Pictured, Printed, Result):
     """Whether it pays to move.
 
     Attributes:
@@ -324,30 +324,12 @@ class Verdict(Pictured, Result):
         Example:
             >>> answer.to_html("verdict.html")
         """
+        write_file(path, self._html())
+
+    def _html(self) -> str:
         from flexopt.study.verdict_page import verdict_html  # noqa: PLC0415
 
-        write_file(path, verdict_html(self))
-
-    @public(path=path(".pdf"))
-    def to_pdf(self, path: str | os.PathLike[str]) -> None:
-        """Write the page as it is on paper, all folds open, through a browser that is installed.
-
-        Args:
-            path: file to write, `.pdf`.
-
-        Raises:
-            InputError: there is no browser; the message says what to install.
-            FlexoptError: the browser printed nothing.
-            WriteError: the file cannot be written.
-
-        Example:
-            >>> import contextlib
-            >>> with contextlib.suppress(flexopt.InputError):  # where no browser is found
-            ...     answer.to_pdf("verdict.pdf")
-        """
-        from flexopt.study.verdict_page import verdict_html  # noqa: PLC0415
-
-        write_file(path, printed(verdict_html(self)))
+        return verdict_html(self)
 
     @property
     def taken(self) -> str:

@@ -5,7 +5,6 @@ In: a machine and a range of end-points or joint angles. Out: a `WorkspaceMap` w
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
@@ -16,7 +15,6 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, PointsLike, PostureLike, Progress, RangeLike, TargetLike, Vector
 from flexopt.foundation.boundary import anything, flag, public, words
 from flexopt.foundation.control import Control, gain_units
-from flexopt.foundation.documents import provenance
 from flexopt.loop.many import Decays, decays, expect_decays
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.model import AnyMachine
@@ -27,7 +25,7 @@ from flexopt.robustness import evaluate
 from flexopt.study.grid import Grid, Over
 from flexopt.study.planes import Plane, read_plane, two_counts
 from flexopt.study.points import evaluate_points, expect_points
-from flexopt.study.workspace_map import WorkspaceMap, workspace_dataset
+from flexopt.study.workspace_map import WorkspaceMap, finished_map, workspace_dataset
 
 OVER: tuple[Over, ...] = ("end_point", "posture", "base")
 POINTS_MAX = 10_000
@@ -129,7 +127,8 @@ def map_workspace(
         >>> chart.array("w").shape  # mode, y, x
         (3, 8, 8)
     """
-    size = _default_points(machine) if points is None else cast(tuple[int, int], points)
+    usual = FEW_POINTS if takes_long(machine) else POINTS
+    size = usual if points is None else cast(tuple[int, int], points)
     given = {"joints": joints, "rows": rows, "coordinates": coordinates, "posture": posture, "end_point": end_point}
     given |= {"base": base, "x_range": x_range, "y_range": y_range}
     plane = read_plane(Arguments("map_workspace", machine), machine, over, given)
@@ -189,8 +188,11 @@ def _computed(
     dataset = workspace_dataset(
         grid, values, machine, measures=measures, margins=margins, control=options["control"], loop=found
     )
-    dataset.attrs |= _attributes(machine, plane, options) | real
-    return WorkspaceMap(machine.name, options, dataset, provenance(machine, **options))
+    what = {"end_point": "end-point", "posture": "posture", "base": "placement"}[plane.over]
+    title = f"{machine.name}: Jacobian {options['control']} control over its {what}"
+    told = {"gain": options["gain"], "gain_unit": gain_units(options["control"], machine.joint_units)[0]}
+    told |= {"elbow": options.get("elbow", "")}
+    return finished_map(machine, options, dataset, title, plane.frame, plane.marks, told | real)
 
 
 def _settings(
@@ -203,27 +205,6 @@ def _settings(
     settings = loop_settings(machine, loop, stand, gravity=gravity)
     expect_decays(postures.shape[1], machine, settings, gravity=gravity)
     return settings
-
-
-def _attributes(machine: AnyMachine, plane: Plane, options: dict[str, Any]) -> dict[str, Any]:
-    what = {"end_point": "end-point", "posture": "posture", "base": "placement"}[plane.over]
-    return {
-        "title": f"{machine.name}: Jacobian {options['control']} control over its {what}",
-        "machine": machine.name,
-        "control": options["control"],
-        "gain": options["gain"],
-        "gain_unit": gain_units(options["control"], machine.joint_units)[0],
-        "gravity": str(options["gravity"]).lower(),
-        "over": options["over"],
-        "elbow": options.get("elbow", ""),
-        "frame": plane.frame,
-        "marks": json.dumps(plane.marks),
-        "provenance": json.dumps(provenance(machine, **options)),
-    }
-
-
-def _default_points(machine: AnyMachine) -> tuple[int, int]:
-    return FEW_POINTS if takes_long(machine) else POINTS
 
 
 def takes_long(machine: AnyMachine) -> bool:

@@ -5,6 +5,7 @@ xarray is imported when the first map is made: it takes longer to import than al
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -15,9 +16,9 @@ import numpy as np
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Document, MaskLike, Vector
-from flexopt.foundation.boundary import array_of, by, check_text, path, public
+from flexopt.foundation.boundary import array_of, by, check_text, public
 from flexopt.foundation.coordinates import check_point
-from flexopt.foundation.documents import json_ready, write_netcdf
+from flexopt.foundation.documents import Gridded, json_ready, provenance
 from flexopt.foundation.palette import Theme
 from flexopt.foundation.pictures import Size, drawn
 from flexopt.foundation.plain import shown
@@ -61,7 +62,7 @@ def _marks(arguments: Arguments, field: str, value: Any) -> dict[str, tuple[floa
 
 
 @dataclass(frozen=True)
-class WorkspaceMap(Tabled):
+class WorkspaceMap(Gridded, Tabled):
     """Quantities over a grid; NaN where the arm does not reach, breaks a limit or is singular.
 
     Attributes:
@@ -145,19 +146,6 @@ class WorkspaceMap(Tabled):
         in_phase = self.array("in_phase_strict" if strict else "in_phase")
         return self.fraction(np.all(in_phase[[mode - 1 for mode in modes]] == 1, axis=0))
 
-    @public(path=path(".nc"))
-    def to_netcdf(self, path: str | os.PathLike[str]) -> None:
-        """Write a netCDF 3 file, which needs nothing but SciPy to be written or read.
-
-        Raises:
-            InputError: the name does not end in `.nc`.
-            WriteError: the file cannot be written.
-
-        Example:
-            >>> chart.to_netcdf("map.nc")
-        """
-        write_netcdf(path, self.dataset)
-
     @public(marks=_marks)
     def plot(
         self,
@@ -208,9 +196,7 @@ class WorkspaceMap(Tabled):
             "points": int(mapped.size),
             "reachable": float(self.array("reachable").mean()),
             "mapped": float(mapped.mean()),
-            "variables": {
-                str(name): self._summary(str(name)) for name in self.dataset.data_vars if _numeric(str(name))
-            },
+            "variables": {name: self._summary(name) for name in map(str, self.dataset.data_vars) if name in SUMMARISED},
         }
         if "in_phase" in self.dataset:
             modes = range(1, self.dataset.sizes["mode"] + 1)
@@ -283,15 +269,32 @@ class WorkspaceMap(Tabled):
         return at | {"posture": self.array("posture")[:, row, column], "value": float(values[row, column])}
 
 
+def finished_map(
+    machine: AnyMachine,
+    options: Document,
+    dataset: xr.Dataset,
+    title: str,
+    frame: str,
+    marks: Mapping[str, tuple[float, float]],
+    more: Mapping[str, Any],
+) -> WorkspaceMap:
+    """The map of a dataset, which is told what it is of, and `more`."""
+    where = provenance(machine, **options)
+    dataset.attrs |= {
+        "title": title, "machine": machine.name, "control": options["control"], "frame": frame, **more,
+        "gravity": str(options["gravity"]).lower(), "over": options["over"], "marks": json.dumps(marks),
+        "provenance": json.dumps(where),
+    }  # fmt: skip
+    return WorkspaceMap(machine.name, options, dataset, where)
+
+
 def _unit(result: WorkspaceMap, name: str) -> str:
     unit = cast(str, result.dataset[name].attrs["units"])
     return "" if unit == "1" else unit
 
 
-def _numeric(name: str) -> bool:
-    return name in ("frequency_hz", "w", "rigid", "epsilon_max", "decay", "loop_frequency_hz", "condition")
-
-
+# Of these the summary has ranges and means.
+SUMMARISED = ("frequency_hz", "w", "rigid", "epsilon_max", "decay", "loop_frequency_hz", "condition")
 # name -> unit, long name, description; the dimensions follow from the arrays.
 DESCRIPTIONS = {
     "frequency_hz": ("Hz", "natural frequency", "undamped, ω_i / 2π, in ascending order"),

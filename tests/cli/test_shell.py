@@ -214,7 +214,7 @@ def test_a_clock_runs_where_nothing_else_tells_that_work_goes_on(monkeypatch: py
             inside.setattr("sys.stderr", stream)
             inside.setattr("flexopt.cli.common.TICK", 0.01)
             inside.setattr("flexopt.cli.common.SELDOM", 0.08)
-            with clock(), progress_bar() if bar else contextlib.nullcontext():
+            with clock(), progress_bar("starts") if bar else contextlib.nullcontext():
                 time.sleep(0.2)
         return stream.getvalue()
 

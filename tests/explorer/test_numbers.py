@@ -169,6 +169,32 @@ def test_every_operation_of_a_graph(chromium: Browser) -> None:
         script_of(ca.Function("g", [x], [ca.erf(x)]))
 
 
+@pytest.mark.needs("node")
+def test_operations_stand_inside_each_other() -> None:
+    """What a comparison gives is a number that goes on: none of its signs meets that of the operation outside."""
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    single = {
+        "less": x < y, "most": x <= y, "same": x == y, "other": x != y, "not": ca.logic_not(x),
+        "both": ca.logic_and(x, y), "either": ca.logic_or(x, y), "minus": -y, "power": x**y, "sign": ca.sign(y),
+        "chosen": ca.if_else(x, y, 0),
+    }  # fmt: skip
+    graphs = [graph for inner in single.values() for graph in (x + inner, x - inner, inner + inner * y, -inner)]
+    graphs += [(x < y) + (y < x), (x < y) - (x <= y), (x < y) < (y <= x), (x == y) != (x < y)]
+    texts = {
+        f"f{k}": script_of(ca.Function("f", [x, y], [graph], ["x", "y"], ["all"])) for k, graph in enumerate(graphs)
+    }
+    points = [(0.0, 0.0), (0.0, 2.0), (2.0, 0.0), (2.0, 2.0), (3.0, -1.0)]
+    model = model_script(explored("excavator")[1].page).split("// The machine")[0]
+    asked = ",\n".join(f"({text})" for text in texts.values())
+    text = f"{model}\nconst points = {json.dumps(points)};\n"
+    text += f"const found = [{asked}].map((f) => points.map((at) => f.run(at.map((x) => [x])).all[0]));\n"
+    text += "console.log(JSON.stringify(found));"
+    done = subprocess.run(["node", "-"], input=text, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    known = [[float(ca.Function("f", [x, y], [graph])(*at)) for at in points] for graph in graphs]
+    np.testing.assert_allclose(json.loads(done.stdout), known, rtol=1e-15)
+
+
 @pytest.mark.needs("chromium")
 def test_linear_algebra_against_numpy(chromium: Browser) -> None:
     rng = np.random.default_rng(3)

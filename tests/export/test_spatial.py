@@ -12,9 +12,10 @@ import flexopt
 from flexopt.errors import InputError
 from flexopt.export import PARTS, export_c, verify_bundle
 from flexopt.export.bundle import machine_of
-from flexopt.export.parameters import machine_parameters, parameter_range
+from flexopt.export.context import build_context
 from flexopt.model import Tree, shipped_names, tree_from_dict
 from flexopt.model.machine import Parameter
+from flexopt.model.parameter_ranges import parameter_range
 from tests.export.bundle_library import BundleLibrary
 from tests.export.programs import GCC, HOST, TARGET
 from tests.oracles.spatial import grounded, pinocchio_tree, random_tree
@@ -227,7 +228,8 @@ def test_the_manifest_carries_the_machine(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", shipped_names("models"))
 def test_a_machines_own_parameters_are_allowed(name: str) -> None:
-    parameters = machine_parameters(flexopt.load(name).parameters, single=False)
+    options = {"control": "inverse", "gain": 1.0, "single": False, "baked": False, "singularity_margin_deg": 1.0}
+    parameters = build_context(flexopt.load(name), **options).parameters
     own = np.array(parameters.values)
     assert np.all((own >= parameters.low) & (own <= parameters.high))
     drawn = parameters.draw(np.random.default_rng(0), 200)

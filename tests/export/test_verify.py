@@ -181,6 +181,35 @@ def test_missing_tools_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert any("apt-get install" in line for line in result.not_verified)
 
 
+def test_reports_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that is broken off says how far it came; one on other targets is not replaced, until there is other code."""
+    folder = exported(tmp_path / "b", parts=["kinematics"])
+    reports, which = folder / "verification", tools.shutil.which
+    monkeypatch.setattr(tools.shutil, "which", lambda name: None if name.startswith(("qemu", "arm-")) else which(name))
+
+    def told(name: str = "report") -> dict:
+        return json.loads((reports / f"{name}.json").read_text())
+
+    def broken_off(done: int, _: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        verify_bundle(folder, target="cortex-m7", inputs=10, progress=broken_off)
+    files, tried, *rest = told()["checks"]
+    assert files["state"] == "passed"
+    assert "qemu" in tried["finding"]
+    assert {check["finding"] for check in rest} == {"broken off before"}
+    verify_bundle(folder, target="cortex-m7", inputs=10)
+    assert len(told()["checks"]) == 2 + len(rest)
+    assert "broken off" not in (reports / "report.html").read_text()
+    verify_bundle(folder, target="cortex-m4f", inputs=10)
+    assert (told()["targets"], told("report-cortex-m7")["targets"]) == (["cortex-m4f"], ["cortex-m7"])
+    assert "cortex-m4f (not asked for)" in (reports / "report-cortex-m7.html").read_text()
+    exported(tmp_path / "b", parts=["kinematics", "controller"])
+    assert not list(reports.glob("report*"))
+
+
 def test_a_folder_that_is_no_bundle_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no manifest\.json"):
         verify_bundle(tmp_path)

@@ -84,6 +84,29 @@ def test_simulations(tmp_path: Path) -> None:
     assert float(found["end_error"][3]) == pytest.approx(one.end_error, rel=1e-6)
 
 
+def test_simulations_of_an_experiment_that_has_its_own_loop(tmp_path: Path) -> None:
+    """Gains vary in its `[loop]`; what else that says stays."""
+    file, loop = tmp_path / "own.toml", {"kp": 1e5, "kv": 1e3, "rate": 100.0}
+    text = f"""
+    name = "own"
+    machine = "excavator"
+    [simulation]
+    posture = [0.0448, -2.0499]
+    duration = 1.0
+    [loop]
+    {chr(10).join(f"{name} = {value}" for name, value in loop.items())}
+    """
+    file.write_text(text)
+    study = flexopt.Study(
+        name="runs", experiment=str(file), compute="simulation", vary=[{"of": "kp", "value": [1e4, 2e4], "count": 2}],
+        quantities=["linear_growth_rate"],
+    )  # fmt: skip
+    found = flexopt.run_study(study, tmp_path / "study", workers=1).dataset().load()
+    options = {"posture": (0.0448, -2.0499), "duration": 1.0}
+    each = [flexopt.simulate(flexopt.load("excavator"), loop=loop | {"kp": kp}, **options) for kp in (1e4, 2e4)]
+    np.testing.assert_allclose(found["linear_growth_rate"], [run.linear_growth_rate for run in each], rtol=1e-12)
+
+
 @pytest.mark.long
 def test_a_machine_of_another_kind_under_its_weight(tmp_path: Path) -> None:
     study = flexopt.Study(

@@ -227,6 +227,13 @@ def test_of_a_loop_that_grows_as_it_is_that_is_told() -> None:
     assert "it grows as it is in the file" in repr(region)
 
 
+def test_the_largest_radius_is_that_which_is_looked_up_to() -> None:
+    """Not what a logarithm and back leave of it."""
+    slack = {"of": "base.stiffness.x", "factor": (0.5, 2.0)}
+    region = flexopt.stable_region(EXCAVATOR, B, loop=GAINS, ranges=[slack], points=4, boxes=50)
+    assert (region.radius, region.radius_guaranteed) == (10.0, 10.0)
+
+
 @pytest.mark.parametrize("seed", [0, 2, 3])
 def test_random_machines(seed: int) -> None:
     source = NumpySource(np.random.default_rng(seed))

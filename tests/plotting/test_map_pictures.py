@@ -194,6 +194,17 @@ def test_rounding_is_drawn_in_one_colour():
             assert spread == pytest.approx(1.0, abs=0.2) if name == "field" else spread < 1e-12
 
 
+def test_the_bar_of_a_measure_ends_at_its_bound():
+    """The best point of a grid is hardly ever 0 itself; what is far from 0 ends where it ends."""
+    plane, shares = FieldPlane(np.arange(5.0), np.arange(6.0), "x", "y"), np.linspace(0.0, 1.0, 30).reshape(6, 5)
+    for best, shown in ((-1e-8, True), (-1e-5, False)):
+        axes = Figure().add_subplot()
+        draw_field(axes, plane, best - 1e-4 * shares, label="w, 1/kg", clipped=True)
+        (bar,) = axes.child_axes
+        low, high = bar.get_ylim()
+        assert (0.0 in [tick for tick in bar.get_yticks() if low <= tick <= high]) == shown
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_the_border_of_stability_runs_between_the_cells_that_it_separates(turned):
     """Slow where it settles, quick to grow beyond 4.9, as where another motion becomes the slowest; a cell is unknown."""

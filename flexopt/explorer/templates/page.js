@@ -9,6 +9,15 @@ const STEP = 0.004, FAR = 8;
 const TURN = 0.008;
 const ARROW = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
+// What the arrow keys do to an element, from the way that one points, to the right and up.
+function onArrows(element, act) {
+  element.addEventListener("keydown", (e) => {
+    if (!(e.key in ARROW)) return;
+    e.preventDefault();
+    act(ARROW[e.key], e);
+  });
+}
+
 class Explorer extends Pictures {
   constructor(data, graphs) {
     super();
@@ -127,12 +136,7 @@ class Explorer extends Pictures {
       last = [e.clientX, e.clientY];
     });
     for (const kind of ["pointerup", "pointercancel"]) canvas.addEventListener(kind, () => { last = null; });
-    canvas.addEventListener("keydown", (e) => {
-      const way = ARROW[e.key];
-      if (!way) return;
-      e.preventDefault();
-      turn(...way.map((x) => 10 * TURN * x));
-    });
+    onArrows(canvas, (way) => turn(...way.map((x) => 10 * TURN * x)));
   }
 
   handle(view, kind, label) {
@@ -157,10 +161,7 @@ class Explorer extends Pictures {
     const drop = () => { last = null; this.dragged = false; this.released = true; this.touched(); };
     button.addEventListener("pointerup", drop);
     button.addEventListener("pointercancel", drop);
-    button.addEventListener("keydown", (e) => {
-      const way = ARROW[e.key];
-      if (!way) return;
-      e.preventDefault();
+    onArrows(button, (way, e) => {
       const far = view.scale * STEP * this.data.size * (e.shiftKey ? FAR : 1);
       const move = (kind === "end" ? view.risen : view.level).call(view, far * way[0], -far * way[1]);
       this.released = true;
@@ -192,10 +193,7 @@ class Explorer extends Pictures {
     const put = (x) => { if (document.activeElement !== input || Math.abs(input.value - x) > 1e-9) input.value = x; output.textContent = show(x); };
     input.addEventListener("input", () => { set(Number(input.value)); output.textContent = show(Number(input.value)); });
     // Steps of keys on a slider without steps are one of a hundred.
-    input.addEventListener("keydown", (e) => {
-      const way = ARROW[e.key];
-      if (!way) return;
-      e.preventDefault();
+    onArrows(input, (way) => {
       input.value = Number(input.value) + (way[0] + way[1]) * (high - low) / 100;
       input.dispatchEvent(new Event("input"));
     });
@@ -305,10 +303,7 @@ class Explorer extends Pictures {
     const point = (e) => { const box = canvas.getBoundingClientRect(), { left, top, width, height } = this.frame; set((e.clientX - box.left - left) / width, 1 - (e.clientY - box.top - top) / height); };
     canvas.addEventListener("pointerdown", (e) => { canvas.setPointerCapture(e.pointerId); point(e); });
     canvas.addEventListener("pointermove", (e) => { if (canvas.hasPointerCapture(e.pointerId)) point(e); });
-    canvas.addEventListener("keydown", (e) => {
-      const way = ARROW[e.key];
-      if (!way) return;
-      e.preventDefault();
+    onArrows(canvas, (way, e) => {
       set(...this.axes.map((joint, k) => {
         const [low, high] = data.ranges[joint];
         return (this.posture[joint] - low) / (high - low) + way[k] * 0.005 * (e.shiftKey ? FAR : 1);

@@ -97,6 +97,11 @@ class PlannedCheck:
     target: VerifyTarget
     look: Callable[[], Finding]
 
+    @property
+    def unmade(self) -> VerificationCheck:
+        """What is known before: nothing."""
+        return VerificationCheck(self.name, self.target, "not verified", "broken off before")
+
     def made(self) -> VerificationCheck:
         """What is found; a missing tool makes it not verified, a program that fails makes it fail."""
         try:

@@ -6,7 +6,7 @@ In: a `Bench`. Out: findings. Calls and answers go through files to the bundle's
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -160,12 +160,12 @@ def within_bar(found: Finding) -> Finding:
     return Finding(found.sentence, [*found.faults, excess], found.tables)
 
 
-def host_runner(bench: Bench, compiler: str, objects: list[Path]) -> Runner:
+def host_runner(bench: Bench, compiler: str, objects: list[Path], flags: Sequence[str] = ("-O2",)) -> Runner:
     """The driver on this computer."""
 
     def launch(folder: Path, calls: str, answers: str) -> None:
         source = bench.folder / "test" / "optimiser_driver.c"
-        driver = bench.program(f"optimiser-driver-{compiler}", compiler, [source, *objects], ["-std=c99", "-O2"])
+        driver = bench.program(f"optimiser-driver-{compiler}", compiler, [source, *objects], ["-std=c99", *flags])
         run([driver, folder / calls, folder / answers], folder=folder)
 
     return launch
@@ -176,17 +176,12 @@ def sanitized(bench: Bench, flags: tuple[str, ...]) -> Finding:
     compiler = sanitizing_compiler(flags, bench.scratch)
     # The objects of the other faulty calls, too: the kernels take the compiler long.
     objects = list(bench.objects("sanitized", compiler, ["-std=c99", *flags]).values())
-    tests = bench.folder / "test"
-    selftest = bench.program("selftest-sanitized", compiler, [tests / "selftest.c", *objects], ["-std=c99", *flags])
+    source = bench.folder / "test" / "selftest.c"
+    selftest = bench.program("selftest-sanitized", compiler, [source, *objects], ["-std=c99", *flags])
     said = run([selftest], folder=bench.scratch)
     faults = [] if "all passed" in said.out else ["the self-test does not say that all passed"]
 
-    def launch(folder: Path, calls: str, answers: str) -> None:
-        driver = tests / "optimiser_driver.c"
-        program = bench.program("optimiser-sanitized", compiler, [driver, *objects], ["-std=c99", *flags])
-        run([program, folder / calls, folder / answers], folder=folder)
-
-    found = faulty_calls(bench, launch)
+    found = faulty_calls(bench, host_runner(bench, compiler, objects, flags))
     sentence = f"self-test and {found.sentence} with {compiler}: no sanitizer complained"
     return Finding(sentence, [*faults, *found.faults], found.tables)
 

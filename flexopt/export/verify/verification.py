@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from flexopt.errors import InputError
@@ -144,6 +144,9 @@ def verify_bundle(
 ) -> Verification:
     """Examine a bundle on this computer and on emulated processors, and write its report.
 
+    The report grows with every check, so that one that is broken off says how far it came. One on other targets stays
+    beside it, as `report-TARGET`.
+
     Args:
         folder: of a bundle from `export_c`.
         target: `"host"`, `"cortex-m4f"` or `"cortex-m7"`; all of them by default.
@@ -170,25 +173,39 @@ def verify_bundle(
         planned = [PlannedCheck("files as they were exported", targets[0], lambda: _files(bench))]
         for one in targets:
             planned += _checks(bench, one)
-        checks: list[VerificationCheck] = []
-        for check in planned:
-            checks.append(check.made())
+        result = Verification(
+            folder=path,
+            machine=manifest["machine"]["name"],
+            real=manifest["options"]["real"],
+            bundle_sha256=manifest["bundle_sha256"],
+            targets=targets,
+            checks=tuple(check.unmade for check in planned),
+            tools={name: version(name) for name in PACKAGES if shutil.which(name)},
+            inputs=inputs,
+            fuzz_calls=fuzz_calls,
+            manifest=manifest,
+        )
+        _keep_other(result)
+        for k, check in enumerate(planned):
+            result = replace(result, checks=(*result.checks[:k], check.made(), *result.checks[k + 1 :]))
+            result.write()
             if progress is not None:
-                progress(len(checks), len(planned))
-    result = Verification(
-        folder=path,
-        machine=manifest["machine"]["name"],
-        real=manifest["options"]["real"],
-        bundle_sha256=manifest["bundle_sha256"],
-        targets=targets,
-        checks=tuple(checks),
-        tools={name: version(name) for name in PACKAGES if shutil.which(name)},
-        inputs=inputs,
-        fuzz_calls=fuzz_calls,
-        manifest=manifest,
-    )
-    result.write()
+                progress(k + 1, len(planned))
     return result
+
+
+def _keep_other(result: Verification) -> None:
+    """Put a report on other targets, which the newer one would replace, beside it."""
+    try:
+        told = json.loads(result.page.with_suffix(".json").read_text(encoding="utf-8"))["targets"]
+        others = [target for target in TARGETS if target in told]
+        if set(others) <= set(result.targets):
+            return
+        named = {path.suffix: path.read_bytes() for path in result.page.parent.glob(f"{result.page.stem}.*")}
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    stem = f"{result.page.stem}-{'-'.join(others)}"
+    write_files({result.page.with_name(stem + suffix): content for suffix, content in named.items()})
 
 
 def _checks(bench: Bench, target: VerifyTarget) -> list[PlannedCheck]:
@@ -209,10 +226,7 @@ def _files(bench: Bench) -> Finding:
     sentence = f"{len(bench.manifest['files'])} files unchanged"
     if here != there:
         return Finding(f"{sentence}; exported by {there}, compared with {here}", changed)
-    different = [name for name, text in texts.items() if name != MANIFEST and _differs(bench.folder / name, text)]
+    kept = {name: bench.folder / name for name in texts if name != MANIFEST}
+    different = [name for name, path in kept.items() if not path.is_file() or path.read_bytes() != texts[name].encode()]
     faults = [*changed, *(f"{name} is not what this flexopt writes" for name in different if not changed)]
     return Finding(f"{sentence}, and identical to a fresh export", faults)
-
-
-def _differs(path: Path, text: str) -> bool:
-    return not path.is_file() or path.read_bytes() != text.encode()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -11,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Document, Vector
-from flexopt.foundation.boundary import path, public
-from flexopt.foundation.documents import write_netcdf
+from flexopt.foundation.documents import Gridded
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Result
@@ -124,7 +122,7 @@ class EdgeCurve(Result):
 
 
 @dataclass(frozen=True)
-class Atlas(Pictured, Result):
+class Atlas(Pictured, Gridded, Result):
     """All robust postures of a machine over two of its joints.
 
     Attributes:
@@ -305,19 +303,6 @@ class Atlas(Pictured, Result):
         sizes = " × ".join(f"{size:.3g} {unit}" for size, unit in zip(self.resolution, self.units, strict=True))
         what = "curve wider" if len(self.rows) < 3 else "point on curves of one component of a × b wider"
         return f"every {what} than one cell of {sizes}; smaller loops may be missed"
-
-    @public(path=path(".nc"))
-    def to_netcdf(self, path: str | os.PathLike[str]) -> None:
-        """Write `dataset` as a netCDF 3 file, which needs nothing but SciPy to be written or read.
-
-        Raises:
-            InputError: the name does not end in `.nc`.
-            WriteError: the file cannot be written.
-
-        Example:
-            >>> found.to_netcdf("atlas.nc")
-        """
-        write_netcdf(path, self.dataset)
 
     def __repr__(self) -> str:
         fixed = ", ".join(f"{name} {value:g} {unit}" for name, value, unit in self.held)

@@ -70,6 +70,14 @@ static int permitted(Instance *m, int modes, const char *call) {
   return 1;
 }
 
+static int enter(Instance *m, int from, int to, const char *call) {
+  if (!permitted(m, from, call)) {
+    return ERROR;
+  }
+  m->core.mode = to;
+  return OK;
+}
+
 static int all_finite(const double *values, size_t n) {
   size_t k;
   for (k = 0; k < n; k++) {
@@ -350,36 +358,27 @@ static int set_states(Instance *m, const double *x, size_t n) {
   return OK;
 }
 
+/* Of every state a number, where all is well so far. */
+static int give(Instance *m, int status, const char *what, const double *from, double *to, size_t n) {
+  if (status == OK && (n != N_STATES || to == NULL)) {
+    return report(m, ERROR, "get %s: there are %d, not %lu", what, (int)N_STATES, (unsigned long)n);
+  }
+  if (status == OK) {
+    memcpy(to, from, sizeof(double) * N_STATES);
+  }
+  return status;
+}
+
 static int get_states(Instance *m, double *x, size_t n) {
-  int status = prepare(m);
-  if (status != OK) {
-    return status;
-  }
-  if (n != N_STATES || x == NULL) {
-    return report(m, ERROR, "get states: there are %d, not %lu", (int)N_STATES, (unsigned long)n);
-  }
-  memcpy(x, m->core.x, sizeof m->core.x);
-  return OK;
+  return give(m, prepare(m), "states", m->core.x, x, n);
 }
 
 static int get_derivatives(Instance *m, double *rates, size_t n) {
-  int status = differentiate(m);
-  if (status != OK) {
-    return status;
-  }
-  if (n != N_STATES || rates == NULL) {
-    return report(m, ERROR, "get derivatives: there are %d, not %lu", (int)N_STATES, (unsigned long)n);
-  }
-  memcpy(rates, m->core.derivatives, sizeof m->core.derivatives);
-  return OK;
+  return give(m, differentiate(m), "derivatives", m->core.derivatives, rates, n);
 }
 
 static int get_nominals(Instance *m, double *nominals, size_t n) {
-  if (n != N_STATES || nominals == NULL) {
-    return report(m, ERROR, "get nominals: there are %d, not %lu", (int)N_STATES, (unsigned long)n);
-  }
-  memcpy(nominals, state_nominal, sizeof state_nominal);
-  return OK;
+  return give(m, OK, "nominals", state_nominal, nominals, n);
 }
 #endif
 

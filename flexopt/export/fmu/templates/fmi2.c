@@ -99,12 +99,7 @@ EXPORT fmi2Status F(SetupExperiment)(fmi2Component c, fmi2Boolean tolerance_defi
 }
 
 EXPORT fmi2Status F(EnterInitializationMode)(fmi2Component c) {
-  Instance *m = (Instance *)c;
-  if (!permitted(m, INSTANTIATED, "fmi2EnterInitializationMode")) {
-    return fmi2Error;
-  }
-  m->core.mode = INITIALIZATION;
-  return fmi2OK;
+  return (fmi2Status)enter((Instance *)c, INSTANTIATED, INITIALIZATION, "fmi2EnterInitializationMode");
 }
 
 EXPORT fmi2Status F(GetReal)(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]) {
@@ -139,15 +134,6 @@ EXPORT fmi2Status F(GetDirectionalDerivative)(fmi2Component c, const fmi2ValueRe
 }
 
 #if MODEL_EXCHANGE
-EXPORT fmi2Status F(EnterEventMode)(fmi2Component c) {
-  Instance *m = (Instance *)c;
-  if (!permitted(m, CONTINUOUS | EVENT, "fmi2EnterEventMode")) {
-    return fmi2Error;
-  }
-  m->core.mode = EVENT;
-  return fmi2OK;
-}
-
 EXPORT fmi2Status F(NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info) {
   Instance *m = (Instance *)c;
   if (!permitted(m, EVENT, "fmi2NewDiscreteStates")) {
@@ -191,10 +177,8 @@ EXPORT fmi2Status F(GetContinuousStates)(fmi2Component c, fmi2Real x[], size_t n
 
 EXPORT fmi2Status F(GetNominalsOfContinuousStates)(fmi2Component c, fmi2Real nominals[], size_t n) {
   Instance *m = (Instance *)c;
-  if (!permitted(m, READABLE & ~INSTANTIATED, "fmi2GetNominalsOfContinuousStates")) {
-    return fmi2Error;
-  }
-  return (fmi2Status)get_nominals(m, nominals, n);
+  return permitted(m, READABLE & ~INSTANTIATED, "fmi2GetNominalsOfContinuousStates")
+    ? (fmi2Status)get_nominals(m, nominals, n) : fmi2Error;
 }
 #else
 EXPORT fmi2Status F(SetRealInputDerivatives)(fmi2Component c, const fmi2ValueReference vr[], size_t n,

@@ -135,15 +135,6 @@ EXPORT fmi3Status F(EnterInitializationMode)(fmi3Instance instance, fmi3Boolean 
   return (fmi3Status)status;
 }
 
-EXPORT fmi3Status F(EnterEventMode)(fmi3Instance instance) {
-  Instance *m = (Instance *)instance;
-  if (!permitted(m, MODEL_EXCHANGE ? CONTINUOUS | EVENT : 0, "fmi3EnterEventMode")) {
-    return fmi3Error;
-  }
-  m->core.mode = EVENT;
-  return fmi3OK;
-}
-
 EXPORT fmi3Status F(GetFloat64)(fmi3Instance instance, const fmi3ValueReference vr[], size_t n, fmi3Float64 values[],
                                 size_t n_values) {
   Instance *m = (Instance *)instance;
@@ -305,10 +296,8 @@ EXPORT fmi3Status F(SetContinuousStates)(fmi3Instance instance, const fmi3Float6
 #define STATES(name, function)                                                                    \
   EXPORT fmi3Status F(name)(fmi3Instance instance, fmi3Float64 values[], size_t n) {              \
     Instance *m = (Instance *)instance;                                                           \
-    if (!permitted(m, READABLE & ~INSTANTIATED, "fmi3" #name)) {                                  \
-      return fmi3Error;                                                                           \
-    }                                                                                             \
-    return (fmi3Status)function(m, values, n);                                                    \
+    return permitted(m, READABLE & ~INSTANTIATED, "fmi3" #name)                                   \
+      ? (fmi3Status)function(m, values, n) : fmi3Error;                                           \
   }
 #else
 EXPORT fmi3Status F(SetTime)(fmi3Instance instance, fmi3Float64 time) {

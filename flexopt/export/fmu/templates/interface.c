@@ -12,14 +12,16 @@ static {{ fmi }}Status unsupported({{ component }} instance, const char *call) {
   return permitted(m, READABLE, call) ? ({{ fmi }}Status)report(m, ERROR, "%s: is not offered", call) : {{ fmi }}Error;
 }
 
-static Saved *new_saved(Instance *m) {
-  Saved *saved = (Saved *){{ allocate }}(1, sizeof(Saved));
+/* Into a state that is there, or a new one. */
+static {{ fmi }}Status keep(Instance *m, const Core *core, {{ fmi }}{{ state }} *state) {
+  Saved *saved = (Saved *)(*state == NULL ? {{ allocate }}(1, sizeof(Saved)) : *state);
   if (saved == NULL) {
-    (void)report(m, ERROR, "no memory");
-  } else {
-    saved->key = MODEL_KEY;
+    return ({{ fmi }}Status)report(m, ERROR, "no memory");
   }
-  return saved;
+  saved->key = MODEL_KEY;
+  saved->core = *core;
+  *state = saved;
+  return {{ fmi }}OK;
 }
 
 EXPORT {{ fmi }}Status F(SetDebugLogging)({{ component }} instance, {{ fmi }}Boolean on, size_t n, const {{ fmi }}String categories[]) {
@@ -38,12 +40,7 @@ EXPORT {{ fmi }}Status F(ExitInitializationMode)({{ component }} instance) {
 }
 
 EXPORT {{ fmi }}Status F(Terminate)({{ component }} instance) {
-  Instance *m = (Instance *)instance;
-  if (!permitted(m, RUNNING, "{{ fmi }}Terminate")) {
-    return {{ fmi }}Error;
-  }
-  m->core.mode = TERMINATED;
-  return {{ fmi }}OK;
+  return ({{ fmi }}Status)enter((Instance *)instance, RUNNING, TERMINATED, "{{ fmi }}Terminate");
 }
 
 EXPORT {{ fmi }}Status F(Reset)({{ component }} instance) {
@@ -63,14 +60,7 @@ EXPORT {{ fmi }}Status F(Get{{ state }})({{ component }} instance, {{ fmi }}{{ s
   if (state == NULL) {
     return ({{ fmi }}Status)report(m, ERROR, "{{ fmi }}Get{{ state }}: a pointer is NULL");
   }
-  if (*state == NULL) {
-    *state = new_saved(m);
-    if (*state == NULL) {
-      return {{ fmi }}Error;
-    }
-  }
-  ((Saved *)*state)->core = m->core;
-  return {{ fmi }}OK;
+  return keep(m, &m->core, state);
 }
 
 EXPORT {{ fmi }}Status F(Set{{ state }})({{ component }} instance, {{ fmi }}{{ state }} state) {
@@ -105,10 +95,8 @@ EXPORT {{ fmi }}Status F(Serialized{{ state }}Size)({{ component }} instance, {{
 
 EXPORT {{ fmi }}Status F(Serialize{{ state }})({{ component }} instance, {{ fmi }}{{ state }} state, {{ fmi }}Byte bytes[], size_t size) {
   Instance *m = (Instance *)instance;
-  if (!permitted(m, READABLE, "{{ fmi }}Serialize{{ state }}")) {
-    return {{ fmi }}Error;
-  }
-  return ({{ fmi }}Status)serialize(m, (const Saved *)state, (unsigned char *)bytes, size);
+  return permitted(m, READABLE, "{{ fmi }}Serialize{{ state }}")
+    ? ({{ fmi }}Status)serialize(m, (const Saved *)state, (unsigned char *)bytes, size) : {{ fmi }}Error;
 }
 
 EXPORT {{ fmi }}Status F({{ deserialize }}{{ state }})({{ component }} instance, const {{ fmi }}Byte bytes[], size_t size,
@@ -123,29 +111,19 @@ EXPORT {{ fmi }}Status F({{ deserialize }}{{ state }})({{ component }} instance,
     return ({{ fmi }}Status)report(m, ERROR, "{{ fmi }}{{ deserialize }}{{ state }}: a pointer is NULL");
   }
   status = deserialize(m, (const unsigned char *)bytes, size, &saved);
-  if (status != OK) {
-    return ({{ fmi }}Status)status;
-  }
-  if (*state == NULL) {
-    *state = new_saved(m);
-    if (*state == NULL) {
-      return {{ fmi }}Error;
-    }
-  }
-  *(Saved *)*state = saved;
-  return {{ fmi }}OK;
+  return status == OK ? keep(m, &saved.core, state) : ({{ fmi }}Status)status;
 }
 
 {% if fmi == "fmi2" %}
 #if MODEL_EXCHANGE
 {% endif %}
+EXPORT {{ fmi }}Status F(EnterEventMode)({{ component }} instance) {
+  int modes = MODEL_EXCHANGE ? CONTINUOUS | EVENT : 0;
+  return ({{ fmi }}Status)enter((Instance *)instance, modes, EVENT, "{{ fmi }}EnterEventMode");
+}
+
 EXPORT {{ fmi }}Status F(EnterContinuousTimeMode)({{ component }} instance) {
-  Instance *m = (Instance *)instance;
-  if (!permitted(m, EVENT, "{{ fmi }}EnterContinuousTimeMode")) {
-    return {{ fmi }}Error;
-  }
-  m->core.mode = CONTINUOUS;
-  return {{ fmi }}OK;
+  return ({{ fmi }}Status)enter((Instance *)instance, EVENT, CONTINUOUS, "{{ fmi }}EnterContinuousTimeMode");
 }
 
 EXPORT {{ fmi }}Status F(CompletedIntegratorStep)({{ component }} instance, {{ fmi }}Boolean final, {{ fmi }}Boolean *enter_event_mode,
