@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from flexopt.errors import NoSolutionFound, UnreachableTarget
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
@@ -21,11 +23,15 @@ from flexopt.model import AnyMachine
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.continua import unwound
+from flexopt.selection.optima import finished
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.selection.problem import broken
+from flexopt.selection.problem import broken, value_at
+from flexopt.selection.program import single
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
+from flexopt.selection.several.outcome_stand import outcome_stand
 from flexopt.selection.several.postures import reached_from
+from flexopt.selection.starts import apart
 from flexopt.study.confirmation import Runs, nonlinear_runs, of_all
 from flexopt.study.places import STAY
 
@@ -38,6 +44,8 @@ LOOKED = 12
 LEAST_TOLD = 1e-3
 # So many times the usual number of postures is looked at where a placement is given.
 FINER = 6
+# From so many of these the objective is climbed.
+CLIMBED = 16
 
 
 class Slowest(NamedTuple):
@@ -112,20 +120,20 @@ def configurations_of(chosen: Chosen) -> dict[str, Configurations]:
     """By place: the present one first, where every target is reached from it, then those that were found, best first.
 
     Of targets for one placement the candidates are the placements found, of a path the way along it and the best
-    placement that stands still. How the arm is held at a target from a placement alone: the allowed posture with the
-    greatest objective, or where none is allowed that which breaks the constraints the least.
+    placement that stands still. How the arm is held at a target from the present placement: as in `held_from`.
     """
     stay = _present(chosen)
     if isinstance(chosen, Selection):
         found = [(each.evaluation,) for each in chosen.candidates[:LOOKED]]
     else:
-        problems, others = chosen.problems, list[Configurations | None]()
+        problems, others = chosen.problems, list[Configurations]()
         now = problems[0].present_base
         if isinstance(chosen, Stand):
-            others += [held_from(problems, base) for _, base in chosen.alternatives[: LOOKED - 1]]
+            more = zip(chosen.alternatives[: LOOKED - 1], chosen.alternative_postures, strict=False)
+            others += [_evaluated(problems, [np.append(base, q) for q in each]) for (_, base), each in more]
         elif chosen.still is not None and not (now is not None and np.array_equal(chosen.still.base, now)):
             others.append(_evaluated(problems, [np.append(chosen.still.base, q) for q in chosen.still.posture]))
-        found = [tuple(place.evaluation for place in chosen.places), *(each for each in others if each is not None)]
+        found = [tuple(place.evaluation for place in chosen.places), *others]
     named = {f"candidate {k}": each for k, each in enumerate(found, start=1)}
     return named if stay is None else {STAY: stay} | named
 
@@ -141,7 +149,21 @@ def _present(chosen: Chosen) -> Configurations | None:
     if isinstance(chosen, Selection):
         return None if chosen.initial is None else (held_now(chosen.problem, chosen.initial),)
     now = chosen.problems[0].present_base
-    return None if now is None else held_from(chosen.problems, now, allowed=False)
+    if now is None:
+        return None
+    by_loop = _best_by_loop(chosen, now) if isinstance(chosen, ByLoop) else None
+    return by_loop or held_from(chosen.problems, now, allowed=False)
+
+
+def _best_by_loop(chosen: ByLoop, base: Vector) -> Configurations | None:
+    """How the arm is held at each target from one placement for the measure asked, with the gains chosen, if it is."""
+    loop = chosen.asked.loop.model_copy(update={"kp_range": None, "kv_range": None, **chosen.gains})
+    problems = tuple(_standing_at(problem, base) for problem in chosen.problems)
+    try:
+        found = outcome_stand(problems, base[:, None], replace(chosen.asked, loop=loop), 1, None)
+    except (NoSolutionFound, UnreachableTarget):
+        return None
+    return tuple(place.evaluation for place in found.places)
 
 
 def held_now(problem: SelectionProblem, now: Evaluation) -> Evaluation:
@@ -154,19 +176,39 @@ def held_now(problem: SelectionProblem, now: Evaluation) -> Evaluation:
 def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bool = True) -> Configurations | None:
     """How the arm is held at each target from one placement (n_b,); None where one is not reached.
 
-    `allowed`: whether constraints must hold.
+    The allowed posture with the greatest objective, or where none is allowed, and `allowed` is False, that which breaks
+    the constraints the least.
     """
     found = list[Vector]()
     for problem in problems:
         reached = reached_from(problem, base[:, None], problem.seed, FINER)
         worth, off = reached.value[0], reached.violation[0]
         if np.isfinite(worth).any():
-            found.append(reached.z[:, 0, int(worth.argmax())])
+            best = np.argsort(-worth, kind="stable")[: int(np.isfinite(worth).sum())]
+            found.append(_best_held(problem, reached.z[:, 0, best]))
         elif not allowed and np.isfinite(off).any():
             found.append(reached.z[:, 0, int(off.argmin())])
         else:
             return None
     return _evaluated(problems, [unwound(problem, z) for problem, z in zip(problems, found, strict=True)])
+
+
+def _best_held(problem: SelectionProblem, z: Vector) -> Vector:
+    """The best to which climbs lead from z (n_z, N), best first, that leave the base; z[:, 0] where none is better."""
+    plant = problem.measures.plant
+    if plant.n_actuated <= problem.target.size:
+        return z[:, 0]
+    still = _standing_at(problem, z[: plant.n_base, 0])
+    ends = [finished(single(still), start) for start in apart(still, z, CLIMBED, 1)]
+    proven = [there for there, proof, *_ in ends if proof is not None and proof.holds]
+    return max([z[:, 0], *proven], key=partial(value_at, problem))
+
+
+def _standing_at(problem: SelectionProblem, base: Vector) -> SelectionProblem:
+    """The problem with its base held in a placement (n_b,)."""
+    free = problem.variables
+    held = [replace(each, lower=x, upper=x) for each, x in zip(free[: base.size], base.tolist(), strict=True)]
+    return replace(problem, variables=(*held, *free[base.size :]))
 
 
 def _evaluated(problems: Sequence[SelectionProblem], zs: Sequence[Vector]) -> Configurations:

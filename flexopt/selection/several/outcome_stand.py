@@ -64,13 +64,14 @@ def outcome_stand(
     looked = _looked(program, found, whole, workers)
     chosen, optima, unverified, attempts = climbs_from(program, looked, workers, progress)
     best, sign = optima[0], chosen.measure.sign
-    own = [(target, target.z(part), part) for target, part in chosen.parts(best.y)]
-    y = chosen.joined([np.append(unwound(t.problem, z) / t.problem.scale, part[z.size :]) for t, z, part in own])
-    found_at = [(sign * each.value, chosen.z(each.y)[:n_base]) for each in optima]
+    ways = [[unwound(target.problem, target.z(part)) for target, part in chosen.parts(each.y)] for each in optima]
+    own = zip(ways[0], chosen.parts(best.y), strict=True)
+    y = chosen.joined([np.append(z / target.problem.scale, part[z.size :]) for z, (target, part) in own])
+    found_at = [(sign * each.value, zs) for each, zs in zip(optima, ways, strict=True)]
     return OutcomeStand(
         places=places_by_loop(chosen, y),
         worth=sign * best.value,
-        alternatives=tuple(other_placements(found_at, first.scale[:n_base])),
+        **other_placements(found_at, first.scale[:n_base]),
         stationarity=best.stationarity,
         kinks={},
         attempts=attempts,

@@ -257,6 +257,7 @@ class Stand(Pictured, ConfigurationSet):
         worth: what was maximised: the worst V, or Σ share_k V_k.
         alternatives: worth and placement of the other local optima found, best first; of those, and of this, that are
             worth the same the one nearest to the present placement comes first.
+        alternative_postures: of each of these the posture at every target (K, n), rad or m.
 
     Example:
         >>> machine = flexopt.load("excavator")
@@ -267,6 +268,7 @@ class Stand(Pictured, ConfigurationSet):
 
     worth: float
     alternatives: tuple[tuple[float, Vector], ...]
+    alternative_postures: tuple[Vector, ...]
 
     @property
     def base(self) -> Vector:
@@ -306,7 +308,10 @@ class Stand(Pictured, ConfigurationSet):
             >>> stand.to_dict()["converged"]
             True
         """
-        others = [{"worth": worth, "base": base} for worth, base in self.alternatives]
+        others = [
+            {"worth": worth, "base": base, "posture": posture}
+            for (worth, base), posture in zip(self.alternatives, self.alternative_postures, strict=True)
+        ]
         own = {"base": self.base, "worth": self.worth, "alternatives": others}
         return self._document(self.status, own, "targets")
 

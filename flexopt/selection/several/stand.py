@@ -118,9 +118,10 @@ def select_stand(
         program, bases, found, asked.starts or default_starts(program), asked.seed, count, progress
     )
     good = _nearest_first(program, good)
-    best = program.packed([unwound(problem, program.of(good[0].x, k)) for k, problem in enumerate(problems)])
+    ways = [[unwound(problem, program.of(end.x, k)) for k, problem in enumerate(problems)] for end in good]
+    best = program.packed(ways[0])
     places, n_base = places_at(program, best), len(machine.base_coordinates)
-    found_at = [(program.worth(end.x), end.x[:n_base]) for end in good]
+    found_at = [(program.worth(end.x), zs) for end, zs in zip(good, ways, strict=True)]
     stated: Document = {
         "objective": problems[0].name,
         "combine": asked.combine,
@@ -130,7 +131,7 @@ def select_stand(
     return Stand(
         places=places,
         worth=program.worth(best),
-        alternatives=tuple(other_placements(found_at, program.first.scale[:n_base])),
+        **other_placements(found_at, program.first.scale[:n_base]),
         stationarity=good[0].stationarity,
         kinks=good[0].kinks,
         attempts=attempts,

@@ -5,7 +5,7 @@ In: problems, and what their postures are worth from a sample of placements. Out
 
 from __future__ import annotations
 
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,14 +42,21 @@ def one_placement(problems: tuple[SelectionProblem, ...], share: Vector, *, weig
     return Program(problems, Coupling(places, ()), np.zeros(0), share, "weighted" if weighted else "worst")
 
 
-def other_placements(found: list[tuple[float, Vector]], scale: Vector) -> list[tuple[float, Vector]]:
-    """Worth and placement of the optima after the first, those at the same place once."""
-    bases, others = [found[0][1]], list[tuple[float, Vector]]()
-    for worth, base in found[1:]:
-        if all(np.abs((base - other) / scale).max(initial=0.0) > SAME_BASE for other in bases):
-            bases.append(base)
-            others.append((worth, base))
-    return others
+def other_placements(found: list[tuple[float, list[Vector]]], scale: Vector) -> dict[str, Any]:
+    """What a `Stand` has of the optima after the first, those at the same place once.
+
+    `found`: worth and [base, posture] at each target, best first; `scale`: of the base's variables (n_b,).
+    """
+    n_b = scale.size
+    bases, others = [found[0][1][0][:n_b]], list[tuple[float, list[Vector]]]()
+    for worth, zs in found[1:]:
+        if all(np.abs((zs[0][:n_b] - other) / scale).max(initial=0.0) > SAME_BASE for other in bases):
+            bases.append(zs[0][:n_b])
+            others.append((worth, zs))
+    return {
+        "alternatives": tuple((worth, zs[0][:n_b]) for worth, zs in others),
+        "alternative_postures": tuple(np.array([z[n_b:] for z in zs]) for _, zs in others),
+    }
 
 
 class Standing(NamedTuple):

@@ -10,7 +10,8 @@ import pytest
 import flexopt
 from flexopt import BasePlan, build_measures, evaluate, plan_base, select_stand
 from flexopt.selection.several import TargetConfiguration
-from flexopt.study.place_loops import held_from
+from flexopt.selection.several.postures import reached_from
+from flexopt.study.place_loops import configurations_of, held_from
 from tests.oracles.spatial import pinocchio_tree, random_tree
 
 WEIGHTS = [1.0] * 6
@@ -135,3 +136,36 @@ def test_a_stand_holds_no_joint_a_whole_turn_farther_than_it_needs(how: dict[str
     for e, target in zip([*(place.evaluation for place in stand.places), *held], [*targets, *targets], strict=True):
         assert np.abs(evaluate(machine, e.posture, base=stand.base).end_point - target).max() < 1e-7
         assert np.abs(e.posture).max() <= np.pi + 1e-6
+
+
+def test_a_verdict_holds_the_arm_as_the_placements_found_do() -> None:
+    """Candidates are worth what the choice says; from the present placement nothing of a sample of postures is better."""
+    machine = flexopt.load("mobile-manipulator")
+    targets = [(0.9, -0.3, 1.0), (0.9, 0.3, 1.2)]
+    stand = select_stand(machine, targets, base=(0.0, 0.0, 0.0), objective="w1", starts=2, seed=2, workers=1)
+    places = configurations_of(stand)
+    found = [each for name, each in places.items() if name != "stay"]
+    worths = [stand.worth, *(worth for worth, _ in stand.alternatives)]
+    np.testing.assert_allclose([min(e.w[0] for e in each) for each in found], worths, rtol=1e-6, atol=1e-12)
+    for problem, e in zip(stand.problems, places["stay"], strict=True):
+        np.testing.assert_array_equal(e.base, np.zeros(3))
+        sample = reached_from(problem, e.base[:, None], 5, 12)
+        assert e.w[0] >= sample.value.max()
+
+
+@pytest.mark.long
+def test_a_verdict_by_the_loop_holds_the_arm_for_the_loop_where_it_stands() -> None:
+    machine, loop = flexopt.load("mobile-manipulator"), {"kp": 50.0, "kv": 10.0}
+    targets = [(0.9, -0.3, 1.0), (0.9, 0.3, 1.2)]
+    stand = select_stand(
+        machine, targets, base=(0.0, 0.0, 0.0), objective="decay", loop=loop, starts=1, seed=2, workers=1
+    )
+    stay = configurations_of(stand)["stay"]
+    held = min(flexopt.outcome(machine, e.posture, base=e.base, loop=loop).decay for e in stay)
+    sampled = []
+    for problem in stand.problems:
+        reached = reached_from(problem, np.zeros((3, 1)), 5, 3)
+        allowed = reached.z[3:, 0, np.isfinite(reached.value[0])].T
+        sampled.append(max(flexopt.outcome(machine, q, base=np.zeros(3), loop=loop).decay for q in allowed))
+    # The worst target's best; a climb ends within 1e-6 of an optimum.
+    assert held >= min(sampled) * (1 - 1e-6)
