@@ -176,19 +176,23 @@ def select_command(
     if not as_json:
         _tell_choice(result, identified, certificate, judged=judged_too)
     judgement = None
-    if judged_too:
-        announce("the verdict follows, which may take minutes")
-        with working(judged, as_json, "stages of the verdict") as progress:
-            judgement = _judgement(result, own, **judged, progress=progress)
 
     def document() -> Document:
         more = {} if certificate is None else {"certificate": certificate}
         more |= {} if identified is None else {"identification": identified.to_dict()}
         return result.to_dict() | more | ({} if judgement is None else {"verdict": judgement.to_dict()})
 
-    if out is not None:
-        text = json.dumps(document(), indent=2, allow_nan=False) + "\n"
-        write_output("--out", out, lambda: write_file(out, text))
+    def write() -> None:
+        if out is not None:
+            text = json.dumps(document(), indent=2, allow_nan=False) + "\n"
+            write_output("--out", out, lambda: write_file(out, text))
+
+    write()
+    if judged_too:
+        announce("the verdict follows, which may take minutes")
+        with working(judged, as_json, "stages of the verdict") as progress:
+            judgement = _judgement(result, own, **judged, progress=progress)
+        write()
     if as_json:
         print_json(document())
     elif judgement is not None:

@@ -59,7 +59,10 @@ judged = together(
         "--members", "N", "Points of the uncertainty that decays are computed of, corners at least (64 by default).",
         whole,
     ),
-    value("--runs", "N", "How many of them are run nonlinearly in each place, too (16 by default; 0: none).", whole),
+    value(
+        "--runs", "N", "How many of them are run nonlinearly in each place, too (16 by default; 0: none confirm).",
+        whole,
+    ),
 )  # fmt: skip
 # What makes a problem of a machine, where no file does.
 of_machine = together(

@@ -322,9 +322,11 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
         chain = read_chain(Path(robot), options["tip"], actuated)
         if chain.hand or chain.chosen:
             place = "beside" if chain.chosen else "behind"
-            still = f"{counted(len(chain.hand), 'joint')} {place} it, as of a hand, stand still" if chain.hand else ""
+            stands = "stands" if len(chain.hand) == 1 else "stand"
+            still = f"{counted(len(chain.hand), 'joint')} {place} it, as of a hand, {stands} still"
             where = f"site {chain.site} on link {chain.end}" if chain.site else f"link {chain.end}"
-            end = f"The end-point is {where}: {'; '.join(filter(None, [chain.chosen, still]))}. --tip names another."
+            why = "; ".join(filter(None, [chain.chosen, chain.hand and still]))
+            end = f"The end-point is {where}: {why}. --tip names another."
         based = chain.floats or not chain.sprung
         questions = [
             Question("name", "Name of the machine", _name, lambda _: stem or chain.name),

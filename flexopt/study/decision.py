@@ -29,12 +29,13 @@ RULE = (
     "tried do in a place what no move does with the present gains, or no place is stable on every ground and other "
     "gains make one so; runs confirm it. STAY: the present place is stable on every ground, runs confirm it, and no "
     f"other is better on more than {100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else. A present place that "
-    "breaks constraints that were asked for is none to stay at, and is not among the places."
+    "breaks constraints that were asked for is none to stay at, and is not among the places. Where no nonlinear runs "
+    "were asked for, they need not confirm."
 )  # fmt: skip
 
 
 # Why there is no staying, usually.
-UNREACHED = "from the present placement the arm does not reach the target within its limits"
+UNREACHED = "from the present placement the arm does not reach {} within its limits"
 
 
 class Place(NamedTuple):
@@ -88,7 +89,7 @@ def decide(
     refuted: Place | None = None,
     gains: Mapping[str, Sequence[float]] | None = None,
     alternates: str = "",
-    absent: str = UNREACHED,
+    absent: str = UNREACHED.format("the target"),
     most: float = 0.0,
 ) -> Decision:
     """The word by `RULE`.

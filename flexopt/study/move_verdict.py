@@ -36,7 +36,7 @@ from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.study.asked import any_problem
 from flexopt.study.confirmation import Runs
-from flexopt.study.decision import FASTER, MOST, UNREACHED, Decision, Place, decide, deciding, faster, ranked
+from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, deciding, faster, ranked
 from flexopt.study.gain_search import best_gains, tried_gains
 from flexopt.study.place_loops import (
     Chosen,
@@ -48,6 +48,7 @@ from flexopt.study.place_loops import (
     configurations_of,
     drive_to,
     problems_of,
+    unreached,
 )
 from flexopt.study.places import FIRST, MOVE, STAY, TOLD
 from flexopt.study.verdict_result import Band, PlaceVerdict, Verdict
@@ -118,7 +119,7 @@ def verdict(
             `flexopt.Uncertainty`s. By default the problem's or machine's `[[uncertainty]]`, or where there is none one
             factor ½ to 2 of all springs.
         members: how many points of the uncertainty decays are computed of; all corners of up to six ranges at least.
-        runs: how many of them are run nonlinearly in each place, too; 0 for none.
+        runs: how many of them are run nonlinearly in each place, too; 0 for none, which then need not confirm.
         duration: of a run, s.
         progress: called with the number of stages done and of all: places, decays, runs, gains.
 
@@ -167,7 +168,7 @@ def verdict(
         shown[name] = loops[name].runs(points[:runs], each[name][:, :runs], duration)
     stages.next()
     breaks = broken_at(chosen, [(e.base, e.posture) for e in stands[STAY]]) if STAY in stands else ""
-    absent = f"the present place {breaks}" if breaks else UNREACHED
+    absent = f"the present place {breaks}" if breaks else unreached(chosen)
     known = {
         name: Place(name, decays[name], slowest[name].decay, drives[name][0],
                     besides_driving(machine, drives[name][1], stands[name], solved.present_posture))

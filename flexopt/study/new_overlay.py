@@ -99,6 +99,15 @@ class RobotChain:
         way = _way({link.name: link for link in self.robot.links}, self.end)
         return float(sum(np.linalg.norm(link.pose.position) for link in way[1:]))
 
+    @property
+    def far_end(self) -> tuple[float, ...]:
+        """Of the end's own link, in its axes, m, to a millimetre, its centre of mass in the middle; of a tool none."""
+        link = next(link for link in self.robot.links if link.name == self.end)
+        if self.site or self.chosen or link.inertial is None or not link.joints:
+            return ()
+        end = (2 * link.inertial.com - link.joints[-1].anchor).round(3) + 0.0
+        return tuple(end.tolist()) if end.any() else ()
+
 
 def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> RobotChain:
     """A robot file, and the chain to a link or site: by default the link with the most joints before it.
@@ -303,8 +312,10 @@ def overlay_file(chain: RobotChain, name: str, folder: Path, ground: Ground) -> 
         ModelError: no machine comes of it; the message says why.
     """
     faults: list[InputError] = []
-    for rows in (some for some in ROWS if len(some) <= len(chain.actuated)):
-        text = _Text(chain, name, folder, ground, rows)
+    # A link's joint may not move its origin; then its far end is tried before fewer rows are.
+    ends = ((0.0, 0.0, 0.0), *filter(None, [chain.far_end]))
+    for rows, end in ((some, end) for some in ROWS if len(some) <= len(chain.actuated) for end in ends):
+        text = _Text(chain, name, folder, ground, rows, end)
 
         def build(springs: Springs, text: _Text = text) -> AnyMachine:
             with warnings.catch_warnings():
@@ -333,6 +344,7 @@ class _Text:
     folder: Path
     ground: Ground
     rows: tuple[str, ...]
+    offset: tuple[float, ...]
 
     def __call__(self, springs: Springs, gains: GainTexts | None = None) -> str:
         chain = self.chain
@@ -368,6 +380,10 @@ class _Text:
             "on_link": one_line(chain.end),
             "link": quoted(chain.end),
             "end_note": "" if "end" in chain.asked else f" (proposed: {self._end_told()})",
+            "offset": f"[{', '.join(map(repr, self.offset))}]",
+            "offset_note": "the link's own origin, where its joint is"
+            if not any(self.offset)
+            else "twice as far as its centre of mass, as its joint does not move its origin",
             "rows": _listed(self.rows),
             "rows_note": "" if self.rows == ROWS[0] else " (proposed: what these joints can move)",
             "first": quoted(chain.actuated[0]),

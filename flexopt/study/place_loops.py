@@ -33,6 +33,7 @@ from flexopt.selection.several.outcome_stand import outcome_stand
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.starts import apart
 from flexopt.study.confirmation import Runs, nonlinear_runs, of_all
+from flexopt.study.decision import UNREACHED
 from flexopt.study.places import STAY
 
 Chosen = Selection | Stand | BasePlan
@@ -164,6 +165,17 @@ def _best_by_loop(chosen: ByLoop, base: Vector) -> Configurations | None:
     except (NoSolutionFound, UnreachableTarget):
         return None
     return tuple(place.evaluation for place in found.places)
+
+
+def unreached(chosen: Chosen) -> str:
+    """Why there is no staying: which targets are out of reach from the present placement."""
+    problems = problems_of(chosen)
+    now = problems[0].present_base
+    if now is None or len(problems) == 1:
+        return UNREACHED.format("the target")
+    reach = [np.isfinite(reached_from(each, now[:, None], each.seed, FINER).violation).any() for each in problems]
+    off = [f"target {k}" for k, reached in enumerate(reach, start=1) if not reached]
+    return UNREACHED.format(" and ".join(off) or "the targets")
 
 
 def held_now(problem: SelectionProblem, now: Evaluation) -> Evaluation:

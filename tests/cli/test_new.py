@@ -182,6 +182,19 @@ def test_a_grippers_finger_is_no_end_point(command: Command) -> None:
     assert "The springs carry the root link, chassis, 900 kg." in text
 
 
+def test_an_end_that_its_own_joint_does_not_move_is_put_at_the_links_far_end(command: Command) -> None:
+    """The arm of the documentation: its last link's origin lies on the joint's axis, its centre of mass 0.5 m from it."""
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "robot-file.md").read_text(encoding="utf-8")
+    command.write("arm.urdf", page.split("```xml\n")[1].split("```")[0])
+    followed(command, "arm.toml", "--from", "arm.urdf")
+    machine = flexopt.load("arm.toml")
+    assert machine.task_rows == ("x", "y", "z")
+    stretched = flexopt.evaluate(machine, (0.0, 0.0, -0.1)).end_point
+    # Joints at 0, 1.3 m of the upper arm, twice 0.5 m of the fore arm.
+    np.testing.assert_allclose(stretched[:2], [1.3 + np.cos(-0.1), 0.0], atol=1e-9)
+    assert "twice as far as its centre of mass" in Path("arm.toml").read_text(encoding="utf-8")
+
+
 def test_what_the_springs_carry_is_all_that_does_not_move_on_them(command: Command) -> None:
     """By Pinocchio, which holds the joints that are not driven."""
     inertial = "<inertial><mass value='{}'/><inertia ixx='9' ixy='0' ixz='0' iyy='9' iyz='0' izz='9'/></inertial>"

@@ -15,6 +15,7 @@ import flexopt
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.study import page
 from flexopt.study.page import with_minus
+from flexopt.study.place_loops import configurations_of, unreached
 from flexopt.study.places import allowed, told
 
 ARTICLE = {"kp": 1e4, "kv": 1e3}
@@ -493,3 +494,18 @@ def test_what_objectives_before_keep_is_no_constraint_to_stay_by() -> None:
     judged_now = flexopt.verdict(found, loop=ARTICLE, members=2, runs=0)
     assert judged_now.present_breaks == ""
     assert judged_now.places[0].name == "stay"
+
+
+def test_the_targets_that_the_present_placement_does_not_reach_are_named() -> None:
+    """The arm's first joint stands 0.173 m from the base's place and 0.513 m high, and the arm reaches from 0.82 to 3.01 m."""
+    machine = flexopt.load("excavator")
+    targets, at = [(0.0, 0.8), (1.0, 0.8)], np.array([0.173103, 0.512559])
+    for base in (0.0, 1.5):
+        stand = flexopt.select_stand(
+            machine, targets, base=(base,), base_range={"x": (-4, 4)}, objective="w1", starts=1, workers=1
+        )
+        far = [np.hypot(*(np.array(target) - at - [base, 0])) for target in targets]
+        off = [k for k, distance in enumerate(far, start=1) if not 0.821 <= distance <= 3.015]
+        assert off == ([1] if base == 0.0 else [2])
+        assert f"does not reach target {off[0]} within" in unreached(stand)
+        assert "stay" not in configurations_of(stand)
