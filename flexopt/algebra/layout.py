@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import accumulate, pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+
+Symbolic = TypeVar("Symbolic", ca.SX, ca.MX)
 
 
 class Layout:
@@ -20,9 +22,10 @@ class Layout:
         self.total = self._edges[-1]
         self.slices = {name: slice(*ends) for name, ends in zip(sizes, pairwise(self._edges), strict=True)}
 
-    def split(self, column: Any) -> dict[str, Any]:
-        """The parts of a column, SX or MX, by name."""
-        return dict(zip(self.sizes, ca.vertsplit(column, self._edges), strict=True))
+    def split(self, column: Symbolic) -> dict[str, Symbolic]:
+        """The parts of a column by name."""
+        parts: list[Any] = ca.vertsplit(column, self._edges)
+        return dict(zip(self.sizes, parts, strict=True))
 
     def packed(self, parts: Mapping[str, Any]) -> NDArray[np.float64]:
         """One array (total, 1) or (total, N) from parts (size,) or (size, N), those for all members repeated."""

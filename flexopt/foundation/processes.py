@@ -74,7 +74,7 @@ def in_parallel(
         Exception: the first one, by number, that the task raised.
         ProcessLost: as above.
     """
-    done = None if progress is None else lambda number: progress(number, count)
+    done: Done | None = None if progress is None else lambda number: progress(number, count)
     with one_blas_thread():
         return _worked_off(task, count, workers, done, meanwhile, lost, seen, at_once=at_once, ahead=ahead)
 

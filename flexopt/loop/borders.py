@@ -49,8 +49,12 @@ def _with_narrow(growth: Callable[[float], float], grid: list[float], values: li
         sign = 1.0 if here > 0 else -1.0
         # A valley of |growth|, all of one sign.
         if sign * here <= sign * before and sign * here <= sign * after and sign * before > 0 and sign * after > 0:
+
+            def size(x: float, sign: float = sign) -> float:
+                return sign * growth(x)
+
             best: Any = minimize_scalar(
-                lambda x, sign=sign: sign * growth(x), bounds=(left, right), method="bounded",
+                size, bounds=(left, right), method="bounded",
                 options={"xatol": math.log10(1 + NARROW) / 10},
             )  # fmt: skip
             if best.fun < 0:

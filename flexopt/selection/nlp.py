@@ -171,7 +171,7 @@ def _assembled(
     x = ca.MX.sym("x", coupling.n_x + (goal == "worst"))
     layout = parameters_of(configuration, coupling, len(forms))
     parameters = ca.MX.sym("parameters", layout.total)
-    s: dict[str, ca.MX] = layout.split(parameters)
+    s = layout.split(parameters)
     members = [MemberGraph(configuration, coupling, forms, s, x, k, compiled=compiled) for k in range(coupling.count)]
     return x, parameters, members, _Arranged(coupling, s, x, goal)
 
