@@ -18,7 +18,7 @@ from flexopt.foundation.results import Result
 from flexopt.loop.lag import LaggedModes, lagged_modes
 from flexopt.loop.outcome import HIGH, LOW, MEASURES, LoopPoint
 from flexopt.loop.settings import LoopSettings, loop_settings
-from flexopt.loop.spectrum import from_sample_to_sample
+from flexopt.loop.spectrum import from_sample_to_sample, slow_self_motion
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.robustness import Evaluation, build_measures, evaluate
@@ -155,11 +155,7 @@ class Outcome(Result):
                 "  the loop does not brake the arm's self-motion, no part of the decay; loop.nullspace_damping does"
             )
         lines += [f"  the arm's self-motion drifts, decay {-rate:+.3g}/s" for rate in self.drift if rate > 0]
-        lines += [
-            f"  the arm's self-motion, no part of the decay, dies away at {-rate:.3g}/s"
-            for rate in self.drift[:1]
-            if 0 < -rate < self.decay
-        ]
+        lines += [f"  {sentence}" for sentence in slow_self_motion(self.drift, self.decay)]
         stable = ", ".join(self._stable) or "nowhere"
         most = f"above {self.settings.highest_kp:.4g}" if math.isinf(self.allowed_gain) else _told(self.allowed_gain)
         unit = f" {self.settings.gain_units[0]} (stable: {stable})"

@@ -5,7 +5,7 @@ In: Φ of x_{k+1} = Φ x_k. Out: `SampledLoop`, its multipliers, and of any of t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -39,6 +39,13 @@ def from_sample_to_sample(growth_rate: float, rounding: float, frequency_hz: flo
         return ""
     also = ", or the damper of the self-motion," if damper else ""
     return f", half the sampling rate: the velocity gain{also} is too much for {rate:g} Hz"
+
+
+def slow_self_motion(drift: Sequence[float], decay: float) -> list[str]:
+    """A sentence where a redundant arm's self-motion, of growth rates `drift`, dies away more slowly than the loop."""
+    slowest = -max(drift, default=0.0)
+    lasts = 0 < slowest < decay
+    return [f"the arm's self-motion, no part of the decay, dies away at {slowest:.3g}/s"] if lasts else []
 
 
 @dataclass(frozen=True)

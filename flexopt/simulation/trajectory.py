@@ -21,6 +21,7 @@ from flexopt.foundation.pictures import Pictured, drawn
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.settings import LoopSettings
+from flexopt.loop.spectrum import slow_self_motion
 from flexopt.model import AnyMachine
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Shown
@@ -320,6 +321,8 @@ class Trajectory(Pictured, Result):
             f"  end-point: {settles}, {beyond}{number(self.end_error, '{:.3e} m')} off at the end",
             f"  base: turns by up to {rotation}; left in its modes: {modes}",
         ]
+        if linear is not None and self.linear is not None:
+            lines += [f"  {sentence}" for sentence in slow_self_motion(self.linear.drift, -linear)]
         if self.loop is not None:
             lines[1:1] = [f"  {line}" for line in repr(self.loop).splitlines()]
         if self.run.levelled:

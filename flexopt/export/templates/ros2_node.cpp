@@ -3,7 +3,7 @@
 // The controller itself (class Controller) needs no ROS; compiled without ROS 2 the file becomes a program that runs it
 // once. With ROS 2 (C++17, package rclcpp, sensor_msgs, geometry_msgs, std_msgs) it is a node:
 //
-//   subscribes  joint_states     sensor_msgs/JointState         the actuated joints by name, {{ joint_units }}, and their rates
+//   subscribes  joint_states     sensor_msgs/JointState         the actuated joints by name, {{ joint_units }}{{ ", and their rates" if damped }}
 //               end_point        geometry_msgs/PointStamped     measured, inertial frame, m
 //               target           geometry_msgs/PointStamped     wanted, inertial frame, m
 //   publishes   joint_torques    std_msgs/Float64MultiArray     {{ unit }}, in the order of the machine's joints
@@ -17,7 +17,9 @@
 // `flexopt evaluate` tells which do, with
 {% endif %}
 // `--loop drive=torque --loop rate={{ rate }} --loop kp=... --loop kv=...{% if damped %} --loop nullspace_damping=...{% endif %}`.
-// Nothing is published while an input is missing, older than the time-out of {{ age_max }} samples, or refused by the library.
+// Nothing is published while an input is missing or refused by the library, nor where, by their stamps, joint_states are older
+// than the end_point, or this than the one before, by more than the time-out of {{ age_max }} samples. A target holds until another comes.
+// Where no end_point comes nothing is published, either: what takes the torques needs a watchdog of its own.
 #include <array>
 #include <cstddef>
 #include <cstdio>
