@@ -107,7 +107,9 @@ def outcome_plan(
     gains = y[chosen.n_z :]
 
     def worth(k: int, z: Vector) -> Vector:
-        return np.array(values_at(chosen.targets[k], [np.append(own / first.scale, gains) for own in z.T], workers))
+        # Of the measure itself: what the loop must do at least is asked at the targets.
+        target = replace(chosen.targets[k], least=())
+        return np.array(values_at(target, [np.append(own / first.scale, gains) for own in z.T], workers))
 
     first = problems[0]
     between, when = on_lines(problems, due, [along.of(x, k) for k in range(len(problems))], worth)
