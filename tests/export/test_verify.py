@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -253,6 +254,13 @@ def test_loops_of_the_optimiser_are_counted() -> None:
 def test_bounded_loops_are_counted() -> None:
     text = "for (i = 0; i < 3; ++i) {\n  y[i] = 2;\n}\nfor (i=0, rr=w; i<10; ++i) *rr++ = *cs++;\n/* while */\n"
     assert objects.unbounded_loops(text) == (2, [])
+
+
+@pytest.mark.parametrize(
+    "path", sorted(Path(str(files("flexopt.export") / "optimiser_c")).iterdir()), ids=lambda p: p.name
+)
+def test_the_optimisers_own_loops_are_bounded(path: Path) -> None:
+    assert objects.unbounded_loops(path.read_text(encoding="utf-8"))[1] == []
 
 
 def test_recursion_and_stack_are_read_from_the_call_graph() -> None:

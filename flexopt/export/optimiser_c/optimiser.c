@@ -153,20 +153,20 @@ static bool could_rise(const workspace_t *s)
 /* The best point's climb goes on where it was left, or, in the end, may have ended at a saddle. */
 static void finish(const problem_t *problem, const options_t *options, workspace_t *s, bool check)
 {
-  bool ready;
+  bool unfinished = true;
   if (!s->found || (s->stop != CONVERGED) || ((s->best.status == CONVERGED) && !check)) {
     return;
   }
   s->last = true;
   /* A climb that ends after its number of steps is not at its end: it goes on while there is budget. */
-  do {
-    ready = may_spend(options, s, 1);
+  for (int k = 0; (k < LAST_CLIMBS) && unfinished; k++) {
     s->present = s->best;
-    ready = ready && evaluate(problem, s, &s->present);
-    if (ready) {
+    unfinished = may_spend(options, s, 1) && evaluate(problem, s, &s->present);
+    if (unfinished) {
       (void)climb(problem, options, s);
+      unfinished = (s->stop == CONVERGED) && (s->best.status == BUDGET_SPENT);
     }
-  } while (ready && (s->stop == CONVERGED) && (s->best.status == BUDGET_SPENT));
+  }
   s->last = false;
 }
 

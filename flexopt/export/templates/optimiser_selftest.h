@@ -56,13 +56,13 @@ static int optimiser_failures(void)
   const {{ prefix }}_real *row = optimiser_cases;
   {{ prefix }}_real start[{{ PREFIX }}_OPTIMISER_N_Z] = {0};
   double worst = -1e300, off = 0.0;
-  int failed = 0, k, i;
+  int failed = 0, k, i, turn;
   (void){{ prefix }}_optimiser_default_options(&options);
   for (k = 0; k < OPTIMISER_CASES; ++k) {
     {{ prefix }}_optimiser_result answer;
-    {{ prefix }}_optimiser_status status;
+    {{ prefix }}_optimiser_status status = {{ PREFIX }}_OPTIMISER_CONVERGED;
     {{ prefix }}_real value, scale;
-    double lost;
+    double lost = 0.0;
     int bad = 0, unique, again;
     (void){{ prefix }}_optimiser_default_problem(&problem);
     memcpy(problem.target, row, sizeof problem.target);
@@ -76,15 +76,15 @@ static int optimiser_failures(void)
     unique = row[2] > 0;
     row += 3;
     /* A climb along an edge may cost more than the default budget: it has to come there with enough. */
-    options.budget = {{ PREFIX }}_OPTIMISER_BUDGET;
-    do {
-      again = options.budget < {{ PREFIX }}_OPTIMISER_BUDGET_MAX;
+    again = 1;
+    for (turn = 0; (turn < 2) && again; ++turn) {
+      options.budget = (turn == 0) ? {{ PREFIX }}_OPTIMISER_BUDGET : {{ PREFIX }}_OPTIMISER_BUDGET_MAX;
       memset(&answer, 0, sizeof answer);
       status = {{ prefix }}_optimiser_solve(&problem, start, &options, &memory, &answer);
       scale = (answer.scale > scale) ? answer.scale : scale;
       lost = ((double)value - (double)answer.value) / (double)scale;
-      options.budget = {{ PREFIX }}_OPTIMISER_BUDGET_MAX;
-    } while (again && (status == {{ PREFIX }}_OPTIMISER_BUDGET_SPENT) && !(lost <= (double){{ loss }}));
+      again = (status == {{ PREFIX }}_OPTIMISER_BUDGET_SPENT) && !(lost <= (double){{ loss }});
+    }
     if (status >= {{ PREFIX }}_OPTIMISER_NULL_POINTER) {
       printf("FAILED  optimiser: problem %d gave status %d\n", k, (int)status);
       failed = 1;
