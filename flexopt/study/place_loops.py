@@ -173,7 +173,8 @@ def unreached(chosen: Chosen) -> str:
     now = problems[0].present_base
     if now is None or len(problems) == 1:
         return UNREACHED.format("the target")
-    reach = [np.isfinite(reached_from(each, now[:, None], each.seed, FINER).violation).any() for each in problems]
+    stills = [_standing_at(problem, now) for problem in problems]
+    reach = [np.isfinite(reached_from(still, now[:, None], still.seed, FINER).violation).any() for still in stills]
     off = [f"target {k}" for k, reached in enumerate(reach, start=1) if not reached]
     return UNREACHED.format(" and ".join(off) or "the targets")
 
@@ -192,12 +193,12 @@ def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bo
     the constraints the least.
     """
     found = list[Vector]()
-    for problem in problems:
-        reached = reached_from(problem, base[:, None], problem.seed, FINER)
+    for still in [_standing_at(problem, base) for problem in problems]:
+        reached = reached_from(still, base[:, None], still.seed, FINER)
         worth, off = reached.value[0], reached.violation[0]
         if np.isfinite(worth).any():
             best = np.argsort(-worth, kind="stable")[: int(np.isfinite(worth).sum())]
-            found.append(_best_held(problem, reached.z[:, 0, best]))
+            found.append(_best_held(still, reached.z[:, 0, best]))
         elif not allowed and np.isfinite(off).any():
             found.append(reached.z[:, 0, int(off.argmin())])
         else:
@@ -205,15 +206,13 @@ def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bo
     return _evaluated(problems, [unwound(problem, z) for problem, z in zip(problems, found, strict=True)])
 
 
-def _best_held(problem: SelectionProblem, z: Vector) -> Vector:
-    """The best to which climbs lead from z (n_z, N), best first, that leave the base; z[:, 0] where none is better."""
-    plant = problem.measures.plant
-    if plant.n_actuated <= problem.target.size:
+def _best_held(still: SelectionProblem, z: Vector) -> Vector:
+    """The best to which climbs lead from z (n_z, N), best first, the base held; z[:, 0] where none is better."""
+    if still.measures.plant.n_actuated <= still.target.size:
         return z[:, 0]
-    still = _standing_at(problem, z[: plant.n_base, 0])
     ends = [finished(single(still), start) for start in apart(still, z, CLIMBED, 1)]
     proven = [there for there, proof, *_ in ends if proof is not None and proof.holds]
-    return max([z[:, 0], *proven], key=partial(value_at, problem))
+    return max([z[:, 0], *proven], key=partial(value_at, still))
 
 
 def _standing_at(problem: SelectionProblem, base: Vector) -> SelectionProblem:
