@@ -29,7 +29,7 @@ from flexopt.selection.problem import broken, value_at
 from flexopt.selection.program import single
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
-from flexopt.selection.several.outcome_stand import outcome_stand
+from flexopt.selection.several.outcome_stand import held_by_loop
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.starts import apart
 from flexopt.study.confirmation import Runs, nonlinear_runs, of_all
@@ -121,7 +121,7 @@ def configurations_of(chosen: Chosen) -> dict[str, Configurations]:
     """By place: the present one first, where every target is reached from it, then those that were found, best first.
 
     Of targets for one placement the candidates are the placements found, of a path the way along it and the best
-    placement that stands still. How the arm is held at a target from the present placement: as in `held_from`.
+    placement that stands still.
     """
     stay = _present(chosen)
     if isinstance(chosen, Selection):
@@ -156,15 +156,28 @@ def _present(chosen: Chosen) -> Configurations | None:
     return by_loop or held_from(chosen.problems, now, allowed=False)
 
 
+def held_at(stand: Stand, number: int) -> Evaluation | None:
+    """How the arm is held at one target from the present placement; None where it is not reached, or there is none."""
+    problem, now = stand.problems[number], stand.problems[number].present_base
+    if now is None:
+        return None
+    by_loop = _best_by_loop(stand, now) if isinstance(stand, ByLoop) else None
+    if by_loop is not None:
+        return by_loop[number]
+    found = held_from([problem], now, allowed=False)
+    return None if found is None else found[0]
+
+
 def _best_by_loop(chosen: ByLoop, base: Vector) -> Configurations | None:
     """How the arm is held at each target from one placement for the measure asked, with the gains chosen, if it is."""
     loop = chosen.asked.loop.model_copy(update={"kp_range": None, "kv_range": None, **chosen.gains})
-    problems = tuple(_standing_at(problem, base) for problem in chosen.problems)
+    held = (_standing_at(problem, base) for problem in chosen.problems)
+    problems = tuple(replace(problem, starts=problem.starts or CLIMBED) for problem in held)
     try:
-        found = outcome_stand(problems, base[:, None], replace(chosen.asked, loop=loop), 1, None)
+        found = held_by_loop(problems, base, replace(chosen.asked, loop=loop), FINER)
     except (NoSolutionFound, UnreachableTarget):
         return None
-    return tuple(place.evaluation for place in found.places)
+    return _evaluated(chosen.problems, found)
 
 
 def unreached(chosen: Chosen) -> str:

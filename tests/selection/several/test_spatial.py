@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt import BasePlan, build_measures, evaluate, plan_base, select_stand
+from flexopt import BasePlan, build_measures, build_selection, evaluate, plan_base, select_stand
 from flexopt.selection.several import TargetConfiguration
 from flexopt.selection.several.postures import reached_from
 from flexopt.study.place_loops import configurations_of, held_from
