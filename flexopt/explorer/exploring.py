@@ -38,7 +38,7 @@ from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.measures import build_measures
 from flexopt.selection import SelectionProblem, select, select_stand, solve_selection
 from flexopt.study.asked import one_placement
-from flexopt.study.place_loops import held_from, held_now
+from flexopt.study.place_loops import held_at, held_now
 
 # What a problem would say.
 NOTHING_ASKED: dict[str, Any] = {"target": None, "which": "", "objective": None, "weights": None}
@@ -211,8 +211,7 @@ def _solved(
         problem, best = stand.problems[number - 1], stand.places[number - 1].evaluation
         which = f"target {number} of {len(stand.places)}"
         # As a verdict has it.
-        held = None if problem.present_base is None else held_from([problem], problem.present_base, allowed=False)
-        return problem, {PRESENT: None if held is None else held[0], BEST: best}, which
+        return problem, {PRESENT: held_at(stand, number - 1), BEST: best}, which
     else:
         found = select(**asked.select_arguments(), progress=progress)
     now = None if found.initial is None else held_now(found.problem, found.initial)

@@ -168,7 +168,7 @@ def verdict(
         shown[name] = loops[name].runs(points[:runs], each[name][:, :runs], duration)
     stages.next()
     breaks = broken_at(chosen, [(e.base, e.posture) for e in stands[STAY]]) if STAY in stands else ""
-    absent = f"the present place {breaks}" if breaks else unreached(chosen)
+    absent = f"the present place {breaks}" if breaks or STAY in stands else unreached(chosen)
     known = {
         name: Place(name, decays[name], slowest[name].decay, drives[name][0],
                     besides_driving(machine, drives[name][1], stands[name], solved.present_posture))

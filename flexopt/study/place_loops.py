@@ -29,7 +29,7 @@ from flexopt.selection.problem import broken, value_at
 from flexopt.selection.program import single
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
-from flexopt.selection.several.outcome_stand import outcome_stand
+from flexopt.selection.several.outcome_stand import held_by_loop
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.starts import apart
 from flexopt.study.confirmation import Runs, nonlinear_runs, of_all
@@ -121,7 +121,7 @@ def configurations_of(chosen: Chosen) -> dict[str, Configurations]:
     """By place: the present one first, where every target is reached from it, then those that were found, best first.
 
     Of targets for one placement the candidates are the placements found, of a path the way along it and the best
-    placement that stands still. How the arm is held at a target from the present placement: as in `held_from`.
+    placement that stands still.
     """
     stay = _present(chosen)
     if isinstance(chosen, Selection):
@@ -156,15 +156,28 @@ def _present(chosen: Chosen) -> Configurations | None:
     return by_loop or held_from(chosen.problems, now, allowed=False)
 
 
+def held_at(stand: Stand, number: int) -> Evaluation | None:
+    """How the arm is held at one target from the present placement; None where it is not reached, or there is none."""
+    problem, now = stand.problems[number], stand.problems[number].present_base
+    if now is None:
+        return None
+    by_loop = _best_by_loop(stand, now) if isinstance(stand, ByLoop) else None
+    if by_loop is not None:
+        return by_loop[number]
+    found = held_from([problem], now, allowed=False)
+    return None if found is None else found[0]
+
+
 def _best_by_loop(chosen: ByLoop, base: Vector) -> Configurations | None:
     """How the arm is held at each target from one placement for the measure asked, with the gains chosen, if it is."""
     loop = chosen.asked.loop.model_copy(update={"kp_range": None, "kv_range": None, **chosen.gains})
-    problems = tuple(_standing_at(problem, base) for problem in chosen.problems)
+    held = (_standing_at(problem, base) for problem in chosen.problems)
+    problems = tuple(replace(problem, starts=problem.starts or CLIMBED) for problem in held)
     try:
-        found = outcome_stand(problems, base[:, None], replace(chosen.asked, loop=loop), 1, None)
+        found = held_by_loop(problems, base, replace(chosen.asked, loop=loop), FINER)
     except (NoSolutionFound, UnreachableTarget):
         return None
-    return tuple(place.evaluation for place in found.places)
+    return _evaluated(chosen.problems, found)
 
 
 def unreached(chosen: Chosen) -> str:
@@ -173,7 +186,8 @@ def unreached(chosen: Chosen) -> str:
     now = problems[0].present_base
     if now is None or len(problems) == 1:
         return UNREACHED.format("the target")
-    reach = [np.isfinite(reached_from(each, now[:, None], each.seed, FINER).violation).any() for each in problems]
+    stills = [_standing_at(problem, now) for problem in problems]
+    reach = [np.isfinite(reached_from(still, now[:, None], still.seed, FINER).violation).any() for still in stills]
     off = [f"target {k}" for k, reached in enumerate(reach, start=1) if not reached]
     return UNREACHED.format(" and ".join(off) or "the targets")
 
@@ -192,12 +206,12 @@ def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bo
     the constraints the least.
     """
     found = list[Vector]()
-    for problem in problems:
-        reached = reached_from(problem, base[:, None], problem.seed, FINER)
+    for still in [_standing_at(problem, base) for problem in problems]:
+        reached = reached_from(still, base[:, None], still.seed, FINER)
         worth, off = reached.value[0], reached.violation[0]
         if np.isfinite(worth).any():
             best = np.argsort(-worth, kind="stable")[: int(np.isfinite(worth).sum())]
-            found.append(_best_held(problem, reached.z[:, 0, best]))
+            found.append(_best_held(still, reached.z[:, 0, best]))
         elif not allowed and np.isfinite(off).any():
             found.append(reached.z[:, 0, int(off.argmin())])
         else:
@@ -205,15 +219,13 @@ def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bo
     return _evaluated(problems, [unwound(problem, z) for problem, z in zip(problems, found, strict=True)])
 
 
-def _best_held(problem: SelectionProblem, z: Vector) -> Vector:
-    """The best to which climbs lead from z (n_z, N), best first, that leave the base; z[:, 0] where none is better."""
-    plant = problem.measures.plant
-    if plant.n_actuated <= problem.target.size:
+def _best_held(still: SelectionProblem, z: Vector) -> Vector:
+    """The best to which climbs lead from z (n_z, N), best first, the base held; z[:, 0] where none is better."""
+    if still.measures.plant.n_actuated <= still.target.size:
         return z[:, 0]
-    still = _standing_at(problem, z[: plant.n_base, 0])
     ends = [finished(single(still), start) for start in apart(still, z, CLIMBED, 1)]
     proven = [there for there, proof, *_ in ends if proof is not None and proof.holds]
-    return max([z[:, 0], *proven], key=partial(value_at, problem))
+    return max([z[:, 0], *proven], key=partial(value_at, still))
 
 
 def _standing_at(problem: SelectionProblem, base: Vector) -> SelectionProblem:

@@ -6,6 +6,7 @@ In: a configuration problem for each target, a loop. Out: an `OutcomeStand`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from flexopt.selection.outcomes.asked import Asked
 from flexopt.selection.outcomes.shared import SharedProgram
 from flexopt.selection.outcomes.starting import values_at
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.several.by_loop import ByLoop, climbs_from, places_by_loop, shared_program
+from flexopt.selection.several.by_loop import ByLoop, Climbs, climbs_from, places_by_loop, shared_program
 from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.results import Stand
 from flexopt.selection.several.standing import one_placement, other_placements
@@ -53,25 +54,16 @@ def outcome_stand(
         UnreachableTarget: from none of the placements all targets are reached.
     """
     first = problems[0]
-    n_base = len(first.machine.base_coordinates)
-    found = [reached_from(problem, bases, problem.seed) for problem in problems]
-    whole = np.flatnonzero(np.all([np.isfinite(reached.value).any(axis=1) for reached in found], axis=0))
-    if not whole.size:
-        raise none_reaches_all(len(problems))
-    z = found[0].z[:, whole[0], int(np.argmax(np.isfinite(found[0].value[whole[0]])))]
-    coupling = one_placement(problems, np.ones(len(problems)), weighted=False).coupling
-    program = shared_program(asked, problems, coupling, np.zeros(0), z)
-    looked = _looked(program, found, whole, workers)
-    chosen, optima, unverified, attempts = climbs_from(program, looked, workers, progress)
+    chosen, optima, unverified, attempts = _climbed(problems, bases, asked, workers, progress)
     best, sign = optima[0], chosen.measure.sign
-    ways = [[unwound(target.problem, target.z(part)) for target, part in chosen.parts(each.y)] for each in optima]
+    ways = [_configurations(chosen, each.y) for each in optima]
     own = zip(ways[0], chosen.parts(best.y), strict=True)
     y = chosen.joined([np.append(z / target.problem.scale, part[z.size :]) for z, (target, part) in own])
     found_at = [(sign * each.value, zs) for each, zs in zip(optima, ways, strict=True)]
     return OutcomeStand(
         places=places_by_loop(chosen, y),
         worth=sign * best.value,
-        **other_placements(found_at, first.scale[:n_base]),
+        **other_placements(found_at, first.scale[: len(first.machine.base_coordinates)]),
         stationarity=best.stationarity,
         kinks={},
         attempts=attempts,
@@ -84,26 +76,69 @@ def outcome_stand(
     )
 
 
+def held_by_loop(problems: tuple[SelectionProblem, ...], base: Vector, asked: Asked, finer: int) -> list[Vector]:
+    """[base, posture] at each target of the best way to stand in one placement (n_b,), which the problems hold.
+
+    `finer` times as many postures are looked at as usual; gains are not chosen.
+
+    Raises:
+        NoSolutionFound, UnreachableTarget: as `outcome_stand`.
+    """
+    program, optima, *_ = _climbed(problems, base[:, None], asked, 1, None, finer)
+    return _configurations(program, optima[0].y)
+
+
+def _climbed(
+    problems: tuple[SelectionProblem, ...],
+    bases: Vector,
+    asked: Asked,
+    workers: int,
+    progress: Progress | None,
+    finer: int = 1,
+) -> Climbs:
+    """Where climbs from the best of what was looked at lead."""
+    found = [reached_from(problem, bases, problem.seed, finer) for problem in problems]
+    whole = np.flatnonzero(np.all([np.isfinite(reached.value).any(axis=1) for reached in found], axis=0))
+    if not whole.size:
+        raise none_reaches_all(len(problems))
+    z = found[0].z[:, whole[0], int(np.argmax(np.isfinite(found[0].value[whole[0]])))]
+    coupling = one_placement(problems, np.ones(len(problems)), weighted=False).coupling
+    program = shared_program(asked, problems, coupling, np.zeros(0), z)
+    return climbs_from(program, _looked(program, found, whole, workers), workers, progress)
+
+
+def _configurations(program: SharedProgram, y: Vector) -> list[Vector]:
+    """[base, posture] at each target."""
+    return [unwound(target.problem, target.z(own)) for target, own in program.parts(y)]
+
+
 def _looked(program: SharedProgram, found: list[Reached], whole: Any, workers: int) -> list[Vector]:
-    """Points y: placements that reach all targets, gains from their ranges, and the best of some postures for each."""
+    """Points y: placements that reach all targets, gains from their ranges, and the best of some postures for each.
+
+    Of few placements without gains more postures are looked at, and the second best, … of each, too.
+    """
     count, measure, ranges = len(program.problems), program.measure, program.ranges
     unit = low_discrepancy(1 + len(ranges), max(1, measure.looked // count), program.problem.seed)
     ends = program.bounds
     gains = ends[0][program.n_z :] + unit[1:].T * (ends[1] - ends[0])[program.n_z :]
-    numbers = whole[np.minimum((unit[0] * whole.size).astype(int), whole.size - 1)]
-    picked = list[list[Vector]]()
+    numbers = whole[np.minimum((unit[0] * whole.size).astype(int), whole.size - 1)].tolist()
+    # Without gains a placement that is drawn again is the same point.
+    numbers = numbers if ranges else list(dict.fromkeys(numbers))
+    more = max(1, len(gains) // (POSTURES * len(numbers)))
+    picked = list[list[list[Vector]]]()
     for target, reached in zip(program.targets, found, strict=True):
         ys, of = list[Vector](), list[int]()
-        for i, j in enumerate(numbers.tolist()):
+        for i, j in enumerate(numbers):
             postures = np.flatnonzero(np.isfinite(reached.value[j]))
             # Even numbers of those that are allowed.
-            some = postures[np.linspace(0, len(postures) - 1, min(POSTURES, len(postures))).astype(int)]
+            some = postures[np.linspace(0, len(postures) - 1, min(more * POSTURES, len(postures))).astype(int)]
             ys += [np.append(reached.z[:, j, c] / target.problem.scale, gains[i]) for c in some]
             of += [i] * len(some)
         values = values_at(target, ys, workers)
-        best = dict[int, tuple[float, Vector]]()
-        for i, value, y in zip(of, values, ys, strict=True):
-            if i not in best or value > best[i][0]:
-                best[i] = value, y
-        picked.append([best[i][1] for i in range(len(numbers))])
-    return [program.joined([own[i] for own in picked]) for i in range(len(numbers))]
+        best: list[list[Vector]] = [[] for _ in numbers]
+        order: list[int] = np.argsort(-np.array(values), kind="stable").tolist()
+        for k in order:
+            best[of[k]].append(ys[k])
+        picked.append(best)
+    each = (zip(*(own[i] for own in picked), strict=False) for i in range(len(numbers)))
+    return [program.joined(list(parts)) for ranked in each for parts in islice(ranked, more)]

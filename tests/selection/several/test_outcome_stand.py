@@ -12,9 +12,11 @@ from scipy.optimize import differential_evolution
 
 import flexopt
 from flexopt.selection.outcomes.moves import OfMove
+from flexopt.selection.several import outcome_stand
 from flexopt.selection.several.outcome_stand import OutcomeStand
 from flexopt.study import problem_page
 from flexopt.study.page import number
+from flexopt.study.place_loops import configurations_of, held_at
 from tests.selection.loops import EXCAVATOR, posture_at, worth
 
 TARGETS = [(0.0, 1.6), (0.3, 1.3)]
@@ -69,6 +71,37 @@ def test_gains_are_chosen_with_the_placement() -> None:
     )  # fmt: skip
     assert found.worth >= -other.fun * (1 - 1e-6)
     assert set(found.gains) == {"kp", "kv"}
+
+
+@pytest.mark.long
+def test_nothing_is_looked_at_twice_and_where_the_base_stands_the_arm_is_held_for_the_loop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Over one placement all postures of a fine sample are looked at, each once, and what is found is no worse."""
+    machine, base = flexopt.load("boom-stick-bucket"), -3.0
+    stand = flexopt.select_stand(
+        machine, TARGETS, objective="decay", loop=LOOP, base=base, base_range=(-3.2, -2.8), starts=1, workers=1
+    )
+    looked, usual = list[np.ndarray](), outcome_stand.values_at
+
+    def noted(target: Any, ys: list[np.ndarray], workers: int) -> list[float]:
+        looked.append(np.array(ys))
+        return usual(target, ys, workers)
+
+    monkeypatch.setattr(outcome_stand, "values_at", noted)
+    stay = configurations_of(stand)["stay"]
+    assert len(looked) == len(TARGETS)
+    held = [flexopt.outcome(machine, e.posture, base=e.base, loop=LOOP).decay for e in stay]
+    best = []
+    for problem, ys in zip(stand.problems, looked, strict=True):
+        assert 12 < len(ys) == len(np.unique(ys, axis=0))
+        postures = (ys * problem.scale)[:, 1:]
+        best.append(max(flexopt.outcome(machine, q, base=base, loop=LOOP).decay for q in postures[::6]))
+    np.testing.assert_array_equal([e.base for e in stay], [[base]] * len(TARGETS))
+    assert min(held) >= min(best) * (1 - 1e-6)
+    shown = held_at(stand, 0)
+    assert shown is not None
+    np.testing.assert_array_equal(shown.posture, stay[0].posture)
 
 
 def test_what_does_not_go_together() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt import BasePlan, build_measures, evaluate, plan_base, select_stand
+from flexopt import BasePlan, build_measures, build_selection, evaluate, plan_base, select_stand
 from flexopt.selection.several import TargetConfiguration
 from flexopt.selection.several.postures import reached_from
 from flexopt.study.place_loops import configurations_of, held_from
@@ -151,6 +151,17 @@ def test_a_verdict_holds_the_arm_as_the_placements_found_do() -> None:
         np.testing.assert_array_equal(e.base, np.zeros(3))
         sample = reached_from(problem, e.base[:, None], 5, 12)
         assert e.w[0] >= sample.value.max()
+
+
+def test_where_the_base_may_not_move_to_the_arm_is_held_as_well() -> None:
+    """A range of the base is where it may move, and does not say how the arm is held where it stands."""
+    machine, base = flexopt.load("mobile-manipulator"), np.zeros(3)
+    options: Any = {"base": base, "objective": "w1", "starts": 2, "seed": 2}
+    ranges = [None, {"x": (0.1, 1.0)}]
+    target = (0.9, -0.3, 1.0)
+    held = [held_from([build_selection(machine, target, base_range=each, **options)], base) for each in ranges]
+    inside, outside = (float(each[0].w[0]) for each in held if each is not None)
+    assert outside == pytest.approx(inside, rel=1e-6)
 
 
 @pytest.mark.long
