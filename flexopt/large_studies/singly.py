@@ -23,6 +23,7 @@ from flexopt.model.machine import AnyMachine
 from flexopt.model.parameter_values import with_parameters
 from flexopt.model.problem import Problem
 from flexopt.model.simulation import Experiment
+from flexopt.model.simulation_faults import loop_of_runs
 from flexopt.model.study import Study
 from flexopt.model.study_axes import StudyAxis
 from flexopt.plant import build_plant
@@ -153,9 +154,9 @@ class ManySimulations(OneByOne):
     def one(self, column: Vector) -> Mapping[str, Any]:
         """Of the run."""
         experiment = cast(Experiment, self.study.subject)
-        options, loop = experiment.simulation, experiment.loop
+        options, loop = experiment.simulation, loop_of_runs(experiment)
         gains = {axis.kind: float(x) for axis, x in zip(self.axes, column, strict=True) if axis.kind in GAINS}
-        # A file's [loop] says its gains itself, else the run's options do.
+        # A [loop] says its gains itself, else the run's options do.
         overrides: dict[str, Any] = {} if loop else dict(gains)
         loop = loop and loop.model_copy(update={name: (gain,) for name, gain in gains.items()})
         for kind in ("posture", "base"):

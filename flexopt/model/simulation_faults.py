@@ -139,6 +139,13 @@ def own_loop(machine: AnyMachine, given: Mapping[str, Any]) -> Loop | None:
     return None if brought_twice(given) else machine.loop
 
 
+def loop_of_runs(experiment: Experiment) -> Loop | None:
+    """The `[loop]` of an experiment's runs: its own, or its machine's; None where its options say of the loop."""
+    options = experiment.simulation
+    given = {name: getattr(options, name) for name in options.model_fields_set}
+    return experiment.loop or own_loop(experiment.loaded_machine, given)
+
+
 def table_entries(table: Any) -> dict[str, Any]:
     """What a call gives of a table."""
     if isinstance(table, BaseModel):

@@ -16,6 +16,8 @@ from flexopt.foundation.quantities import COORDINATE, Quantity
 from flexopt.model.loop import DEAD_TIME, GAINS, LOOP_GAIN, loop_faults
 from flexopt.model.machine import AnyMachine
 from flexopt.model.problem import Problem
+from flexopt.model.simulation import Experiment
+from flexopt.model.simulation_faults import loop_of_runs
 from flexopt.model.study import Study, Vary
 from flexopt.model.uncertainty import LATE, Uncertainty, kind_of, parameters_of, uncertainty_faults
 
@@ -158,12 +160,15 @@ def _fixed_faults(study: Study, axes: Sequence[StudyAxis | None]) -> list[Fault]
             faults.append(Fault("vary", "concerns a parameter that another entry concerns, too", axis.name))
     if "epsilon_max" in study.kept and study.compute == "measures" and any(a and a.kind == "parameters" for a in axes):
         faults.append(Fault("quantities", "epsilon_max goes with the machine's own parameters: let none vary"))
-    loop = study.loop or machine.loop
+    subject, loop = study.subject, study.loop or machine.loop
+    feedback = loop and loop.feedback
     if study.compute == "outcome":
         faults += [] if loop is None else loop_faults(loop, machine, "loop.")
-        if any(a and a.kind == "ki" for a in axes) and (loop is None or loop.feedback != "pid"):
-            faults.append(Fault("vary (ki)", "needs a loop with feedback = 'pid'"))
-    return faults + (_problem_faults(study.subject) if isinstance(study.subject, Problem) else [])
+    elif isinstance(subject, Experiment):
+        feedback = (loop_of_runs(subject) or subject.simulation).feedback
+    if any(a and a.kind == "ki" for a in axes) and feedback != "pid":
+        faults.append(Fault("vary (ki)", "needs a loop with feedback = 'pid'"))
+    return faults + (_problem_faults(subject) if isinstance(subject, Problem) else [])
 
 
 def _problem_faults(problem: Problem) -> list[Fault]:

@@ -84,27 +84,28 @@ def test_simulations(tmp_path: Path) -> None:
     assert float(found["end_error"][3]) == pytest.approx(one.end_error, rel=1e-6)
 
 
-def test_simulations_of_an_experiment_that_has_its_own_loop(tmp_path: Path) -> None:
-    """Gains vary in its `[loop]`; what else that says stays."""
+@pytest.mark.parametrize("owner", ["experiment", "machine"])
+def test_simulations_of_an_experiment_that_has_a_loop(owner: str, tmp_path: Path) -> None:
+    """Gains vary in its `[loop]`, or its machine's; what else that says stays."""
     file, loop = tmp_path / "own.toml", {"kp": 1e5, "kv": 1e3, "rate": 100.0}
-    text = f"""
-    name = "own"
-    machine = "excavator"
-    [simulation]
-    posture = [0.0448, -2.0499]
-    duration = 1.0
-    [loop]
-    {chr(10).join(f"{name} = {value}" for name, value in loop.items())}
-    """
-    file.write_text(text)
-    study = flexopt.Study(
-        name="runs", experiment=str(file), compute="simulation", vary=[{"of": "kp", "value": [1e4, 2e4], "count": 2}],
-        quantities=["linear_growth_rate"],
-    )  # fmt: skip
-    found = flexopt.run_study(study, tmp_path / "study", workers=1).dataset().load()
+    told = "\n[loop]\n" + "\n".join(f"{name} = {value}" for name, value in loop.items())
+    machine = (Path(__file__).parents[2] / "models" / "excavator.toml").read_text()
+    (tmp_path / "machine.toml").write_text(machine + (told if owner == "machine" else ""))
+    text = 'name = "own"\nmachine = "machine.toml"\n[simulation]\nposture = [0.0448, -2.0499]\nduration = 1.0'
+    file.write_text(text + (told if owner == "experiment" else ""))
+
+    def study(of: str) -> flexopt.Study:
+        return flexopt.Study(
+            name="runs", experiment=str(file), compute="simulation", quantities=["linear_growth_rate"],
+            vary=[{"of": of, "value": [1e4, 2e4], "count": 2}],
+        )  # fmt: skip
+
+    found = flexopt.run_study(study("kp"), tmp_path / "study", workers=1).dataset().load()
     options = {"posture": (0.0448, -2.0499), "duration": 1.0}
     each = [flexopt.simulate(flexopt.load("excavator"), loop=loop | {"kp": kp}, **options) for kp in (1e4, 2e4)]
     np.testing.assert_allclose(found["linear_growth_rate"], [run.linear_growth_rate for run in each], rtol=1e-12)
+    with pytest.raises(flexopt.InputError, match="needs a loop with feedback = 'pid'"):
+        flexopt.run_study(study("ki"), tmp_path / "none", workers=1)
 
 
 @pytest.mark.long
