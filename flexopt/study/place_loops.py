@@ -189,8 +189,9 @@ def unreached(chosen: Chosen) -> str:
         return UNREACHED.format("the target")
     stills = [_standing_at(problem, now) for problem in problems]
     reach = [np.isfinite(reached_from(still, now[:, None], still.seed, FINER).violation).any() for still in stills]
-    off = [f"target {k}" for k, reached in enumerate(reach, start=1) if not reached]
-    return UNREACHED.format(" and ".join(off) or "the targets")
+    off = [f"{k}" for k, reached in enumerate(reach, start=1) if not reached]
+    several = f"targets {', '.join(off[:-1])} and {off[-1]}" if len(off) > 1 else "the targets"
+    return UNREACHED.format(f"target {off[0]}" if len(off) == 1 else several)
 
 
 def held_now(problem: SelectionProblem, now: Evaluation) -> Evaluation:
