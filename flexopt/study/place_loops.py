@@ -170,7 +170,8 @@ def held_at(stand: Stand, number: int) -> Evaluation | None:
 
 def _best_by_loop(chosen: ByLoop, base: Vector) -> Configurations | None:
     """How the arm is held at each target from one placement for the measure asked, with the gains chosen, if it is."""
-    loop = chosen.asked.loop.model_copy(update={"kp_range": None, "kv_range": None, **chosen.gains})
+    gains = {name: (gain,) for name, gain in chosen.gains.items()}
+    loop = chosen.asked.loop.model_copy(update={"kp_range": None, "kv_range": None, **gains})
     held = (_standing_at(problem, base) for problem in chosen.problems)
     problems = tuple(replace(problem, starts=problem.starts or CLIMBED) for problem in held)
     try:
@@ -188,8 +189,9 @@ def unreached(chosen: Chosen) -> str:
         return UNREACHED.format("the target")
     stills = [_standing_at(problem, now) for problem in problems]
     reach = [np.isfinite(reached_from(still, now[:, None], still.seed, FINER).violation).any() for still in stills]
-    off = [f"target {k}" for k, reached in enumerate(reach, start=1) if not reached]
-    return UNREACHED.format(" and ".join(off) or "the targets")
+    off = [f"{k}" for k, reached in enumerate(reach, start=1) if not reached]
+    several = f"targets {', '.join(off[:-1])} and {off[-1]}" if len(off) > 1 else "the targets"
+    return UNREACHED.format(f"target {off[0]}" if len(off) == 1 else several)
 
 
 def held_now(problem: SelectionProblem, now: Evaluation) -> Evaluation:

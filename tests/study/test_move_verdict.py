@@ -509,3 +509,5 @@ def test_the_targets_that_the_present_placement_does_not_reach_are_named() -> No
         assert off == ([1] if base == 0.0 else [2])
         assert f"does not reach target {off[0]} within" in unreached(stand)
         assert "stay" not in configurations_of(stand)
+    far_away = flexopt.select_stand(machine, targets, base=(9.0,), objective="w1", starts=1, workers=1)
+    assert "does not reach targets 1 and 2 within" in unreached(far_away)

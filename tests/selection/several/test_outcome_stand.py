@@ -11,8 +11,10 @@ import pytest
 from scipy.optimize import differential_evolution
 
 import flexopt
+from flexopt.selection.outcomes.measures import Decay
 from flexopt.selection.outcomes.moves import OfMove
 from flexopt.selection.several import outcome_stand
+from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import OutcomeStand
 from flexopt.study import problem_page
 from flexopt.study.page import number
@@ -71,6 +73,24 @@ def test_gains_are_chosen_with_the_placement() -> None:
     )  # fmt: skip
     assert found.worth >= -other.fun * (1 - 1e-6)
     assert set(found.gains) == {"kp", "kv"}
+
+
+@pytest.mark.long
+def test_where_the_base_stands_the_arm_is_held_for_the_gains_that_were_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside both elbows at each target."""
+    monkeypatch.setattr(Decay, "looked", 100)
+    ranges = {"kp_range": (1e3, 1e5), "kv_range": (1e2, 1e4)}
+    base = -1.8
+    options: dict[str, Any] = {"objective": "decay", "loop": ranges, "base": base, "base_range": PART, "starts": 1}
+    for found in (
+        flexopt.select_stand(EXCAVATOR, TARGETS, workers=1, **options),
+        flexopt.plan_base(EXCAVATOR, TARGETS, times=[0.0, 5.0], max_base_rate=0.2, workers=1, **options),
+    ):
+        assert isinstance(found, ByLoop)
+        for e, target in zip(configurations_of(found)["stay"], TARGETS, strict=True):
+            postures = [posture_at(base, elbow, target) for elbow in ("up", "down")]
+            each = [worth("decay", base, posture, found.gains) for posture in postures]
+            assert worth("decay", base, tuple(e.posture), found.gains) == pytest.approx(max(each), rel=1e-9)
 
 
 @pytest.mark.long
