@@ -260,7 +260,7 @@ def _warn_of(meshes: Meshes) -> None:
     if meshes.left_out:
         more = len(meshes.left_out) - NAMED
         listed = [*meshes.left_out[:NAMED], *([f"and {more} more"] if more > 0 else [])]
-        sentence = f"explore: not drawn, so that capsules stay: {'; '.join(listed)}"
+        sentence = f"explore: not drawn, where capsules, if any, stay: {'; '.join(listed)}"
         if any("package://" in each for each in listed):
             sentence += "; ROS_PACKAGE_PATH names the folders that packages lie in"
         warn_user(sentence, FlexoptWarning)

@@ -93,7 +93,7 @@ class Meshes:
         of = f", simplified from {self.given}" if self.given > self.triangles else ""
         drawn = f"Meshes: {self.triangles} triangles{of}." if self.bodies else ""
         count = len(self.left_out)
-        missing = f"Not drawn: {_meshes(count)}; capsules stay there." if count else ""
+        missing = f"Not drawn: {_meshes(count)}; capsules, if any, stay there." if count else ""
         return " ".join(filter(None, [drawn, missing]))
 
 

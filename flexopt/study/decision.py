@@ -30,7 +30,8 @@ RULE = (
     "gains make one so; runs confirm it. STAY: the present place is stable on every ground, runs confirm it, and no "
     f"other is better on more than {100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else. A present place that "
     "breaks constraints that were asked for is none to stay at, and is not among the places. Where no nonlinear runs "
-    "were asked for, they need not confirm."
+    "were asked for, they need not confirm. Of several places to move to it is that with the least drive among those "
+    f"whose slowest decay is within {100 * FASTER:.0f} % of the best."
 )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ In: a machine in a posture, its loop, two of these and their ranges. Out: a `Wor
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -70,6 +70,9 @@ def _varied(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -
     for name, ends in cast(Mapping[Any, Any], value).items():
         key = f"{field}[{shown(name)}]"
         if name in GAINS:
+            if isinstance(ends, Sequence) and len(cast(Sequence[Any], ends)) == 2 and ends[0] == 0:
+                arguments.note(key, "lower end must be greater than 0, as gains vary along a logarithmic axis", ends)
+                ends = (1.0, 2.0)
             low, high = arguments.checked(key, ends, pair(POSITIVE), (1.0, 2.0))
             found.append(Varied(name, low, high, "", GAINS[name]))
         else:
