@@ -70,10 +70,10 @@ def _varied(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -
     for name, ends in cast(Mapping[Any, Any], value).items():
         key = f"{field}[{shown(name)}]"
         if name in GAINS:
-            if isinstance(ends, Sequence) and len(cast(Sequence[Any], ends)) == 2 and ends[0] == 0:
+            begins_at_0 = isinstance(ends, Sequence) and [*cast(Sequence[Any], ends)][:1] == [0]
+            if begins_at_0:
                 arguments.note(key, "lower end must be greater than 0, as gains vary along a logarithmic axis", ends)
-                ends = (1.0, 2.0)
-            low, high = arguments.checked(key, ends, pair(POSITIVE), (1.0, 2.0))
+            low, high = arguments.checked(key, (1.0, 2.0) if begins_at_0 else ends, pair(POSITIVE), (1.0, 2.0))
             found.append(Varied(name, low, high, "", GAINS[name]))
         else:
             found += _of_machine(arguments, machine, key, name, ends)
