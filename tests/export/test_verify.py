@@ -14,6 +14,7 @@ from flexopt.cli import main
 from flexopt.errors import InputError
 from flexopt.export import PARTS, export_c, verify_bundle
 from flexopt.export.bundle import library_of, read_manifest
+from flexopt.export.optimiser import BUDGET_MAX
 from flexopt.export.verify import objects, optimiser, tools
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import VerificationCheck
@@ -261,6 +262,13 @@ def test_bounded_loops_are_counted() -> None:
 )
 def test_the_optimisers_own_loops_are_bounded(path: Path) -> None:
     assert objects.unbounded_loops(path.read_text(encoding="utf-8"))[1] == []
+
+
+def test_the_budget_ends_the_last_climbs_before_their_bound_does() -> None:
+    """A step costs one slope and one value at least, a unit each."""
+    text = (Path(str(files("flexopt.export"))) / "optimiser_c" / "optimiser_constants.h").read_text(encoding="utf-8")
+    climbs, steps = (int(re.findall(rf"#define {name} +(\d+)", text)[0]) for name in ("LAST_CLIMBS", "CLIMB_STEPS"))
+    assert climbs * steps * 2 > BUDGET_MAX
 
 
 def test_recursion_and_stack_are_read_from_the_call_graph() -> None:

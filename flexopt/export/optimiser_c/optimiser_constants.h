@@ -10,7 +10,7 @@
 #define HALVINGS      10       /* the step is then 1e-5 of the first: a V that does not rise there rises nowhere */
 #define SWEEPS        8        /* Jacobi doubles its digits with each of the last ones; for so few variables six suffice */
 #define CLIMB_STEPS   60       /* a bound alone: whole calls of the benchmark take fewer */
-#define LAST_CLIMBS   6000     /* a bound alone: the largest budget has fewer climbs of so many steps */
+#define LAST_CLIMBS   9000     /* a bound alone: the largest budget has fewer climbs of so many steps, two units each */
 #define KICK          R(0.05)  /* away from a saddle, in x: seen in V far above rounding, and inside the same basin */
 #define CURVATURE     R(1e-6)  /* positive curvature above it is V's own: of second derivatives' rounding it is far less */
 #define CURVATURE_MIN R(1e-7)  /* of the model, so that flat directions give long steps, which STEP_MAX cuts, not infinite ones */
