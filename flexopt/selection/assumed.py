@@ -6,7 +6,7 @@ Three words (`SelectionOptions.assume`), each named in the result with its numbe
   machine stands. Its height is 0, that of the anchor frame, where the machine has a support or is placed by x and y;
   without a support it is as low as the volumes of what stands still. Elsewhere (an arm on a rail, say) it is not known.
   Bodies from the end-point's on work where the target is, and targets below ground are dug for: neither is bound.
-- `limits`: joints keep the limits of the machine's file.
+- `limits`: joints keep the limits of the machine's file; `constraints.joint_margin` asks for them by itself.
 - `reach`, where `base_range` does not bound a placement coordinate and the present placement is known: it changes by no
   more than the arm reaches, or than the way to the target where that is farther. A machine on the ground of which no
   present placement is given stands at zeros.

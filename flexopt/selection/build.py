@@ -67,8 +67,8 @@ def ask(arguments: Arguments, given: Mapping[str, Any]) -> _Asked | None:
         objectives = read_objectives(arguments, machine, given["objective"], given["weights"])
     asked = _suiting(arguments, machine, given["constraints"] or Constraints())
     own = own_constraints(arguments, machine, asked)
-    # What an options object leaves out is assumed.
-    free = not assumes(given.get("assume") or EVERYTHING, "limits")
+    # What an options object leaves out is assumed; a distance to the limits asks for them.
+    free = not (assumes(given.get("assume") or EVERYTHING, "limits") or asked.joint_margin)
     limits = np.tile(FREE, (len(machine.joints), 1)) if free else _joint_limits(arguments, machine, asked.joint_margin)
     return _Asked(objectives, own, asked, limits, _present(arguments, machine, asked, base, posture))
 

@@ -36,7 +36,7 @@ from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.study.asked import any_problem
 from flexopt.study.confirmation import Runs
-from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, deciding, faster, ranked
+from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, deciding, faster, ranked, spoken
 from flexopt.study.gain_search import best_gains, tried_gains
 from flexopt.study.place_loops import (
     Chosen,
@@ -165,7 +165,12 @@ def verdict(
     stages.next()
     shown = dict[str, Runs]()
     for name in told if runs else []:
-        shown[name] = loops[name].runs(points[:runs], each[name][:, :runs], duration)
+        try:
+            shown[name] = loops[name].runs(points[:runs], each[name][:, :runs], duration)
+        except InputError as error:
+            # As where the arm is held beyond its limits, which `assume` may leave out.
+            sentence = f"in {spoken(name)}: {error}; 0 leaves the runs out"
+            raise_if_any(InputError, "verdict", [Fault("runs", sentence, f"{runs}")])
     stages.next()
     breaks = broken_at(chosen, [(e.base, e.posture) for e in stands[STAY]]) if STAY in stands else ""
     absent = f"the present place {breaks}" if breaks or STAY in stands else unreached(chosen)
