@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from flexopt.cli.common import (
+    BAD_INPUT,
     BASE,
     CONTROL,
     ELBOW,
@@ -42,10 +44,11 @@ from flexopt.cli.common import (
 from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, RANGES, real_loop
 from flexopt.cli.postures import asked_posture, configuration
-from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Document, Progress
 from flexopt.foundation.boundary import TABLE
+from flexopt.foundation.documents import json_ready
 from flexopt.foundation.writing import write_file
 from flexopt.model import load, load_any
 from flexopt.model.choices import OUTCOMES, asks_for_loop
@@ -175,30 +178,44 @@ def select_command(
     # Before the verdict, whose runs take minutes where an arm has many joints.
     if not as_json:
         _tell_choice(result, identified, certificate, judged=judged_too)
-    judgement = None
+    more = {} if certificate is None else {"certificate": certificate}
+    more |= {} if identified is None else {"identification": identified.to_dict()}
+    judge = partial(_judgement, result, own, **judged) if judged_too else None
+    _hand_out(result.to_dict() | more, judge, judged, out, as_json=as_json)
+    if certificate is not None and certificate["verdict"] != "proven":
+        sys.exit(FAILED)
 
-    def document() -> Document:
-        more = {} if certificate is None else {"certificate": certificate}
-        more |= {} if identified is None else {"identification": identified.to_dict()}
-        return result.to_dict() | more | ({} if judgement is None else {"verdict": judgement.to_dict()})
+
+def _hand_out(
+    chosen: Document, judge: Callable[..., Verdict] | None, judged: dict[str, Any], out: str | None, *, as_json: bool
+) -> None:
+    """Write the choice, judge it where that is asked, and write both; it stands where no verdict is to be had."""
 
     def write() -> None:
         if out is not None:
-            text = json.dumps(document(), indent=2, allow_nan=False) + "\n"
+            text = json.dumps(chosen, indent=2, allow_nan=False) + "\n"
             write_output("--out", out, lambda: write_file(out, text))
 
     write()
-    if judged_too:
+    refused: FlexoptError | None = None
+    if judge is not None:
         announce("the verdict follows, which may take minutes")
-        with working(judged, as_json, "stages of the verdict") as progress:
-            judgement = _judgement(result, own, **judged, progress=progress)
+        try:
+            with working(judged, as_json, "stages of the verdict") as progress:
+                judgement = judge(progress=progress)
+        except FlexoptError as error:
+            refused = error
+            chosen = chosen | {"verdict": {"status": "failed", "error": json_ready(error.to_dict())}}
+        else:
+            chosen = chosen | {"verdict": judgement.to_dict()}
+            if not as_json:
+                say(f"\n{judgement!r}")
         write()
     if as_json:
-        print_json(document())
-    elif judgement is not None:
-        say(f"\n{judgement!r}")
-    if certificate is not None and certificate["verdict"] != "proven":
-        sys.exit(FAILED)
+        print_json(chosen)
+    if refused is not None:
+        say(f"flexopt: {refused}", err=True, colour="red")
+        sys.exit(BAD_INPUT if isinstance(refused, InputError) else FAILED)
 
 
 def _tell_choice(

@@ -324,8 +324,9 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
             place = "beside" if chain.chosen else "behind"
             stands = "stands" if len(chain.hand) == 1 else "stand"
             still = f"{counted(len(chain.hand), 'joint')} {place} it, as of a hand, {stands} still"
+            told = [chain.chosen, still if chain.hand else ""]
             where = f"site {chain.site} on link {chain.end}" if chain.site else f"link {chain.end}"
-            why = "; ".join(filter(None, [chain.chosen, chain.hand and still]))
+            why = "; ".join(filter(None, told))
             end = f"The end-point is {where}: {why}. --tip names another."
         based = chain.floats or not chain.sprung
         questions = [

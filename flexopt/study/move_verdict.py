@@ -169,7 +169,7 @@ def verdict(
             shown[name] = loops[name].runs(points[:runs], each[name][:, :runs], duration)
         except InputError as error:
             # As where the arm is held beyond its limits, which `assume` may leave out.
-            sentence = f"in {spoken(name)}: {error}; 0 leaves the runs out"
+            sentence = f"in {spoken(name)}: {error}; `flexopt verdict --runs 0`, or runs = 0, leaves them out"
             raise_if_any(InputError, "verdict", [Fault("runs", sentence, f"{runs}")])
     stages.next()
     breaks = broken_at(chosen, [(e.base, e.posture) for e in stands[STAY]]) if STAY in stands else ""

@@ -34,6 +34,8 @@ from flexopt.selection.result import (
 
 # What the shortest way may give up, relative to the objective's scale.
 KEPT = 1e-4
+# How near to the end of its range a placement rests on it, m or rad.
+AT_END = 1e-6
 
 
 @dataclass(frozen=True)
@@ -319,7 +321,14 @@ class Stand(Pictured, ConfigurationSet):
         e = self.places[0].evaluation
         placed = zip(e.base_coordinates, self.base, e.base_units, strict=True)
         base = ", ".join(f"{name} = {x:z.4f} {unit}" for name, x, unit in placed)
-        return "\n".join(self._lines(f"{self._targets} from {base}", self.status))
+        ends = [
+            f"{variable.name} {side} bound"
+            for variable, x in zip(self.problems[0].variables, self.base.tolist(), strict=False)
+            for side, end in (("lower", variable.lower), ("upper", variable.upper))
+            if variable.lower < variable.upper and abs(x - end) <= AT_END
+        ]
+        rests = [f"  the placement rests on {', '.join(ends)}"] if ends else []
+        return "\n".join([*self._lines(f"{self._targets} from {base}", self.status), *rests])
 
 
 @dataclass(frozen=True)
