@@ -192,9 +192,9 @@ def _hand_out(
     """Write the choice, judge it where that is asked, and write both; it stands where no verdict is to be had."""
 
     def write() -> None:
-        if out is not None:
+        if (file := out) is not None:
             text = json.dumps(chosen, indent=2, allow_nan=False) + "\n"
-            write_output("--out", out, lambda: write_file(out, text))
+            write_output("--out", file, lambda: write_file(file, text))
 
     write()
     refused: FlexoptError | None = None

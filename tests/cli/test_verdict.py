@@ -134,3 +134,22 @@ def test_the_command_refuses(command: Command) -> None:
         refused = command(*words)
         assert refused.code == 2
         assert sentence in refused.stderr
+
+
+@pytest.mark.long
+def test_a_choice_stands_where_its_verdict_is_refused(command: Command) -> None:
+    """Nonlinear runs keep the limits of the machine's file, which are not assumed here."""
+    command.write(
+        "free.toml",
+        'schema = 1\nname = "free"\nmachine = "slewing-excavator"\n'
+        "[target]\nend_points = [[5.5, 0.5, 1.0], [5.0, 1.5, 0.5]]\n"
+        '[selection]\nobjective = "w1"\nassume = "nothing"\nstarts = 1\nseed = 1\n'
+        "base = [0.0, 0.0, 0.0]\nposture = [0.0, 0.3, -1.0, -1.0]\n",
+    )
+    found = command("select", "free.toml", "--loop", "kp=1e4", "--loop", "kv=1e3", "--json", "--out", "free.json")
+    assert found.code == 2
+    assert "--runs 0" in found.stderr
+    document = found.document
+    assert document["places"]
+    assert document["verdict"]["error"]["faults"][0]["field"] == "runs"
+    assert json.loads(Path("free.json").read_text(encoding="utf-8")) == document
