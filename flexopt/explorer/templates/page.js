@@ -205,7 +205,7 @@ class Explorer extends Pictures {
     const { data } = this, box = $("sliders");
     $("subtitle").textContent = data.description;
     if (data.loop.drive !== "torque") {
-      $("kappa").textContent = ", more than the damping of the mode and of the joints' servos takes out once g Kv exceeds the κ beside it, g the servo gain";
+      $("kappa").textContent = ", more than the damping of the mode and of the joints' servos takes out once g Kv exceeds the κ that then stands beside it, g the servo gain";
     }
     $("unit").textContent = `w and |a||b| in ${data.unit === "mixed" ? "mixed units" : data.unit.replace("kg m2", "kg m²")}; Jacobian ${data.control} control.`;
     const gain = (name) => {
