@@ -5,18 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
 import flexopt
-from flexopt.errors import InputError
 from flexopt.loop.assembly import OneSample
 from flexopt.loop.disturbance import left_over, summed, summed_to_rounding
-from flexopt.loop.functions import outcome_function
 from flexopt.loop.outcome import MEASURES, LoopPoint
-from flexopt.loop.small_motions import BY, small_motions
+from flexopt.loop.small_motions import small_motions
 from flexopt.loop.tangent import exponential
 from tests.oracles.late_cases import draw_case, nonlinear_growth, slopes_off
 from tests.oracles.late_loop import LateLoop, directional
@@ -308,26 +305,6 @@ def test_what_is_not_defined_is_nan():
         assert all(np.isnan(slope).all() for slope in grows.gradient(measured).values())
     # Weaker feedback leaves the base's own damping.
     assert 0 < grows.allowed_gain().value < grows.numbers["kp"][0]
-
-
-@pytest.mark.parametrize("name", list(MEASURES))
-def test_functions_for_solvers(name):
-    """Named inputs and outputs, values and derivatives as of `LoopPoint`, and in a graph of CasADi's."""
-    here = outcome(EXCAVATOR, POSTURE_B, 0.0031)
-    function = outcome_function(here.motions, name, 200.0)
-    assert (function.name_in(), function.name_out()) == (list(BY), [name])
-    given = [0.0031 if by == "dead_time" else here.numbers[by] for by in BY]
-    measured = MEASURES[name](here)
-    assert float(function.call(given)[0]) == measured.value
-    posture, scale = ca.MX.sym("posture", 2), ca.MX.sym("scale")
-    called = function.call([posture if by == "posture" else scale * x if by == "kp" else x
-                            for by, x in zip(BY, map(ca.DM, given), strict=True)])[0]  # fmt: skip
-    slope = ca.Function("slope", [posture, scale], [ca.jacobian(called**2, ca.vertcat(posture, scale))])
-    gradient = here.gradient(measured)
-    expected = 2 * measured.value * np.append(gradient["posture"], gradient["kp"] @ here.numbers["kp"])
-    np.testing.assert_allclose(slope(POSTURE_B, 1.0).full().ravel(), expected, rtol=1e-12)
-    with pytest.raises(InputError, match="must be decay"):
-        outcome_function(here.motions, "speed", 200.0)
 
 
 def test_dead_times_beside_whole_samples():

@@ -16,11 +16,10 @@ import pytest
 import flexopt
 from flexopt.export.context import build_context
 from flexopt.export.optimiser_kernels import build_optimiser_kernels
-from flexopt.loop.functions import outcome_function
 from flexopt.loop.lag import lagged_modes
-from flexopt.loop.outcome import MEASURES
+from flexopt.loop.outcome import MEASURES, LoopPoint
 from flexopt.loop.settings import loop_settings
-from flexopt.loop.small_motions import BY
+from flexopt.loop.small_motions import BY, DEAD_TIME
 from flexopt.model.constraints import Constraints
 from flexopt.model.own import check_function
 from flexopt.plant.inverse_kinematics import reach_steps
@@ -84,7 +83,6 @@ ROOMS = (
     "robustness",
     "loop/small_motions.py",
     "loop/lag.py",
-    "loop/functions.py",
     "plant/inverse_kinematics.py",
     "export/optimiser_kernels.py",
     "export/optimiser.py",
@@ -541,42 +539,46 @@ def test_all_solvers_were_walked(walk):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("name", "measures"),
+    ("shipped", "measures"),
     [("excavator", tuple(MEASURES)), ("slewing-excavator", ("decay",))],
     ids=["excavator", "slewing-excavator"],
 )
-def test_the_real_loop(name, measures):
-    """LoopPoint measures as Functions by everything they depend on."""
-    machine, rng = flexopt.load(name), np.random.default_rng(5)
+def test_the_real_loop(shipped, measures):
+    """What a loop does by everything it depends on."""
+    machine, rng = flexopt.load(shipped), np.random.default_rng(5)
     posture = np.array([sum(ends) / 2 if np.isfinite(ends).all() else 0.4 for ends in machine.limits])
     stand = flexopt.evaluate(machine, posture)
     loop = flexopt.Loop(dead_time=0.0137, rate=100.0, bandwidth_hz=8.0, filter_hz=30.0, drive="torque", feedback="pd")
     settings = loop_settings(machine, loop, stand)
     here = settings.outcome(machine, stand.base, stand.posture, gravity=False)
-    given = dict(here.numbers) | {"dead_time": np.array([settings.dead_time])}
-    for measure in measures:
-        function = outcome_function(here.motions, measure, settings.rate)
-        derivative = function.jacobian()
-        inputs = [given[by] for by in BY]
-        size = float(function.call(inputs)[0])
-        if not np.isfinite(size):
-            continue
-        slopes = derivative.call([*inputs, ca.DM(size)])
-        for k, by in enumerate(BY):
-            # In units of each input's own size.
-            scale = np.abs(inputs[k]) if by != "posture" else np.ones(inputs[k].size)
+    given = {by: np.atleast_1d(here.numbers.get(by, settings.dead_time)) for by in BY}
+    period = {"period": np.array([1 / settings.rate])}
+    for name in measures:
 
-            def values(x, k=k, scale=scale, function=function, inputs=inputs, size=size):
-                moved = [*inputs[:k], inputs[k] + scale * x, *inputs[k + 1 :]]
-                return function.call(moved)[0].full().ravel() / size
+        def measured(moved, name=name):
+            numbers = {by: x for by, x in moved.items() if by != DEAD_TIME}
+            point = LoopPoint(here.motions, here.motions.numbers(numbers | period), float(moved[DEAD_TIME][0]))
+            return point, MEASURES[name](point)
+
+        point, found = measured(given)
+        if not np.isfinite(found.value):
+            continue
+        slopes = point.gradient(found)
+        for by in BY:
+            # In units of each input's own size.
+            scale = np.abs(given[by]) if by != "posture" else np.ones(given[by].size)
+
+            def value(x, by=by, scale=scale, size=found.value):
+                return np.array([measured(given | {by: given[by] + scale * x})[1].value / size])
 
             # 1e-3 of a size is far for an eigenvalue: differences of sixth order over 1e-4.
-            chosen = rng.permutation(inputs[k].size)[:2]
-            along = np.eye(inputs[k].size)[chosen]
-            expected = differences(lambda t, v=values, a=along: v(t @ a), np.zeros(len(chosen)), 1e-4)
-            found = slopes[k].full() * scale / size
+            chosen = rng.permutation(given[by].size)[:2]
+            along = np.eye(given[by].size)[chosen]
+            expected = differences(lambda t, v=value, a=along: v(t @ a), np.zeros(len(chosen)), 1e-4)
             np.testing.assert_allclose(
-                found @ along.T, expected, atol=FIRST * max(1.0, np.abs(expected).max(initial=0))
+                slopes[by] * scale / found.value @ along.T,
+                expected.ravel(),
+                atol=FIRST * max(1.0, np.abs(expected).max(initial=0)),
             )
 
 
