@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from flexopt.cli.common import (
-    BAD_INPUT,
     BASE,
     CONTROL,
     ELBOW,
@@ -26,6 +25,7 @@ from flexopt.cli.common import (
     check_output,
     check_picture,
     given,
+    leave_with,
     number,
     numbers,
     of_picture,
@@ -214,8 +214,7 @@ def _hand_out(
     if as_json:
         print_json(chosen)
     if refused is not None:
-        say(f"flexopt: {refused}", err=True, colour="red")
-        sys.exit(BAD_INPUT if isinstance(refused, InputError) else FAILED)
+        leave_with(refused)
 
 
 def _tell_choice(

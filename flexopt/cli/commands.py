@@ -5,12 +5,11 @@ from __future__ import annotations
 import io
 import sys
 import time
-import traceback
 from importlib import import_module
 
 import click
 
-from flexopt.cli.common import ABORTED, BAD_INPUT, FAILED, print_json, say
+from flexopt.cli.common import ABORTED, leave_with, print_json, say
 from flexopt.cli.examples import epilog
 from flexopt.cli.terminal import VOICE
 from flexopt.errors import FlexoptError, InputError
@@ -115,9 +114,6 @@ def run(arguments: list[str] | None = None) -> None:
 
 
 def _fail(error: FlexoptError, as_json: bool) -> None:
-    if VOICE.verbose:
-        say("".join(traceback.format_exception(error)).rstrip(), err=True)
-    say(f"flexopt: {error}", err=True, colour="red")
     if as_json:
         print_json({"status": "failed", "converged": False, "error": json_ready(error.to_dict())})
-    sys.exit(BAD_INPUT if isinstance(error, InputError) else FAILED)
+    leave_with(error)

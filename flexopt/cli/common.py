@@ -7,17 +7,18 @@ import re
 import sys
 import threading
 import time
+import traceback
 import warnings
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, NoReturn, TypeVar, cast
 
 import click
 
 from flexopt.cli.completing import of_option
 from flexopt.cli.terminal import VOICE, Colour, fitted, painted
-from flexopt.errors import Fault, FlexoptWarning, ImplausibleMachine, InputError, WriteError, raise_if_any
+from flexopt.errors import Fault, FlexoptError, FlexoptWarning, ImplausibleMachine, InputError, WriteError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import TABLE
 from flexopt.foundation.control import CONTROLS, DAMPED
@@ -448,3 +449,11 @@ ELBOW = option(
     help="With --end-point: which branch of a planar arm; up: the last joint is negative (of two joints by default up, "
     "of more both).",
 )  # fmt: skip
+
+
+def leave_with(error: FlexoptError) -> NoReturn:
+    """Say what went wrong, and end with its code."""
+    if VOICE.verbose:
+        say("".join(traceback.format_exception(error)).rstrip(), err=True)
+    say(f"flexopt: {error}", err=True, colour="red")
+    sys.exit(BAD_INPUT if isinstance(error, InputError) else FAILED)

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.palette import colors
+from flexopt.plant import build_plant
 from flexopt.plotting.machine import bars, draw_ground
 from flexopt.plotting.panels import draw_panel
 from flexopt.plotting.shape import chain, spring_line
@@ -78,6 +79,14 @@ def usual(points: Vector, anchor: Vector, size: float) -> tuple[Vector, Vector]:
     return ends[0].min(axis=0), ends[1].max(axis=0)
 
 
+def _widest(t: Trajectory) -> int:
+    """The passive coordinate shown: the hinge that turns most, or else the slide that moves most."""
+    units = build_plant(t.model).graph.coordinate_units[: t.n_passive]
+    size = np.nanmax(np.where(np.isfinite(t.deflection), np.abs(t.deflection), 0.0), axis=0)
+    hinges = [k for k, unit in enumerate(units) if unit == "rad"]
+    return max(hinges or range(t.n_passive), key=lambda k: float(size[k]))
+
+
 class Shots(ABC):
     """What films have in common: panels beside the scene, each with a cursor, a clock, a background drawn once."""
 
@@ -87,18 +96,17 @@ class Shots(ABC):
         self.canvas = FigureCanvasAgg(self.figure)
         self.decimals = decimals(film)
 
-    def _finish(self, moving: list[Artist], clock: Text, places: Sequence[AxesPlace], shown: int, top: float) -> None:
+    def _finish(self, moving: list[Artist], clock: Text, places: Sequence[AxesPlace], top: float) -> None:
         """Draw what stays.
 
         Args:
             moving: what moves in the scene, in the order it is drawn.
             clock: text of the time.
             places: of the panels.
-            shown: which passive coordinate the second of them shows.
             top: where the title stands.
         """
         t = self.film.trajectory
-        panels = error_panel(t), deflection_panel({"deflection": t}, shown)
+        panels = error_panel(t), deflection_panel({"deflection": t}, _widest(t))
         self.clock, self.cursors = clock, list[tuple[Axes, Any]]()
         for place, panel in zip(places, panels, strict=True):
             axes = self.figure.add_axes(place)
@@ -163,7 +171,7 @@ class Stage(Shots):
         (self.target,) = self.scene.plot([], [], "+", color=inks.target, markersize=11, markeredgewidth=1.3, zorder=6)
         clock = self.scene.text(0.03, 0.965, "", transform=self.scene.transAxes, fontsize=9, va="top")
         moving: list[Artist] = [self.springs, self.bodies, self.joints, self.trace, self.target]
-        self._finish(moving, clock, PANELS, _widest(film.trajectory), 0.975)
+        self._finish(moving, clock, PANELS, 0.975)
 
     def _draw_scene(self, axes: Axes) -> None:
         """Ground, limits and labels; limits hold the machine's usual motion, not a run that flies away."""
@@ -208,9 +216,3 @@ class Stage(Shots):
         parts += [post, gap, spring_line(wall, ground - wide, 0.02 * length if "base.x" in free else 0.0)]
         points = np.concatenate(parts)
         return points[:, 0], points[:, 1]
-
-
-def _widest(t: Trajectory) -> int:
-    """The passive coordinate shown: the base's rotation, or else the first."""
-    passive = t.coordinates[: t.n_passive]
-    return passive.index("base.rotation") if "base.rotation" in passive else 0

@@ -17,12 +17,10 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 
 from flexopt.foundation.palette import colors
-from flexopt.plant import build_plant
 from flexopt.plotting.machine import draw_ground
 from flexopt.plotting.scene import target_point
 from flexopt.plotting.shape import Shape, View, bars_of, capsule_outline, shape_at, views
 from flexopt.plotting.stage import AxesPlace, Film, Shots, usual
-from flexopt.simulation.trajectory import Trajectory
 
 SIZE = (8.6, 6.4)
 SCENES = ((0.075, 0.545, 0.46, 0.36), (0.075, 0.08, 0.46, 0.35))
@@ -62,7 +60,7 @@ class SpaceStage(Shots):
         self.scenes = [self._scene(place, view, first) for place, view in zip(SCENES, seen, strict=True)]
         clock = self.scenes[0].axes.text(0.03, 0.955, "", transform=self.scenes[0].axes.transAxes, fontsize=9, va="top")
         moving = [artist for scene in self.scenes for artist in scene.moving]
-        self._finish(moving, clock, PANELS, _widest(t), 0.985)
+        self._finish(moving, clock, PANELS, 0.985)
 
     def _scene(self, place: AxesPlace, view: View, first: Shape) -> _Scene:
         axes = self.figure.add_axes(place)
@@ -108,11 +106,3 @@ class SpaceStage(Shots):
         scene.trace.set_data(tips[0], tips[1])
         target = view.of(self.target[k])
         scene.target.set_data(target[:1], target[1:])
-
-
-def _widest(t: Trajectory) -> int:
-    """The passive coordinate shown: the hinge that turns most, or else the slide that moves most."""
-    units = build_plant(t.model).graph.coordinate_units[: t.n_passive]
-    size = np.nanmax(np.where(np.isfinite(t.deflection), np.abs(t.deflection), 0.0), axis=0)
-    hinges = [k for k, unit in enumerate(units) if unit == "rad"]
-    return max(hinges or range(t.n_passive), key=lambda k: float(size[k]))
