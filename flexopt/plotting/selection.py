@@ -33,23 +33,34 @@ def _planar(selection: Selection) -> bool:
 
 
 def _size(selection: Selection) -> tuple[float, float]:
-    return (10.5, max(4.6, 1.6 * selection.best.evaluation.w.size + 0.8)) if _planar(selection) else (10.5, 8.2)
+    return (10.5, max(4.6, 1.6 * _panels(selection) + 0.8)) if _planar(selection) else (10.5, 8.2)
+
+
+def _panels(selection: Selection) -> int:
+    """Of a planar machine: one for every mode, and one for an objective that these do not tell."""
+    return selection.best.evaluation.w.size + _is_another(selection)
+
+
+def _is_another(selection: Selection) -> bool:
+    """Whether the first objective is none of the w_i and ε_max."""
+    return isinstance(selection, OutcomeSelection) or selection.problem.sought[0].own is not None
 
 
 @picture("Selection", size=_size, check=instance(Selection, "a Selection, from flexopt.select for example"))
 def plot_selection(sheet: Sheet, selection: Selection) -> None:
     """Draw the machine in the chosen and the present configuration, and its measures.
 
-    A planar machine is drawn beside every w_i along the redundancy. One in space is drawn from the side, across the
+    A planar machine is drawn beside every w_i along the redundancy, and beside what the loop does or an own objective
+    is, where one was asked for. One in space is drawn from the side, across the
     chosen arm's main direction, and from above, beside the w_i of the present configuration and of all candidates.
     Capsules, support, obstacles and areas of the placement are drawn where there are any.
     """
-    count = selection.best.evaluation.w.size
     figure = sheet.figure
     if _planar(selection):
+        count = _panels(selection)
         grid = figure.add_gridspec(count, 2, width_ratios=[1.0, 1.15])
         draw_configurations([figure.add_subplot(grid[:, 0])], selection)
-        _draw_along_redundancy(figure, [figure.add_subplot(grid[mode, 1]) for mode in range(count)], selection)
+        _draw_along_redundancy(figure, [figure.add_subplot(grid[row, 1]) for row in range(count)], selection)
     else:
         grid = figure.add_gridspec(3, 2, width_ratios=[1.25, 1.0])
         seen = grid[:, 0].subgridspec(2, 1)
@@ -60,12 +71,15 @@ def plot_selection(sheet: Sheet, selection: Selection) -> None:
 
 
 def _draw_along_redundancy(figure: Figure | SubFigure, panels: list[Axes], selection: Selection) -> None:
-    for mode, panel in enumerate(panels):
-        if mode:
-            panel.sharex(panels[0])
-        _draw_measure(panel, selection, mode)
-        panel.tick_params(labelbottom=mode == len(panels) - 1)
     e = selection.best.evaluation
+    for row, panel in enumerate(panels):
+        if row:
+            panel.sharex(panels[0])
+        if row < e.w.size:
+            _draw_measure(panel, selection, row)
+        else:
+            _draw_objective(panel, selection)
+        panel.tick_params(labelbottom=row == len(panels) - 1)
     panels[-1].set_xlabel(f"placement {mathtext(e.base_coordinates[0])}, {e.base_units[0]}")
     named: dict[str, Artist] = {}
     for panel in panels:
@@ -96,19 +110,25 @@ def _line(evaluation: Evaluation) -> str:
     return said.replace("-", "−")
 
 
-def _draw_measure(axes: Axes, selection: Selection, mode: int) -> None:
-    scan, best, initial, inks = selection.problem.scan, selection.best.evaluation, selection.initial, colors()
+def _draw_scan(axes: Axes, selection: Selection, values: Points) -> None:
+    """Values (N,) at the points of the scan over their placements: a curve for each branch, else dots."""
+    scan = selection.problem.scan
     for sign, (number, name) in BRANCHES.items():
         members = np.flatnonzero(scan.elbow == sign)
         if members.size == 0:
             continue
-        x, w, color = scan.base[0, members], scan.w[mode, members], inks.series[number]
+        x, y, color = scan.base[0, members], values[members], colors().series[number]
         if scan.redundancy.shape[0] == 1 and np.ptp(x) > 0:
             cuts = np.flatnonzero(np.diff(scan.index[members]) != 1) + 1
-            for k, (part_x, part_w) in enumerate(zip(np.split(x, cuts), np.split(w, cuts), strict=True)):
-                axes.plot(part_x, part_w, color=color, label=name if k == 0 else None)
+            for k, (part_x, part_y) in enumerate(zip(np.split(x, cuts), np.split(y, cuts), strict=True)):
+                axes.plot(part_x, part_y, color=color, label=name if k == 0 else None)
         else:
-            axes.plot(x, w, ".", color=color, markersize=2.5, alpha=0.5, label=name)
+            axes.plot(x, y, ".", color=color, markersize=2.5, alpha=0.5, label=name)
+
+
+def _draw_measure(axes: Axes, selection: Selection, mode: int) -> None:
+    scan, best, initial, inks = selection.problem.scan, selection.best.evaluation, selection.initial, colors()
+    _draw_scan(axes, selection, scan.w[mode])
     drawn = [best] if initial is None else [best, initial]
     floor = min(float(np.quantile(scan.w[mode], WORST_SHOWN)), *(e.w[mode] for e in drawn))
     bottom = 1.12 * floor
@@ -122,17 +142,48 @@ def _draw_measure(axes: Axes, selection: Selection, mode: int) -> None:
             *np.array(shown).reshape(-1, 2).T, marker, color=inks.page, markeredgecolor=inks.other, markersize=4.5,
             linestyle="none", label=name if shown else "_", zorder=4,
         )  # fmt: skip
-    if initial is not None:
-        axes.plot(initial.base[0], initial.w[mode], "s", color=inks.present, markersize=7, label="present", zorder=5)
-    axes.plot(
-        best.base[0], best.w[mode], "*", color=inks.chosen, markersize=14, markeredgecolor=inks.edge, label="chosen",
-        zorder=6,
-    )  # fmt: skip
+    _mark(axes, selection, best.w[mode], None if initial is None else initial.w[mode])
     axes.set_ylim(bottom, -0.1 * floor if floor < 0 else 1.0)
     axes.axhline(0.0, color=inks.muted, linewidth=0.8, zorder=0)
     axes.set_ylabel(measure_label(best, str(mode + 1)))
     axes.locator_params(axis="y", nbins=5)
     axes.set_title(f"mode {mode + 1}, {best.frequencies_hz[mode]:.2f} Hz when chosen; 0 is best", loc="right")
+
+
+def _mark(axes: Axes, selection: Selection, chosen: float, present: float | None) -> None:
+    """The values of the chosen and the present configuration over their placements."""
+    best, initial, inks = selection.best.evaluation, selection.initial, colors()
+    if initial is not None and present is not None:
+        axes.plot(initial.base[0], present, "s", color=inks.present, markersize=7, label="present", zorder=5)
+    axes.plot(
+        best.base[0], chosen, "*", color=inks.chosen, markersize=14, markeredgecolor=inks.edge, label="chosen", zorder=6
+    )
+
+
+def _draw_objective(axes: Axes, selection: Selection) -> None:
+    """The objective of all candidates, and of the present configuration, over their placements."""
+    first, *others = selection.candidates
+    present, label = _objective_now(selection)
+    at = np.array([(other.evaluation.base[0], other.objective) for other in others]).reshape(-1, 2)
+    axes.plot(
+        *at.T, "o", color=colors().page, markeredgecolor=colors().other, markersize=4.5, linestyle="none",
+        label="other local optima" if others else "_", zorder=4,
+    )  # fmt: skip
+    _mark(axes, selection, first.objective, present)
+    along = selection.along_redundancy() if isinstance(selection, OutcomeSelection) else None
+    if along is not None and not np.isnan(along).all():
+        low, high = np.nanquantile(along, [WORST_SHOWN, 1.0])
+        told = [each.objective for each in selection.candidates] + ([] if present is None else [present])
+        low, high = min(low, *told), max(high, *told)
+        axes.set_ylim(low - 0.1 * (high - low), high + 0.1 * (high - low))
+        _draw_scan(axes, selection, along)
+        if low < 0 < high:
+            axes.axhline(0.0, color=colors().muted, linewidth=0.8, zorder=0)
+    else:
+        axes.margins(y=0.2)
+    axes.set_ylabel(label)
+    axes.locator_params(axis="y", nbins=5)
+    axes.set_title("what was sought", loc="right")
 
 
 def draw_candidates(panels: Sequence[Axes], selection: Selection) -> None:
@@ -176,15 +227,7 @@ def _draw_ranks(axes: Axes, selection: Selection) -> None:
     values = np.array([candidate.objective for candidate in selection.candidates])
     axes.plot(ranks[1:], values[1:], "o", color=inks.page, markeredgecolor=inks.other, markersize=4.5, linestyle="none")
     axes.plot(ranks[0], values[0], "*", color=inks.chosen, markersize=14, markeredgecolor=inks.edge)
-    first, initial = selection.problem.sought[0], selection.initial
-    now, label = None, objective_label(first, selection.best.evaluation)
-    if isinstance(selection, OutcomeSelection):
-        now, label = (
-            selection.present,
-            labelled(f"objective {mathtext(selection.measure)}", selection.criterion.unit_of(selection.settings[0])),
-        )
-    elif initial is not None and first.own is None:
-        now = first.value(initial.w, initial.epsilon_max)
+    now, label = _objective_now(selection)
     if now is not None:
         axes.axhline(now, color=inks.present)
     axes.set_xlabel("candidate, by rank")
@@ -192,3 +235,13 @@ def _draw_ranks(axes: Axes, selection: Selection) -> None:
     # Of one candidate, too, there is no rank between two.
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.set_xlim(0.5, max(len(values), 1) + 0.5)
+
+
+def _objective_now(selection: Selection) -> tuple[float | None, str]:
+    """The objective of the present configuration, where there is one, and what an axis of it says."""
+    first, initial = selection.problem.sought[0], selection.initial
+    if isinstance(selection, OutcomeSelection):
+        unit = selection.criterion.unit_of(selection.settings[0])
+        return selection.present, labelled(f"objective {mathtext(selection.measure)}", unit)
+    now = None if initial is None or first.own is not None else first.value(initial.w, initial.epsilon_max)
+    return now, objective_label(first, selection.best.evaluation)

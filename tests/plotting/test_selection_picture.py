@@ -42,6 +42,27 @@ def test_artists_carry_the_result(selection):
         assert low < min(best.w[mode], initial.w[mode]) <= high
 
 
+@pytest.mark.parametrize("objective", ["decay", "allowed_gain"])
+def test_what_the_loop_does_has_its_panel(objective):
+    """By the outcome at single points; of an allowed gain, which stacks of loops do not tell, the candidates alone."""
+    machine, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": (500.0, 2000.0), "dead_time": 0.01, "rate": 200.0}
+    chosen = flexopt.select(machine, (0.0, 1.6), base=0.4, objective=objective, loop=loop, starts=4)
+    _, *panels = chosen.plot().axes
+    assert len(panels) == chosen.best.evaluation.w.size + 1
+    drawn = {line.get_label(): line.get_xydata() for line in panels[-1].lines}
+    best, initial, scan = chosen.best, chosen.initial, chosen.problem.scan
+    np.testing.assert_allclose(drawn["chosen"], [[best.evaluation.base[0], best.objective]])
+    np.testing.assert_allclose(drawn["present"], [[initial.base[0], chosen.present]])
+    assert panels[-1].get_ylabel() == f"objective {objective}, {chosen.objective_unit}"
+    assert ("elbow up" in drawn) == (objective == "decay")
+    if objective == "decay":
+        up, loop = np.flatnonzero(scan.elbow < 0), loop | chosen.gains[0]
+        for k in (0, up.size // 3, up.size - 1):
+            at = scan.posture[:, up[k]], scan.base[:, up[k]]
+            expected = flexopt.outcome(machine, at[0], base=at[1], loop=loop).decay
+            assert drawn["elbow up"][k] == pytest.approx([at[1][0], expected], rel=1e-9)
+
+
 def test_a_mode_that_is_not_reached_has_no_share():
     """The table tells none; a bar of its rounding would look like a number."""
     stand = flexopt.evaluate(flexopt.load("mobile-manipulator"), [0.0, -1.0, 1.5, -0.5, -1.57, 0.0])

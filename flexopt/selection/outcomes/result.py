@@ -6,14 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.plain import counted
+from flexopt.foundation.turns import available_cores
 from flexopt.loop.region import LARGEST
 from flexopt.loop.settings import LoopSettings
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.outcomes.asked import Asked, broken_told, documents_of
 from flexopt.selection.outcomes.branches import Measure
+from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import Selection, units_of_columns, unverified_told
 
@@ -101,6 +105,19 @@ class OutcomeSelection(ChosenByLoop, Selection):
     def gains(self) -> tuple[dict[str, float], ...]:
         """See the class."""
         return tuple(map(self._chosen, self.settings))
+
+    def along_redundancy(self) -> Vector | None:
+        """The measure at the points of `problem.scan` with the gains of the best candidate, (N,).
+
+        NaN where a loop has none of it; None of measures that are not computed of many loops at once.
+        """
+        scan, program = self.problem.scan, OutcomeProgram(**self.asked.parts(self.problem, self.best.evaluation))
+        gains = np.log(list(self.gains[0].values()))
+        ys = [np.append(z / self.problem.scale, gains) for z in np.vstack([scan.base, scan.posture]).T]
+        found = self.criterion.values(program, ys, available_cores())
+        if found is None:
+            return None
+        return self.criterion.sign * np.where(np.isfinite(found), found, np.nan)
 
     def loops_break(self, stand: Sequence[tuple[Vector, Vector]]) -> list[str]:
         """As of `ByLoop`, with the gains of the best candidate."""
