@@ -35,6 +35,7 @@ from flexopt.cli.completing import argument
 from flexopt.cli.postures import asked_posture, configuration
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine, load, load_any
+from flexopt.model.choices import of_loop
 from flexopt.model.loop import DEFAULT_LOOP, Loop
 
 LOOP = value(
@@ -71,7 +72,7 @@ of_machine = together(
     BASE,
     ELBOW,
     CONTROL,
-    value("--objective", "w1|w2|…|V|epsilon_max", "Of a machine: by what places are chosen (w1 by default)."),
+    value("--objective", "w1|w2|…|V|epsilon_max|decay|…", "Of a machine: by what places are chosen (w1 by default)."),
     WEIGHTS,
 )
 OF_MACHINE = ("end_point", "posture", "base", "elbow", "control", "objective", "weights")
@@ -164,4 +165,7 @@ def asked_problem(call: str, name: str, options: dict[str, Any]) -> tuple[Any, L
         return loaded, loaded.loop or loaded.loaded_machine.loop
     if "end_point" not in asked:
         raise InputError(f"{call}: a machine needs --end-point (m, inertial frame); a problem file brings its own")
+    if of_loop(asked.get("objective")):
+        target, described = {"end_point": asked.pop("end_point")}, f"{loaded.name}: {asked['objective']}"
+        return Problem(name=described, machine=name, target=target, selection=asked).with_machine(loaded), loaded.loop
     return build_selection(loaded, asked.pop("end_point"), **asked), loaded.loop

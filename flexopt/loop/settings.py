@@ -218,7 +218,9 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
         gain = servo_gain_of_efforts(machine, stand.posture)
         cylinder = any(cylinder.force is not None for cylinder in machine.cylinders)
         counts = ", or where a cylinder with a force drives it, than that gives" if cylinder else ""
-        sources["servo_gain"] = f"{SERVING} for more than its effort{counts}{_hardly_served(machine, gain or 0.0)}"
+        # Without cylinders efforts and rates are those of every posture.
+        asks = SERVING if machine.cylinders else SERVING.removesuffix(" here")
+        sources["servo_gain"] = f"{asks} for more than its effort{counts}{_hardly_served(machine, gain or 0.0)}"
     gains: dict[str, float] = {}
     for name in ("kp", "kv"):
         given, allowed = getattr(loop, name), getattr(loop, f"{name}_range")

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import SingularPosture
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Vector, spread
 from flexopt.foundation.control import Control, control_damping
+from flexopt.model.file_model import quoted
 from flexopt.plant.plant import Plant
+from flexopt.plant.reach import arm_length, sampled_ranges
 
 # Above this condition number Jv⁻¹ and its derivatives keep fewer than half of a double's digits.
 CONDITION_MAX = 1e6
 PROBE = 1e-3
+# Within the joints' ranges, by which a machine is told whose joints never move some row of the task.
+LOOKED_AT = 16
 
 
 def _largest_and_condition(plant: Plant, q: Vector, base: Vector) -> tuple[float, float]:
@@ -93,6 +98,34 @@ def conditions(stacked: Vector, n_actuated: int) -> tuple[Vector, Vector]:
     return np.where(np.isnan(ratio), np.inf, ratio), values[:, 0]
 
 
+@lru_cache(maxsize=64)
+def movable_rows(plant: Plant) -> tuple[str, ...]:
+    """The task's rows; where no posture of a sample moves them all, the first of them that one moves together."""
+    low, high = sampled_ranges(plant.machine, arm_length(plant)).T
+    base, rows, most = np.zeros(plant.n_base), plant.machine.task_rows, list[int]()
+    for share in spread(LOOKED_AT, len(low)):
+        q = plant.rest(base, low + (high - low) * share, plant.parameter_values)
+        if _largest_and_condition(plant, q, base)[1] <= CONDITION_MAX:
+            return rows
+        jacobian: Vector = plant.rigid_jacobian(q, base, plant.parameter_values).full()
+        kept, least = list[int](), np.linalg.norm(jacobian, 2) / CONDITION_MAX
+        for row in range(len(rows)):
+            if np.linalg.svd(jacobian[[*kept, row]], compute_uv=False)[-1] > least:
+                kept.append(row)
+        most = max(most, kept, key=len)
+    return tuple(rows[row] for row in most)
+
+
+def unmoved_told(plant: Plant) -> str:
+    """Which rows of the task the joints never move together, as a sentence; empty where there are none."""
+    rows, kept = plant.machine.task_rows, movable_rows(plant)
+    if kept == rows:
+        return ""
+    together = f"no more than {', '.join(kept)}" if kept else "none of them"
+    more = f": take rows = {quoted(kept)} in [end_point]" if kept else ""
+    return f"in no posture do the joints move all task rows ({', '.join(rows)}), but {together}{more}"
+
+
 def check_regular(plant: Plant, q: Vector, base: Vector, control: Control = "inverse") -> float:
     """Return cond Jv, or raise `SingularPosture` naming the joint that would lead out of the singularity and its angle.
 
@@ -112,9 +145,11 @@ def check_regular(plant: Plant, q: Vector, base: Vector, control: Control = "inv
     value = f"{angle:.6g} rad ({math.degrees(angle):.4g}°)" if hinge else f"{angle:.6g} m"
     sentences = {1: "the joints do not move the task row", 2: "the end-point can only move along one line"}
     stuck = sentences.get(rows, f"the joints do not move all {rows} task rows")
+    never = unmoved_told(plant)
+    remedy = "" if never else f"; {'bend' if hinge else 'move'} {joint}"
     raise SingularPosture(
-        f"posture (joint {joint}) = {value} is singular: {stuck} "
-        f"(cond Jv = {condition:.3g}, allowed up to {CONDITION_MAX:.0e}); {'bend' if hinge else 'move'} {joint}",
+        f"posture (joint {joint}) = {value} is singular: {never or stuck} "
+        f"(cond Jv = {condition:.3g}, allowed up to {CONDITION_MAX:.0e}){remedy}",
         joint=joint,
         angle=angle,
     )

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 from flexopt.foundation.palette import colors
 from flexopt.plotting.sheet import SettledLayout, Sheet, open_frame, picture, themed
+from flexopt.plotting.ticks import DECADES, between_powers, shown
 from flexopt.plotting.units import labelled
 
 # Ratio of the largest to the least from which an axis is logarithmic.
@@ -152,6 +153,10 @@ def _draw(axes: Axes, bands: Bands) -> None:
         axes.set_xticks([])
     elif axes.get_xscale() == "linear":
         axes.locator_params(axis="x", nbins=5)
+    elif high < DECADES * low:
+        axes.set_xticks(between_powers(low, high))
+        axes.set_xticks([], minor=True)
+        axes.xaxis.set_major_formatter(lambda value, _: shown(value, 3))
     open_frame(axes, "x")
 
 

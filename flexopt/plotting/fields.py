@@ -19,6 +19,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
 from flexopt.foundation.arrays import Array
 from flexopt.foundation.palette import colors
+from flexopt.plotting.ticks import DECADES, between_powers, shown
 
 # Near singular postures the measures fall without end: colours and axes start at this fraction of the points.
 LOWEST_SHOWN = 0.05
@@ -26,12 +27,8 @@ LOWEST_SHOWN = 0.05
 SAME = 1e-9
 # Share of a field's range by which its greatest value may miss a bound of 0 that the colours then end at.
 MISSED = 0.01
-# A range up to which an axis that is logarithmic has no powers of ten enough.
-DECADES = 100.0
 # How far from an end-point its name stands, as a share of a field's width.
 BESIDE = 0.08
-# Numbers in this range are written out beside ticks.
-PLAIN = 1e-4, 1e5
 
 
 @dataclass(frozen=True)
@@ -159,19 +156,10 @@ def draw_signed(axes: Axes, plane: FieldPlane, values: Array, *, label: str) -> 
     # Of a field on one side of 0 the bar shows that side alone.
     extend = "both" if above.size and below.size else "min" if below.size else "max"
     bar = _bar(axes, image, label, extend=extend)
-    shown = -low if below.size else 0.0, high if above.size or not below.size else 0.0
-    bar.set_ticks([tick for tick in (-low, -low / 2, 0.0, high / 2, high) if shown[0] <= tick <= shown[1]])
-    bar.ax.set_ylim(*shown)
-    bar.ax.yaxis.set_major_formatter(lambda value, _: _shown(value, 2))
-
-
-def _shown(value: float, digits: int) -> str:
-    """A number beside a tick: 13500, and a power of ten where that is longer."""
-    rounded = float(f"{value:.{digits}g}")
-    if rounded == 0 or PLAIN[0] <= abs(rounded) < PLAIN[1]:
-        return f"{rounded:g}".replace("-", "\N{MINUS SIGN}")
-    power = math.floor(math.log10(abs(rounded)))
-    return f"${rounded / 10.0**power:.{digits}g} \\times 10^{{{power}}}$"
+    ends = -low if below.size else 0.0, high if above.size or not below.size else 0.0
+    bar.set_ticks([tick for tick in (-low, -low / 2, 0.0, high / 2, high) if ends[0] <= tick <= ends[1]])
+    bar.ax.set_ylim(*ends)
+    bar.ax.yaxis.set_major_formatter(lambda value, _: shown(value, 2))
 
 
 def draw_border(axes: Axes, x: Array, y: Array, values: Array, *, width: float) -> None:
@@ -203,19 +191,9 @@ def label_plane(axes: Axes, plane: FieldPlane, title: str, *, left: bool = True,
     axes.set_ylabel(plane.y_label if left else "")
     for axis, log, values in zip((axes.xaxis, axes.yaxis), plane.logarithmic, (plane.x, plane.y), strict=True):
         if log and values.max() < DECADES * values.min():
-            # Too few whole powers of ten.
-            low = math.floor(math.log10(values.min()))
-            steps = [m * 10.0**k for k in range(low, low + 4) for m in (1, 2, 5)]
-            shown = [step for step in steps if values.min() <= step * (1 + SAME) and step <= values.max() * (1 + SAME)]
-            if len(shown) < 2:
-                ends = float(values.min()), float(values.max())
-                shown = [
-                    step
-                    for step in np.asarray(MaxNLocator(4).tick_values(*ends)).tolist()
-                    if ends[0] <= step <= ends[1]
-                ]
-            axis.set_major_locator(FixedLocator(np.log10(shown).tolist()))
-            axis.set_major_formatter(lambda value, _: _shown(10**value, 3))
+            steps = between_powers(float(values.min()), float(values.max()))
+            axis.set_major_locator(FixedLocator(np.log10(steps).tolist()))
+            axis.set_major_formatter(lambda value, _: shown(10**value, 3))
         elif log:
             axis.set_major_locator(MaxNLocator(4, integer=True))
             axis.set_major_formatter(lambda value, _: f"$10^{{{value:g}}}$")

@@ -17,9 +17,11 @@ from flexopt.errors import ImplausibleMachine
 from flexopt.foundation.arrays import Array, spread
 from flexopt.foundation.warned import warn_user
 from flexopt.model import AnyMachine
+from flexopt.model.file_model import quoted
 from flexopt.model.loop import Loop
 from flexopt.model.plausibility import BASE_MASS, ImplausibleNumber, distant_ranges, implausible_numbers
 from flexopt.plant import Plant, build_plant
+from flexopt.plant.singularity import movable_rows
 
 FIRST_MODE = (0.1, 100.0)  # Hz
 POSTURES = 4
@@ -32,7 +34,7 @@ def implausibilities(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     # Where springs, masses or lengths are off by their units, so are the modes, by the same slip.
     told = any("stiffness" in finding.field or finding.field in BASE_MASS for finding in found)
     modes = () if told else _of_modes(machine)
-    return (*found, *modes, *distant_ranges(machine, machine.uncertainty))
+    return (*found, *modes, *_of_rows(machine), *distant_ranges(machine, machine.uncertainty))
 
 
 def warn_implausible(machine: AnyMachine) -> None:
@@ -97,6 +99,17 @@ def _of_modes(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
             )
         )
     return tuple(found)
+
+
+def _of_rows(machine: AnyMachine) -> Iterator[ImplausibleNumber]:
+    """Rows of the task that the joints never move together."""
+    plant = build_plant(machine)
+    rows, kept = machine.task_rows, movable_rows(plant)
+    if kept != rows:
+        yield ImplausibleNumber(
+            "end_point.rows", quoted(rows), "in no posture do the joints move all of them",
+            f"what they move is {quoted(kept)}" if kept else "they move none of them",
+        )  # fmt: skip
 
 
 def modes_at(plant: Plant, posture: Array, *, held: bool = False) -> tuple[Array, Array]:

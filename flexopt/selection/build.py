@@ -13,6 +13,7 @@ from flexopt.errors import Fault, InputError, UnreachableTarget, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Interval, TargetLike, Vector
 from flexopt.foundation.boundary import Keywords, public
+from flexopt.foundation.control import control_damping
 from flexopt.model import AnyMachine
 from flexopt.model.choices import EVERYTHING, assumes
 from flexopt.model.constraints import AnyConstraints, Constraints
@@ -20,6 +21,7 @@ from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import arm_length, clipped, missed, outer_reach, reach, sampled_ranges, unreachable
+from flexopt.plant.singularity import unmoved_told
 from flexopt.plant.statics import not_held
 from flexopt.selection.assumed import assumed, standing
 from flexopt.selection.constraints import build_constraints, constraint_faults
@@ -130,6 +132,8 @@ def build_one(
 
     functions = quantities(machine, asked.control, asked.gravity, asked.gain)
     plant = functions.measures.plant
+    if control_damping(asked.control) is None and (never := unmoved_told(plant)):
+        raise_if_any(InputError, "select", [Fault("machine", never, machine.name)])
     told = present if travel_now is None else travel_now[: len(names)]
     now = standing(plant, told)
     beside = assumed(plant, asked.assume, targets, kept, now, frozenset(ranges), given=told is not None)

@@ -82,6 +82,8 @@ def _sizes(of: Any) -> dict[str, int]:
 
 # How far from its target an end-point may be and count as there, m.
 THERE = 0.01
+# How near to a bound a configuration rests on it, of its scale.
+AT_END = 1e-6
 # Share of a variable's or constraint's scale beyond which a bound is broken; how many are named.
 BROKEN, NAMED = 1e-6, 3
 _OBJECTIVE = instance(Objective, "one of the problem's `objectives`")
@@ -496,6 +498,19 @@ def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
         return ""
     more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
     return f"breaks {', '.join(worst[:NAMED])}{more}"
+
+
+def resting(problem: SelectionProblem, z: Vector) -> list[str]:
+    """Which bounds and constraints hold with equality in a configuration, the target aside."""
+    found = [
+        f"{variable.name} {side} bound"
+        for variable, x in zip(problem.variables, z.tolist(), strict=True)
+        for side, end in (("lower", variable.lower), ("upper", variable.upper))
+        if variable.lower < variable.upper and abs(x - end) <= AT_END * variable.scale
+    ]
+    rows, (lower, upper, scale) = problem.rows(z), problem.row_bounds
+    held = (lower < upper) & (np.minimum(np.abs(rows - lower), np.abs(rows - upper)) <= AT_END * scale)
+    return [*found, *(row.name for row, holds in zip(problem.constraints, held.tolist(), strict=True) if holds)]
 
 
 def beyond_bounds(problem: SelectionProblem, z: Vector) -> Vector:

@@ -266,8 +266,7 @@ class Selection(Pictured, Result):
         whose mean it is: so it holds for few starts, too, where that error may come out as 0. Eight starts that found
         four values twice each leave 78 % open.
         """
-        counts = _found_how_often(self.problem, self.attempts)
-        return None if counts is None else chance_at_most(counts)
+        return chance_at_most(_found_how_often(self.problem, self.attempts))
 
     @property
     def edges(self) -> tuple[str, ...]:
@@ -415,14 +414,9 @@ class Selection(Pictured, Result):
         lines += [f"  {sentence}" for sentence in (*self.constraints_told, *map(str, self.kept))]
         if self.best.unsurpassed and not self.kept:
             lines.append(f"  no configuration has a larger {problem.name}: 0 is the most there is")
-        estimate, most = self.missed_chance, self.missed_chance_at_most
-        if estimate is not None and most is not None and not self.best.unsurpassed:
-            ended = sum(attempt.value is not None for attempt in self.attempts)
-            lines.append(
-                f"  best found in {counted(len(self.attempts), 'start')}, {ended} of which ended at an optimum: "
-                f"up to {math.ceil(100 * most)} % of further ones drawn alike may end at a value not found yet "
-                f"(estimate {100 * estimate:.0f} %, bound with {100 * CONFIDENCE:.0f} % confidence)"
-            )
+        counts = _found_how_often(problem, self.attempts)
+        if counts.size and not self.best.unsurpassed:
+            lines.append(f"  {chance_told(counts, len(self.attempts))}")
         lines += [f"  {sentence}" for sentence in self.remarks]
         lines += [f"  {assumption}" for assumption in problem.assumed]
         return "\n".join(lines)
@@ -487,25 +481,45 @@ def way_there(problem: SelectionProblem, best: Candidate) -> str:
 
 def missed_chance(problem: SelectionProblem, attempts: Sequence[Attempt]) -> float | None:
     """As `Selection.missed_chance`, of these attempts."""
-    counts = _found_how_often(problem, attempts)
-    return None if counts is None else float((counts == 1).sum() / counts.sum())
+    return chance(_found_how_often(problem, attempts))
 
 
-def chance_at_most(counts: NDArray[np.integer[Any]]) -> float:
+def chance(counts: NDArray[np.integer[Any]]) -> float | None:
+    """As `Selection.missed_chance`, of values that were found so often each."""
+    return float((counts == 1).sum() / counts.sum()) if counts.size else None
+
+
+def chance_at_most(counts: NDArray[np.integer[Any]]) -> float | None:
     """As `Selection.missed_chance_at_most`, of values that were found so often each."""
+    if not counts.size:
+        return None
     once, twice = (float((counts == k).sum()) for k in (1, 2))
     quantile = NormalDist().inv_cdf(CONFIDENCE)
     most = once + quantile**2 / 2 + quantile * math.sqrt(once + 2 * twice + quantile**2 / 4)
     return min(1.0, most / float(counts.sum()))
 
 
-def _found_how_often(problem: SelectionProblem, attempts: Sequence[Attempt]) -> NDArray[np.integer[Any]] | None:
-    """How many starts ended at each value; None where `Selection.missed_chance` is."""
-    values = np.sort([attempt.value for attempt in attempts if attempt.value is not None])
-    if not values.size or (problem.redundancy < 2 and problem.measures.plant.closed_form):
-        return None
-    apart = np.diff(values) > SAME_VALUE * problem.first_scale
-    return np.diff(np.flatnonzero(np.concatenate([[True], apart, [True]])))
+def chance_told(counts: NDArray[np.integer[Any]], starts: int) -> str:
+    """How likely a further start is to end at a value that none has ended at, a sentence."""
+    estimate, most = chance(counts) or 0.0, chance_at_most(counts) or 0.0
+    return (
+        f"best found in {counted(starts, 'start')}, {counts.sum()} of which ended at an optimum: "
+        f"up to {math.ceil(100 * most)} % of further ones drawn alike may end at a value not found yet "
+        f"(estimate {100 * estimate:.0f} %, bound with {100 * CONFIDENCE:.0f} % confidence)"
+    )
+
+
+def _found_how_often(problem: SelectionProblem, attempts: Sequence[Attempt]) -> NDArray[np.integer[Any]]:
+    """How many starts ended at each value; empty where `Selection.missed_chance` is None."""
+    if problem.redundancy < 2 and problem.measures.plant.closed_form:
+        return np.zeros(0, dtype=np.int64)
+    return how_often([attempt.value for attempt in attempts if attempt.value is not None], problem.first_scale)
+
+
+def how_often(values: Sequence[float], scale: float) -> NDArray[np.integer[Any]]:
+    """How often each value was found; those are one that differ by less than `SAME_VALUE` of the scale."""
+    apart = np.diff(np.sort(values)) > SAME_VALUE * scale
+    return np.diff(np.flatnonzero(np.concatenate([[True], apart, [True]]))) if values else np.zeros(0, dtype=np.int64)
 
 
 def shown_measures(problem: SelectionProblem, evaluation: Evaluation) -> Vector:

@@ -26,12 +26,14 @@ from flexopt.loop.settings import loop_settings
 from flexopt.loop.spectrum import from_sample_to_sample
 from flexopt.loop.uncertain import UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
+from flexopt.model.choices import asks_for_loop
 from flexopt.model.constraints import AnyConstraints
 from flexopt.model.loop import Loop, LoopLike, gain_ranges, under_control
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 from flexopt.selection import Selection, SelectionProblem, select, solve_problem, solve_selection
 from flexopt.selection.outcomes.result import OutcomeSelection
+from flexopt.selection.problem import resting
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.study.asked import any_problem
@@ -113,7 +115,8 @@ def verdict(
         target, constraints, options, keywords: of a machine, as in `flexopt.build_selection`.
         loop: the real controller, as of `flexopt.evaluate`; by default the problem's or machine's `[loop]`, or where
             there is none what follows from the machine. It is the same in every place; what it leaves out follows from
-            the present one.
+            the present one. A choice by what the loop does, or with constraints on that, is by this loop, and by these
+            `ranges`; an answer was chosen before.
         ranges: what is uncertain: a table from names to (lower, upper), of `"stiffness"` and `"damping"` factors of all
             springs or dampers of passive coordinates, of `"dead_time"` s, of parameters in their own unit; or
             `flexopt.Uncertainty`s. By default the problem's or machine's `[[uncertainty]]`, or where there is none one
@@ -136,7 +139,7 @@ def verdict(
         'move'
     """
     stages = Stages(progress, STAGES)
-    chosen = _chosen(problem, target, constraints, {k: v for k, v in keywords.items() if v is not None})
+    chosen = _chosen(problem, {"target": target, "constraints": constraints, **keywords}, loop, ranges)
     solved = problems_of(chosen)[0]
     machine, now = solved.machine, solved.present_base
     if now is None:
@@ -198,7 +201,7 @@ def verdict(
         decision = replace(decision, reason=f"{absent}; apart from it {decision.reason}")
     places = tuple(
         _place(name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name],
-               drives[name], shown.get(name))
+               drives[name], shown.get(name), problems_of(chosen))
         for name in told
     )  # fmt: skip
     return Verdict(
@@ -237,19 +240,23 @@ def overlooked(shares: Mapping[str, float], told: Sequence[str]) -> list[str]:
     return [first] if shares[first] > 1 - MOST >= max(shares[name] for name in told) else []
 
 
-def _chosen(problem: Any, target: Any, constraints: Any, keywords: dict[str, Any]) -> Chosen:
-    """The problem's answer, or that of a machine with a target."""
+def _chosen(problem: Any, asked: dict[str, Any], loop: Any, ranges: Any) -> Chosen:
+    """The problem's answer, or that of a machine with a target; what is sought of the loop is sought of the one judged.
+
+    `asked`: target, constraints and options of a machine.
+    """
+    given = {name: value for name, value in asked.items() if value is not None}
     if isinstance(problem, AnyMachine):
-        if target is None:
+        if "target" not in given:
             raise_if_any(InputError, "verdict", [Fault("target", "is needed of a machine")])
-        return select(problem, cast(Vector, target), constraints=constraints, **keywords)
-    brought = {"target": target, "constraints": constraints} | keywords
+        by_loop = asks_for_loop(given.get("objective"), given.get("constraints"))
+        return select(problem, **given, **({"loop": loop, "ranges": ranges} if by_loop else {}))
     sentence = "goes with a machine; the problem brings its own"
-    faults = [Fault(name, sentence, shown(given)) for name, given in brought.items() if given is not None]
+    faults = [Fault(name, sentence, shown(value)) for name, value in given.items()]
     raise_if_any(InputError, "verdict", faults)
     if isinstance(problem, SelectionProblem):
         return solve_selection(problem)
-    return solve_problem(problem) if isinstance(problem, Problem) else cast(Chosen, problem)
+    return solve_problem(problem.judged_by(loop, ranges)) if isinstance(problem, Problem) else cast(Chosen, problem)
 
 
 def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, tuple[Uncertainty, ...]]:
@@ -322,6 +329,7 @@ def _place(
     slowest: Slowest,
     drive: tuple[float, float],
     runs: Runs | None,
+    problems: Sequence[SelectionProblem],
 ) -> PlaceVerdict:
     few = [None, *place.box.corners(CORNERED), slowest.member]
     outcomes = [[loop.outcome(u) for u in few] for loop in place.loops]
@@ -369,6 +377,7 @@ def _place(
         swing=band("swing", factor=MOVE),
         swing_unit=swing_unit(outcomes[0][0]),
         runs=runs,
+        rests_on=tuple(tuple(resting(problem, e.z)) for problem, e in zip(problems, stands, strict=True)),
     )
 
 

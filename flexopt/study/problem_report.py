@@ -22,7 +22,7 @@ from flexopt.model import AnyMachine, Problem
 from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.model.simulation import Experiment, SimulationOptions
 from flexopt.model.simulation_faults import brought_twice
-from flexopt.model.uncertainty import RangesLike
+from flexopt.model.uncertainty import RangesLike, Uncertainty
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem, solve_problem, solve_selection
 from flexopt.selection.several import BasePlan, Stand
@@ -112,15 +112,20 @@ def report(
     given = _simulation(machine, experiment, simulation)
     size = map_points(machine) if points is None else points
     stages = Stages(progress, STAGES)
-    selection = solve_problem(problem) if isinstance(problem, Problem) else solve_selection(problem)
+    brought = cast("Loop | None", loop) or (experiment and experiment.loop)
+    known = brought or getattr(problem, "loop", None) or machine.loop
+    if isinstance(problem, Problem):
+        problem = problem.judged_by(brought, cast("tuple[Uncertainty, ...] | None", ranges))
+        selection = solve_problem(problem)
+    else:
+        selection = solve_selection(problem)
     solved, notes = problem_of(selection), list[str]()
     given |= {"control": solved.control, "gravity": solved.gravity}
-    known = loop or (experiment and experiment.loop) or getattr(problem, "loop", None) or machine.loop
     stages.next()
     drawn = _attempt(notes, "the map", lambda: surroundings(selection, size))
     stages.next()
     ground = ranges or getattr(problem, "uncertainty", None) or None
-    judged, why_not = _judged(selection, cast("Loop | None", known), ground, members, runs)
+    judged, why_not = _judged(selection, known, ground, members, runs)
     stages.next()
     stands, loops, real = stands_of(selection), dict[str, ReportLoop](), None
     # What is said of the controller otherwise goes before a loop that is known.

@@ -95,6 +95,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "taken": verdict.taken and sentence(f"staying is judged in {verdict.taken}"),
         "present": verdict.present_told and sentence(f"{STAY}: {verdict.present_told}"),
         "where": _where(verdict),
+        "rests": [sentence(place.rest) for place in verdict.places if place.rest],
         "loop": with_minus(verdict.controller),
         "handed_on": sentence(verdict.handed_on),
         "sources": (("number", "where it is from"), list(verdict.settings.sources.items())),

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
     from flexopt.selection import SelectionProblem
 
+# How names of a variable's ends end.
+END = " bound"
 # Why a place is told of that is none of the best, if it is not the selection's first.
 MOST_OFTEN = "decays faster than the present place on the most grounds"
 
@@ -62,6 +64,7 @@ class PlaceVerdict(Result):
             member: of the standard move (see `flexopt.Outcome`), s, and the base's largest turn about one of its
             axes, rad, of a base that cannot turn its largest shift, m (`swing_unit`).
         runs: nonlinear ones; None where none were asked for.
+        rests_on: at each target the bounds and constraints that hold with equality.
     """
 
     name: str
@@ -82,10 +85,11 @@ class PlaceVerdict(Result):
     swing: Band
     swing_unit: str
     runs: Runs | None
+    rests_on: tuple[tuple[str, ...], ...]
 
     DOCUMENT = """
     name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target
-    better allowed_gain delay_margin[s] settling[s] swing swing_unit runs
+    better allowed_gain delay_margin[s] settling[s] swing swing_unit runs rests_on
     """
 
     @property
@@ -93,6 +97,23 @@ class PlaceVerdict(Result):
         """Placement and posture at each target."""
         postures = self.posture.reshape(-1, self.posture.shape[-1])
         return list(zip(self.base.reshape(len(postures), self.base.shape[-1]), postures, strict=True))
+
+    @property
+    def rest(self) -> str:
+        """On which bounds and constraints it rests, a sentence; empty where on none."""
+        several = len(self.rests_on) > 1
+        told = [
+            f"{', '.join(names)}{f' at target {k}' if several else ''}"
+            for k, names in enumerate(self.rests_on, start=1)
+            if names
+        ]
+        stopped = "; nothing stops a joint there in its runs" if self.runs and self._on_a_joint else ""
+        return f"{self.name} rests on {', '.join(told)}{stopped}" if told else ""
+
+    @property
+    def _on_a_joint(self) -> bool:
+        names = {name for each in self.rests_on for name in each}
+        return any(name.endswith(END) and not name.startswith("base.") for name in names)
 
     @property
     def shown_runs(self) -> str:
@@ -408,6 +429,7 @@ class Verdict(Pictured, Printed, Result):
             whys += ["on some ground it does not settle in a minute"] * (late and not grows)
             lines.append(f"  –: {'; '.join(whys)}")
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
+        lines += [f"  {place.rest}" for place in self.places if place.rest]
         lines += [f"  {self.drifts}"] * bool(self.drifts)
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
         return "\n".join([*lines, *filter(None, (self.drawbacks, self.measure))])

@@ -98,13 +98,14 @@ def test_the_command_writes_the_page(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 @pytest.mark.long
 def test_a_problem_by_what_the_loop_does() -> None:
-    """Its recommended configuration is that of `select`."""
+    """Its recommended configuration is that of `select`, with the loop of the file and with one of the call's."""
     problem = flexopt.load_problem("article")
     own = problem.selection.model_copy(update={"objective": "decay", "starts": 2})
-    asked = problem.model_copy(update={"selection": own, "loop": flexopt.Loop(kp=1e4, kv=1e3)})
+    loop = flexopt.Loop(kp=1e4, kv=1e3)
+    asked = problem.model_copy(update={"selection": own, "loop": loop})
     found = flexopt.select(**asked.select_arguments())
-    _, posture = flexopt.explore(asked).configurations["recommended"]
-    assert posture == pytest.approx(found.best.evaluation.posture)
+    for page in (flexopt.explore(asked), flexopt.explore(asked.model_copy(update={"loop": None}), loop=loop)):
+        assert page.configurations["recommended"][1] == pytest.approx(found.best.evaluation.posture)
 
 
 def test_progress_of_a_problem_is_told() -> None:

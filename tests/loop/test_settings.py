@@ -212,3 +212,13 @@ def test_a_joint_that_brakes_itself_more_than_its_servo_drives_it_is_named() -> 
     assert (
         f"stick brakes itself by {own:.4g} N m s/rad and makes 10 % of the rate asked for" in told.sources["servo_gain"]
     )
+
+
+def test_a_servo_gain_follows_from_the_posture_where_cylinders_do() -> None:
+    """Elsewhere efforts and rates are those of every posture, and nothing is to be handed on."""
+    assert "servo_gain" in settings_of(DIGGER, STAND).handed_on("the present place")
+    arm = flexopt.load("mobile-manipulator")
+    postures = ((0.0, -1.0, 1.5, -0.5, -1.57, 0.0), (0.4, -0.6, 1.1, -0.5, -1.2, 0.3))
+    one, other = (settings_of(arm, posture, drive="velocity") for posture in postures)
+    assert one.servo_gain == other.servo_gain
+    assert one.handed_on("the present place") == ""

@@ -795,3 +795,21 @@ def test_gravity_that_the_file_has_at_zero_is_told_once(call: str) -> None:
             getattr(flexopt, call)(machine, where, gravity=True, **options)
             getattr(flexopt, call)(machine, where, **options)
         assert sum("gravity = 0 m/s²" in str(each.message) for each in caught) == count
+
+
+def test_rows_that_no_joint_moves_are_told() -> None:
+    """Three hinges about one axis, and a file that asks for all three rows: no posture moves them, whatever is bent."""
+    data = in_space(arm_of([0.5, 0.3, 0.4]))
+    assert not [each for each in told(data) if each.startswith("end_point.rows")]
+    data["end_point"]["rows"] = ["x", "y", "z"]
+    (finding,) = [each for each in told(data) if each.startswith("end_point.rows")]
+    assert "in no posture do the joints move all of them; what they move is ['x', 'z']" in finding
+    machine = tree_from_dict(data)
+    with pytest.raises(flexopt.SingularPosture, match=r"no more than x, z: take rows = \['x', 'z'\]") as singular:
+        flexopt.evaluate(machine, [0.3, 0.5, -0.9])
+    assert "bend" not in str(singular.value)
+    with pytest.raises(InputError, match=r"machine = planar: in no posture do the joints move all task rows"):
+        flexopt.build_selection(machine, [0.6, 0.0, 0.9], base=np.zeros(len(machine.base_coordinates)))
+    # A single singular posture of a machine whose joints move all rows is another matter.
+    with pytest.raises(flexopt.SingularPosture, match="; bend "):
+        flexopt.evaluate(tree_from_dict(in_space(arm_of([0.5, 0.3]))), [0.3, 0.0])

@@ -511,3 +511,51 @@ def test_the_targets_that_the_present_placement_does_not_reach_are_named() -> No
         assert "stay" not in configurations_of(stand)
     far_away = flexopt.select_stand(machine, targets, base=(9.0,), objective="w1", starts=1, workers=1)
     assert "does not reach targets 1 and 2 within" in unreached(far_away)
+
+
+OWN = {"kp": 1e4, "kv": 1e3, "dead_time": 0.02}
+
+
+@pytest.mark.parametrize(
+    "sought",
+    [{"constraints": {"outcome": {"decay": 0.005}}}, pytest.param({"objective": "decay"}, marks=pytest.mark.long)],
+    ids=["least", "objective"],
+)
+def test_what_is_sought_of_the_loop_is_sought_of_the_one_that_is_judged(sought: dict[str, Any]) -> None:
+    """Of a machine and of a problem file without a loop; a loop that the call brings counts for places and verdict."""
+    machine, few = flexopt.load("excavator"), {"members": 4, "runs": 0}
+    asked: dict[str, Any] = {"base": 0.0, "posture": (0.9929, -2.6302), "starts": 8}
+    brought = {"loop": OWN, "ranges": {"stiffness": (0.5, 2.0)} if "objective" in sought else None}
+    chosen = flexopt.select(machine, (0.0, 1.6), **brought, **asked, **sought)
+    options = asked | {name: value for name, value in sought.items() if name == "objective"}
+    rest = {name: value for name, value in sought.items() if name == "constraints"}
+    problem = flexopt.Problem(
+        name="own", machine="excavator", target={"end_point": (0.0, 1.6)}, selection=options, **rest
+    ).with_machine(machine)
+    verdicts = [flexopt.verdict(problem, **brought, **few)]
+    if "objective" in sought:
+        verdicts.append(flexopt.verdict(machine, (0.0, 1.6), **brought, **few, **asked, **sought))
+        verdicts.append(flexopt.report(problem, **brought, points=4, **few).verdict)
+    for verdict in verdicts:
+        assert isinstance(verdict.selection, flexopt.Selection)
+        found = [candidate.objective for candidate in verdict.selection.candidates]
+        assert found == pytest.approx([candidate.objective for candidate in chosen.candidates], rel=1e-9)
+        assert verdict.settings.dead_time == OWN["dead_time"]
+
+
+def test_on_what_a_place_rests_is_told(tmp_path: Path) -> None:
+    """Joints at their limits, of which runs know nothing; as the choice has it of its candidates."""
+    machine = flexopt.load("excavator")
+    chosen = flexopt.select(machine, (0.0, 1.6), base=0.3, base_range={"x": (0.2, 0.5)}, starts=4)
+    verdict = flexopt.verdict(chosen, loop={"kp": 1e4, "kv": 1e3}, members=4, runs=1, duration=5.0)
+    for k, candidate in enumerate(chosen.candidates, start=1):
+        place = next((each for each in verdict.places if each.name == f"candidate {k}"), None)
+        if place is not None:
+            assert set(candidate.active) - set(candidate.kinks) <= set(place.rests_on[0])
+            assert place.to_dict()["rests_on"] == [list(place.rests_on[0])]
+    resting = [place for place in verdict.places if place.rests_on[0]]
+    assert resting
+    assert all(place.rest in repr(verdict) for place in resting)
+    verdict.to_html(tmp_path / "verdict.html")
+    text = (tmp_path / "verdict.html").read_text(encoding="utf-8")
+    assert all(place.rest.split(" ", 1)[1] in text for place in resting)

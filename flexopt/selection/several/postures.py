@@ -16,10 +16,12 @@ from flexopt.plant.inverse_kinematics import ELBOW_SIGN, REACHED, branch, low_di
 from flexopt.plant.reach import arm_length, sampled_ranges
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import values_of
-from flexopt.selection.starts import violated
+from flexopt.selection.starts import LONGER, SHORTER, STEP, STEP_LEAST, STEP_MOST, violated
 
 # Postures tried from each placement: coordinates of a longer planar arm for each elbow; starts of the iteration.
 REDUNDANT, NEAR, FAR = 24, 4, 3
+# Postures of a placement that climb at random, and their steps.
+CLIMBED, STEPS = 3, 40
 # Rounding on the edge of a constraint, in units of its scale.
 EDGE = 1e-7
 
@@ -64,6 +66,34 @@ def reached_by(problem: SelectionProblem, bases: Vector, starts: Vector) -> Reac
     solved, left = solve_postures(plant, problem.target, spread, starts.reshape(n, -1))
     z = np.concatenate([spread.reshape(-1, count, each), solved.reshape(n, count, each)])
     return _valued(problem, z, (left <= REACHED).reshape(count, each))
+
+
+def joined(one: Reached, other: Reached) -> Reached:
+    """The postures of both, for the same placements."""
+    return Reached(
+        np.concatenate([one.z, other.z], axis=2),
+        np.concatenate([one.value, other.value], axis=1),
+        np.concatenate([one.violation, other.violation], axis=1),
+    )
+
+
+def climbed_held(problem: SelectionProblem, reached: Reached, seed: int) -> Reached:
+    """What is reached, and where random steps lead from the best few of it that keep the target, the placement held."""
+    count, plant = reached.value.shape[0], problem.measures.plant
+    n_b = plant.n_base
+    # Those that break a constraint least come after all that break none.
+    order = np.lexsort([reached.violation, -reached.value], axis=1)[:, :CLIMBED]
+    z = reached.z[:, np.arange(count)[:, None], order].reshape(reached.z.shape[0], -1)
+    values, rng = np.take_along_axis(reached.value, order, axis=1).ravel(), np.random.default_rng((seed, z.shape[1]))
+    step, scale, each = np.full(z.shape[1], STEP), problem.scale[n_b:, None], order.shape[1]
+    for _ in range(STEPS):
+        near = z[n_b:] + step * rng.standard_normal(z[n_b:].shape) * scale
+        there = reached_by(problem, z[:n_b], near[:, :, None])
+        better = there.value[:, 0] > values
+        z, values = np.where(better, there.z[:, :, 0], z), np.where(better, there.value[:, 0], values)
+        step = np.clip(step * np.where(better, LONGER, SHORTER), STEP_LEAST, STEP_MOST)
+    found = values.reshape(count, each)
+    return joined(reached, Reached(z.reshape(-1, count, each), found, np.where(np.isfinite(found), 0.0, np.inf)))
 
 
 def _valued(problem: SelectionProblem, z: Vector, reaches: NDArray[np.bool_]) -> Reached:

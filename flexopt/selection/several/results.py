@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.coprime.margin import RIGID_MARGIN
 from flexopt.foundation.arrays import Document, Vector
@@ -19,12 +20,16 @@ from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import EXCITES, Evaluation, excites_rigid
 from flexopt.robustness.residues import residue_unit, unit_in_words
 from flexopt.selection.constraint_values import ConstraintValue, nearest_told
-from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.problem import SelectionProblem, resting
 from flexopt.selection.result import (
     NOTHING,
     THIN,
     TIE_TOLERANCE,
+    chance,
+    chance_at_most,
+    chance_told,
     column_heads,
+    how_often,
     in_columns,
     in_margin,
     shown_measures,
@@ -34,8 +39,6 @@ from flexopt.selection.result import (
 
 # What the shortest way may give up, relative to the objective's scale.
 KEPT = 1e-4
-# How near to the end of its range a placement rests on it, m or rad.
-AT_END = 1e-6
 
 
 @dataclass(frozen=True)
@@ -148,10 +151,15 @@ class ConfigurationSet(Tabled):
         return ""
 
     @property
+    def left_open(self) -> str:
+        """A sentence on what more starts may find; empty where that is not told."""
+        return ""
+
+    @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences on the choice: what it leaves out, what is as good."""
+        """Sentences on the choice: what it leaves open and out, what is as good."""
         unverified = unverified_told(self.objective, self.unverified)
-        said = (unverified, self.as_good, self.not_passive, self.left_out, self.unweighted)
+        said = (unverified, self.left_open, self.as_good, self.not_passive, self.left_out, self.unweighted)
         return tuple(sentence for sentence in said if sentence)
 
     @property
@@ -260,6 +268,8 @@ class Stand(Pictured, ConfigurationSet):
         alternatives: worth and placement of the other local optima found, best first; of those, and of this, that are
             worth the same the one nearest to the present placement comes first.
         alternative_postures: of each of these the posture at every target (K, n), rad or m.
+        ends: worth of where each start led that led to a verified optimum; empty of a choice by the loop, whose climbs
+            are chosen, not drawn.
 
     Example:
         >>> machine = flexopt.load("excavator")
@@ -271,6 +281,34 @@ class Stand(Pictured, ConfigurationSet):
     worth: float
     alternatives: tuple[tuple[float, Vector], ...]
     alternative_postures: tuple[Vector, ...]
+    ends: tuple[float, ...] = field(default=(), kw_only=True)
+
+    @property
+    def missed_chance(self) -> float | None:
+        """As `flexopt.selection.Selection.missed_chance`; None of a choice by the loop."""
+        return chance(self._found_how_often)
+
+    @property
+    def missed_chance_at_most(self) -> float | None:
+        """As `flexopt.selection.Selection.missed_chance_at_most`; None of a choice by the loop."""
+        return chance_at_most(self._found_how_often)
+
+    @property
+    def _found_how_often(self) -> NDArray[np.integer[Any]]:
+        return how_often(self.ends, self.problems[0].first_scale)
+
+    @property
+    def left_open(self) -> str:
+        """How likely more starts lead to another optimum, and what others were found; empty of a choice by the loop."""
+        counts = self._found_how_often
+        # Where none is better its stationarity is 0.
+        if not counts.size or self.stationarity == 0.0:
+            return ""
+        told = chance_told(counts, self.attempts[0])
+        if not self.alternatives:
+            return told
+        others = counted(len(self.alternatives), "other placement")
+        return f"{told}; {others} found, the next best worth {self.alternatives[0][0]:.4e}"
 
     @property
     def base(self) -> Vector:
@@ -315,19 +353,19 @@ class Stand(Pictured, ConfigurationSet):
             for (worth, base), posture in zip(self.alternatives, self.alternative_postures, strict=True)
         ]
         own = {"base": self.base, "worth": self.worth, "alternatives": others}
+        own |= {"missed_chance": self.missed_chance, "missed_chance_at_most": self.missed_chance_at_most}
         return self._document(self.status, own, "targets")
 
     def __repr__(self) -> str:
         e = self.places[0].evaluation
         placed = zip(e.base_coordinates, self.base, e.base_units, strict=True)
         base = ", ".join(f"{name} = {x:z.4f} {unit}" for name, x, unit in placed)
-        ends = [
-            f"{variable.name} {side} bound"
-            for variable, x in zip(self.problems[0].variables, self.base.tolist(), strict=False)
-            for side, end in (("lower", variable.lower), ("upper", variable.upper))
-            if variable.lower < variable.upper and abs(x - end) <= AT_END
-        ]
-        rests = [f"  the placement rests on {', '.join(ends)}"] if ends else []
+        held = [resting(problem, place.evaluation.z) for problem, place in zip(self.problems, self.places, strict=True)]
+        shared = {name: None for name in held[0] if name.startswith("base.")}
+        rests = [f"  the placement rests on {', '.join(shared)}"] if shared else []
+        for k, names in enumerate(held, start=1):
+            own = ", ".join(name for name in names if name not in shared)
+            rests += [f"  target {k} rests on {own}"] if own else []
         return "\n".join([*self._lines(f"{self._targets} from {base}", self.status), *rests])
 
 

@@ -33,6 +33,7 @@ from flexopt.selection.several.solving import End, places_at
 from flexopt.selection.several.standing import best_placements, default_starts, one_placement, other_placements
 from flexopt.selection.several.targets import build_problems, none_reaches_all, sample_bases, single_measure
 from flexopt.selection.solve import loop_notes
+from flexopt.selection.starts import climbs
 
 # Placements that are looked at, for one coordinate and for more.
 BASES = 401, 512
@@ -114,9 +115,10 @@ def select_stand(
         return outcome_stand(problems, bases, sought, count, progress)
     program = one_placement(problems, share, weighted=asked.combine == "weighted")
     found = [reached_from(problem, bases, asked.seed) for problem in problems]
-    good, unverified, attempts = best_placements(
-        program, bases, found, asked.starts or default_starts(program), asked.seed, count, progress
-    )
+    good, unverified, started, worths = best_placements(
+        program, bases, found, asked.starts or default_starts(program), asked.seed, count, progress,
+        further=asked.starts is None and climbs(program.first),
+    )  # fmt: skip
     good = _nearest_first(program, good)
     ways = [[unwound(problem, program.of(end.x, k)) for k, problem in enumerate(problems)] for end in good]
     best = program.packed(ways[0])
@@ -134,8 +136,9 @@ def select_stand(
         **other_placements(found_at, program.first.scale[:n_base]),
         stationarity=good[0].stationarity,
         kinks=good[0].kinks,
-        attempts=attempts,
-        further=len(good) - attempts[1],
+        attempts=(started, len(worths)),
+        ends=tuple(worths),
+        further=len(good) - len(worths),
         problems=problems,
         unverified=unverified,
         provenance=provenance(machine, **problems[0].stated | stated),

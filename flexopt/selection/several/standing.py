@@ -14,7 +14,10 @@ from flexopt.foundation.arrays import Progress, Vector
 from flexopt.selection.coupling import Coupling
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.program import Program
-from flexopt.selection.several.postures import Reached, reached_from
+from flexopt.selection.result import chance, how_often
+from flexopt.selection.rounds import LEFT_OPEN
+from flexopt.selection.several.alone import placements_alone
+from flexopt.selection.several.postures import Reached, climbed_held, joined, reached_by, reached_from
 from flexopt.selection.several.solving import End, end_from, ends_from, not_below, taken_up, verified
 from flexopt.selection.several.targets import none_reaches_all
 
@@ -26,6 +29,8 @@ FEW, MANY = 8, 32
 NEAREST = 1e-3
 # Placements for each start that are looked at again, with so many times the postures.
 AGAIN, FINER = 2, 6
+# Starts that follow from what targets can have alone.
+FURTHER = 16
 # Of the optima found so many have their postures exchanged; what that must gain, relative to the objective's scale.
 EXCHANGED, GAIN = 2, 1e-7
 # Placements, the best that were looked at, that no answer may be worse than.
@@ -95,8 +100,10 @@ def best_placements(
     seed: int,
     workers: int,
     progress: Progress | None,
-) -> tuple[list[End], float | None, tuple[int, int]]:
-    """Verified optima, best first, what an unverified end is worth more; starts, and how many led to one.
+    *,
+    further: bool = False,
+) -> tuple[list[End], float | None, int, list[float]]:
+    """Verified optima, best first, what an unverified end is worth more; how many starts, and where those led to one.
 
     Args:
         program: from `one_placement`.
@@ -105,6 +112,7 @@ def best_placements(
         starts: how many at most.
         seed: of samples of postures.
         workers, progress: as in `ends_from`.
+        further: whether starts follow from what targets can have alone, where the first leave it open what is best.
 
     Raises:
         UnreachableTarget: from none of the placements all targets are reached.
@@ -113,7 +121,10 @@ def best_placements(
     begins = _starts(program, bases, found, starts, seed)
     ends = ends_from(program, begins, workers, progress)
     good = verified(program, ends, "placement")
-    attempts = len(begins), len(good)
+    worths = [program.worth(end.x) for end in good]
+    if further and (chance(how_often(worths, program.first.first_scale)) or 0.0) > LEFT_OPEN:
+        ends += ends_from(program, _starts_alone(program, good[0].x, seed, workers), workers, None)
+        good = verified(program, ends, "placement")
     for end in good[:EXCHANGED]:
         better = _exchanged(program, end.x, seed)
         if better is not None:
@@ -124,7 +135,7 @@ def best_placements(
     best = np.argsort(-_worth(program, found), kind="stable")[:SEEN]
     seen = [program.packed([r.z[:, j, pick[j]] for r, pick in zip(found, picks, strict=True)]) for j in best]
     good = not_below(program, verified(program, ends, "placement"), [*begins, *seen], "placement")
-    return *taken_up(program, good, ends, "placement"), attempts
+    return *taken_up(program, good, ends, "placement"), len(begins), worths
 
 
 def _starts(program: Program, bases: Vector, found: list[Reached], count: int, seed: int) -> list[Vector]:
@@ -140,6 +151,20 @@ def _starts(program: Program, bases: Vector, found: list[Reached], count: int, s
     picks = [_picks(reached) for reached in both]
     chosen = _spread(bases, _worth(program, both), count)
     return [program.packed([r.z[:, j, pick[j]] for r, pick in zip(both, picks, strict=True)]) for j in chosen]
+
+
+def _starts_alone(program: Program, best: Vector, seed: int, workers: int) -> list[Vector]:
+    """Starts from placements that are better for a target alone than the best so far."""
+    bases, carried = placements_alone(program, best, workers)
+    if not bases.shape[1]:
+        return []
+    found = [
+        climbed_held(
+            problem, joined(reached_from(problem, bases, seed), reached_by(problem, bases, carried[:, :, None])), seed
+        )
+        for problem in program.problems
+    ]
+    return _starts(program, bases, found, FURTHER, seed) if np.isfinite(_worth(program, found)).any() else []
 
 
 def _together(found: Reached, near: list[int], more: Reached) -> Reached:

@@ -1,0 +1,96 @@
+"""Starts of a stand from what its targets can have alone, and what is said of optima that no start led to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.selection.result import chance, chance_at_most, how_often
+from flexopt.selection.several.alone import _turned_about, placements_alone
+from flexopt.selection.several.postures import climbed_held, reached_from
+from flexopt.selection.several.standing import one_placement
+
+TARGETS = ((0.7, 0.3, 0.9), (0.6, -0.4, 0.7))
+
+
+@pytest.fixture(scope="module")
+def problems() -> tuple[flexopt.SelectionProblem, ...]:
+    machine = flexopt.load("mobile-manipulator")
+    asked = {"base": np.zeros(3), "objective": "V", "weights": [1.0, 1.0, 1.0]}
+    return tuple(flexopt.build_selection(machine, target, **asked) for target in TARGETS)
+
+
+def test_turned_placements_reach_the_target_with_the_same_posture(
+    problems: tuple[flexopt.SelectionProblem, ...],
+) -> None:
+    """And have the same w_i, by `evaluate`: nothing on level ground tells north from east."""
+    problem = problems[0]
+    machine, z = problem.machine, problem.scan.z[:, 0]
+    base, posture = np.split(z, [3])
+    turned = _turned_about(machine, problem.target, base)
+    np.testing.assert_allclose(turned[:, 0], base)
+    assert np.ptp(turned[2]) > 6.0
+    w = flexopt.evaluate(machine, posture, base=base).w
+    for placed in turned[:, ::5].T:
+        found = flexopt.evaluate(machine, posture, base=placed)
+        np.testing.assert_allclose(found.end_point, problem.target, atol=1e-7)
+        np.testing.assert_allclose(found.w, w, rtol=1e-6, atol=1e-9 * np.abs(w).max())
+    slides = flexopt.load("excavator")
+    np.testing.assert_array_equal(_turned_about(slides, np.array([0.0, 1.6]), np.array([0.3])), [[0.3]])
+
+
+def test_postures_that_climb_stay_on_the_target_and_are_allowed(problems: tuple[flexopt.SelectionProblem, ...]) -> None:
+    problem = problems[1]
+    bases = problem.scan.base[:, :6]
+    reached = reached_from(problem, bases, 0)
+    climbed = climbed_held(problem, reached, 0)
+    assert np.all(climbed.value.max(axis=1) >= reached.value.max(axis=1))
+    assert np.any(climbed.value.max(axis=1) > reached.value.max(axis=1))
+    best = climbed.value.argmax(axis=1)
+    for k in np.flatnonzero(np.isfinite(climbed.value.max(axis=1))):
+        base, posture = np.split(climbed.z[:, k, best[k]], [3])
+        np.testing.assert_array_equal(base, bases[:, k])
+        found = flexopt.evaluate(problem.machine, posture, base=base)
+        np.testing.assert_allclose(found.end_point, problem.target, atol=1e-7)
+        assert found.w.sum() == pytest.approx(climbed.value[k, best[k]], rel=1e-9)
+        low, high = np.array(problem.machine.limits).T
+        assert np.all((low - 1e-9 <= posture) & (posture <= high + 1e-9))
+
+
+@pytest.mark.long
+def test_a_stand_lies_between_few_starts_and_what_its_worst_target_can_have_alone(
+    problems: tuple[flexopt.SelectionProblem, ...],
+) -> None:
+    machine, asked = problems[0].machine, {"base": np.zeros(3), "objective": "V", "weights": [1.0, 1.0, 1.0]}
+    few, full = (flexopt.select_stand(machine, TARGETS, starts=starts, **asked) for starts in (2, None))
+    alone = min(flexopt.solve_selection(problem).best.objective for problem in problems)
+    size = 1e-6 * problems[0].first_scale
+    assert few.worth - size <= full.worth <= alone + size
+    # From what a target can have alone only those placements come that are better for it.
+    program = one_placement(problems, np.full(2, 0.5), weighted=False)
+    at = program.packed([place.evaluation.z for place in few.places])
+    for base, posture in zip(*(columns.T[::24] for columns in placements_alone(program, at, 2)), strict=True):
+        found = flexopt.evaluate(machine, posture, base=base)
+        (number,) = [k for k, target in enumerate(TARGETS) if np.abs(found.end_point - target).max() < 1e-6]
+        assert found.w.sum() > few.V[number]
+
+
+@pytest.mark.parametrize("starts", [2, 6])
+def test_what_more_starts_may_find_is_told(starts: int) -> None:
+    """By where they ended; text and document."""
+    machine = flexopt.load("excavator")
+    stand = flexopt.select_stand(machine, [(0.0, 1.6), (0.6, 1.2)], objective="w2", starts=starts)
+    counts = how_often(stand.ends, stand.problems[0].first_scale)
+    assert counts.sum() == len(stand.ends) == stand.attempts[1]
+    assert stand.missed_chance == chance(counts) == stand.to_dict()["missed_chance"]
+    assert stand.missed_chance_at_most == chance_at_most(counts) == stand.to_dict()["missed_chance_at_most"]
+    assert f"best found in {starts} starts, {len(stand.ends)} of which ended at an optimum" in repr(stand)
+    if stand.alternatives:
+        assert f"the next best worth {stand.alternatives[0][0]:.4e}" in repr(stand)
+    by_loop = replace(stand, ends=())
+    assert by_loop.missed_chance is None
+    assert by_loop.missed_chance_at_most is None
+    assert "ended at an optimum" not in repr(by_loop)
