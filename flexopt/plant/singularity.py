@@ -102,9 +102,11 @@ def conditions(stacked: Vector, n_actuated: int) -> tuple[Vector, Vector]:
 def movable_rows(plant: Plant) -> tuple[str, ...]:
     """The task's rows; where no posture of a sample moves them all, the first of them that one moves together."""
     low, high = sampled_ranges(plant.machine, arm_length(plant)).T
-    base, rows, most = np.zeros(plant.n_base), plant.machine.task_rows, list[int]()
-    for share in spread(LOOKED_AT, len(low)):
-        q = plant.rest(base, low + (high - low) * share, plant.parameter_values)
+    rows, most = plant.machine.task_rows, list[int]()
+    for share in spread(LOOKED_AT, len(low) + plant.n_base):
+        # What a row is moved by depends on how the base is turned.
+        base = math.tau * share[len(low) :]
+        q = plant.rest(base, low + (high - low) * share[: len(low)], plant.parameter_values)
         if _largest_and_condition(plant, q, base)[1] <= CONDITION_MAX:
             return rows
         jacobian: Vector = plant.rigid_jacobian(q, base, plant.parameter_values).full()

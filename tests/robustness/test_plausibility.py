@@ -813,3 +813,8 @@ def test_rows_that_no_joint_moves_are_told() -> None:
     # A single singular posture of a machine whose joints move all rows is another matter.
     with pytest.raises(flexopt.SingularPosture, match="; bend "):
         flexopt.evaluate(tree_from_dict(in_space(arm_of([0.5, 0.3]))), [0.3, 0.0])
+    # A base that turns takes the arm's plane into the rows.
+    turned = in_space(arm_of([0.5, 0.3])) | {"placement": ["x", "y", "yaw"]}
+    turned["end_point"]["rows"] = ["y", "z"]
+    assert not [each for each in told(turned) if each.startswith("end_point.rows")]
+    flexopt.evaluate(tree_from_dict(turned), [0.3, 0.8], base=[0.0, 0.0, math.pi / 2])
