@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -106,10 +107,11 @@ def movable_rows(plant: Plant) -> tuple[str, ...]:
     for share in spread(LOOKED_AT, len(low) + plant.n_base):
         # What a row is moved by depends on how the base is turned.
         base = math.tau * share[len(low) :]
-        q = plant.rest(base, low + (high - low) * share[: len(low)], plant.parameter_values)
+        posture: Vector = low + (high - low) * share[: len(low)]
+        q: Vector = cast(Any, plant.rest)(base, posture, plant.parameter_values)
         if _largest_and_condition(plant, q, base)[1] <= CONDITION_MAX:
             return rows
-        jacobian: Vector = plant.rigid_jacobian(q, base, plant.parameter_values).full()
+        jacobian: Vector = cast(Any, plant.rigid_jacobian)(q, base, plant.parameter_values).full()
         kept, least = list[int](), np.linalg.norm(jacobian, 2) / CONDITION_MAX
         for row in range(len(rows)):
             if np.linalg.svd(jacobian[[*kept, row]], compute_uv=False)[-1] > least:

@@ -249,8 +249,9 @@ def _chosen(problem: Any, asked: dict[str, Any], loop: Any, ranges: Any) -> Chos
     if isinstance(problem, AnyMachine):
         if "target" not in given:
             raise_if_any(InputError, "verdict", [Fault("target", "is needed of a machine")])
-        by_loop = asks_for_loop(given.get("objective"), given.get("constraints"))
-        return select(problem, **given, **({"loop": loop, "ranges": ranges} if by_loop else {}))
+        if asks_for_loop(given.get("objective"), given.get("constraints")):
+            given |= {"loop": loop, "ranges": ranges}
+        return select(problem, **given)
     sentence = "goes with a machine; the problem brings its own"
     faults = [Fault(name, sentence, shown(value)) for name, value in given.items()]
     raise_if_any(InputError, "verdict", faults)

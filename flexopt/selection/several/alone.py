@@ -34,7 +34,8 @@ def placements_alone(program: Program, best: Vector, workers: int) -> tuple[Vect
     machine, values = program.first.machine, program.values(best)
     n_b = len(machine.base_coordinates)
     bases, postures = list[Vector](), list[Vector]()
-    for k in np.argsort(values, kind="stable")[:TARGETS].tolist():
+    worst: list[int] = np.argsort(values, kind="stable")[:TARGETS].tolist()
+    for k in worst:
         problem = program.problems[k]
         for value, z in _optima_alone(problem, workers):
             if value > values[k] + GAIN * program.size:
