@@ -82,7 +82,8 @@ class Trajectory(Pictured, Result):
         peak_base_rotation: largest deflection from equilibrium of a hinge by which the base turns, rad: of a planar
             machine the base's rotation, in space of any passive hinge that no actuated joint carries; None where there
             is none.
-        residual_oscillation: largest energy of each flexible mode in the last period of the slowest, (m,), J.
+        residual_oscillation: largest energy of each flexible mode in the last period of the slowest, (m,), J. The modes
+            are those where the run begins, without a controller: what a base or target that moves leads to has others.
         frequencies_hz: of these modes, (m,).
         model: the machine.
         skeleton: points as in `Plant.skeleton` at each sample (K, points, 2 or 3), m.
@@ -315,11 +316,13 @@ class Trajectory(Pictured, Result):
         if self.settling_time is not None:
             settles = f"settles in {self.settling_time:.3f} s"
         verdict = "may grow or not, undecided" if self.verdict == "undecided" else self.verdict
+        # Of a base or a target that moves there is no overshoot.
+        whose = "its modes" if self.overshoot is not None else "the modes that it had at the start"
         lines = [
             f"{self.machine}, Jacobian {self.control} control, {self.time[-1]:g} s: the oscillation {verdict} "
             f"(decay {shown} of the base in the run, {exact} of the linear loop{at})",
             f"  end-point: {settles}, {beyond}{number(self.end_error, '{:.3e} m')} off at the end",
-            f"  base: turns by up to {rotation}; left in its modes: {modes}",
+            f"  base: turns by up to {rotation}; left in {whose}: {modes}",
         ]
         if linear is not None and self.linear is not None:
             lines += [f"  {sentence}" for sentence in slow_self_motion(self.linear.drift, -linear)]
