@@ -42,10 +42,13 @@ def test_artists_carry_the_result(selection):
         assert low < min(best.w[mode], initial.w[mode]) <= high
 
 
-@pytest.mark.parametrize("objective", ["decay", "allowed_gain"])
-def test_what_the_loop_does_has_its_panel(objective):
+GIVEN = {"kp": 1e4, "kv": (500.0, 2000.0), "dead_time": 0.01, "rate": 200.0}
+
+
+@pytest.mark.parametrize(("objective", "loop"), [("decay", GIVEN), ("decay", {"rate": 200.0}), ("allowed_gain", GIVEN)])
+def test_what_the_loop_does_has_its_panel(objective, loop):
     """By the outcome at single points; of an allowed gain, which stacks of loops do not tell, the candidates alone."""
-    machine, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": (500.0, 2000.0), "dead_time": 0.01, "rate": 200.0}
+    machine = flexopt.load("excavator")
     chosen = flexopt.select(machine, (0.0, 1.6), base=0.4, objective=objective, loop=loop, starts=4)
     _, *panels = chosen.plot().axes
     assert len(panels) == chosen.best.evaluation.w.size + 1
@@ -56,10 +59,10 @@ def test_what_the_loop_does_has_its_panel(objective):
     assert panels[-1].get_ylabel() == f"objective {objective}, {chosen.objective_unit}"
     assert ("elbow up" in drawn) == (objective == "decay")
     if objective == "decay":
-        up, loop = np.flatnonzero(scan.elbow < 0), loop | chosen.gains[0]
+        up, own = np.flatnonzero(scan.elbow < 0), chosen.settings[0].fixed
         for k in (0, up.size // 3, up.size - 1):
             at = scan.posture[:, up[k]], scan.base[:, up[k]]
-            expected = flexopt.outcome(machine, at[0], base=at[1], loop=loop).decay
+            expected = flexopt.outcome(machine, at[0], base=at[1], loop=own).decay
             assert drawn["elbow up"][k] == pytest.approx([at[1][0], expected], rel=1e-9)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from dataclasses import replace
@@ -64,6 +65,22 @@ def test_the_best_decay_of_given_gains_is_that_of_a_scan() -> None:
     doubted = replace(found, unverified=1.5)
     assert doubted.remarks[0].startswith("a climb that could not be verified came to decay 1.5;")
     assert f"  {doubted.remarks[0]}\n" in f"{doubted!r}\n"
+
+
+def test_the_present_configuration_is_worth_its_worst_where_candidates_are() -> None:
+    """By the slowest decay on a grid of the box: in one column no number is of one ground alone."""
+    ranges = {"stiffness": (0.5, 2.0), "damping": (0.7, 1.5)}
+    found = chosen(loop=FIXED, base=0.0, posture=[0.9929, -2.6306], ranges=ranges, starts=2)
+    fixed, worst = found.settings[0].fixed, math.inf
+    for soft, damped in itertools.product(np.linspace(0.5, 2.0, 9), np.linspace(0.7, 1.5, 5)):
+        data = EXCAVATOR.to_dict()
+        for table, factor in (("stiffness", soft), ("damping", damped)):
+            data["base"][table] = {name: factor * value for name, value in data["base"][table].items()}
+        machine = flexopt.machine_from_dict(data)
+        worst = min(worst, flexopt.outcome(machine, [0.9929, -2.6306], base=0.0, loop=fixed).decay)
+    assert found.present is not None
+    assert worst * (1 + 1e-2 * np.sign(-worst)) <= found.present <= worst + 1e-9
+    assert "own numbers" not in repr(found)
 
 
 def test_there_is_something_to_gain_where_the_present_configuration_is_elsewhere() -> None:

@@ -216,11 +216,12 @@ def _none(program: OutcomeProgram, found: list[Climbed | None]) -> NoSolutionFou
 
 
 def _present(program: OutcomeProgram, initial: Evaluation, best: Climbed) -> float | None:
-    """The measure of the present configuration with the best one's gains; None where it has none."""
-    z = initial.z / program.problem.scale
-    own = replace(program, members=np.zeros((0, 0)), least=())
-    value = own.value(np.append(z, best.y[program.n_z :]))
-    return own.measure.sign * value if math.isfinite(value) else None
+    """The measure of the present configuration, as of candidates, with the best one's gains; None where it has none."""
+    y = np.append(initial.z / program.problem.scale, best.y[program.n_z :])
+    value = program.value(y)
+    if len(program.members) and math.isfinite(value):
+        value = min(value, least_over(program, y)[0])
+    return program.measure.sign * value if math.isfinite(value) else None
 
 
 def _candidate(program: OutcomeProgram, end: Climbed, settings: LoopSettings) -> Candidate:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -86,7 +86,7 @@ class OutcomeSelection(ChosenByLoop, Selection):
         radii: of each candidate the stability radius: how many times softer or stiffer all springs together may be
             before the loop grows, looked for up to 10; the fastest loop is often the most fragile one.
         loop: as it was given;  uncertainty: what the worst case is taken over; empty: none.
-        present: the measure of the present configuration, of the machine's own numbers, where there is one that has it.
+        present: the measure of the present configuration, over the uncertainty its worst; None where it has none.
         present_broken: of what the loop must do at least, and of what objectives before keep, what that of the present
             configuration does not.
         others: as of `Selection`, `unverified` in the measure's own unit; `initial` has the gains of the best candidate
@@ -111,9 +111,12 @@ class OutcomeSelection(ChosenByLoop, Selection):
 
         NaN where a loop has none of it; None of measures that are not computed of many loops at once.
         """
-        scan, program = self.problem.scan, OutcomeProgram(**self.asked.parts(self.problem, self.best.evaluation))
-        gains = np.log(list(self.gains[0].values()))
-        ys = [np.append(z / self.problem.scale, gains) for z in np.vstack([scan.base, scan.posture]).T]
+        scan, best = self.problem.scan, self.best.evaluation
+        parts = self.asked.parts(self.problem, best)
+        # What the loop leaves out follows from where the choice began: it has the numbers of the best candidate's.
+        parts |= {"loop": replace(parts["loop"], settings=self.settings[0]), "ranges": {}}
+        program = OutcomeProgram(**parts)
+        ys = list((np.vstack([scan.base, scan.posture]) / self.problem.scale[:, None]).T)
         found = self.criterion.values(program, ys, available_cores())
         if found is None:
             return None
@@ -166,7 +169,7 @@ class OutcomeSelection(ChosenByLoop, Selection):
     def nothing_to_gain(self) -> str:
         """A sentence where the present configuration has as much of the measure as the best; else empty."""
         now = self.present
-        if now is None or self.uncertainty or self.present_broken or not self._present_keeps_all:
+        if now is None or self.present_broken or not self._present_keeps_all:
             return ""
         if self.criterion.sign * (self.best.objective - now) > ALIKE * abs(self.best.objective):
             return ""
@@ -209,7 +212,6 @@ class OutcomeSelection(ChosenByLoop, Selection):
         if self.initial is not None and self.present is not None:
             e, now = self.initial, self.present
             off = self.present_told
-            nominal = " with the machine's own numbers" if self.uncertainty else ""
             there = " ".join(f"{x:z9.4f}" for x in (*e.base, *e.posture))
-            lines.append(f"   now {there} {now:16.6g}{nominal}{off and '   ' + off}")
+            lines.append(f"   now {there} {now:16.6g}{off and '   ' + off}")
         return "\n".join([*lines, *repr(self.settings[0]).splitlines()])
