@@ -14,11 +14,13 @@ from flexopt.study.page import PageTable, pictures
 if TYPE_CHECKING:
     from flexopt.article.reproduction import Reproduction
 
+FRAME = "Each end-point is reached with the elbow up; the workspace frame begins at the first joint at rest."
 CAPTIONS = {
     "figure5": "Fig. 5. In-phase (yellow) and out-of-phase (blue) regions, Jacobian inverse control: trace R_i > 0. "
-    "(d) is drawn as the intersection, which the caption's “union” must mean (see below). Red: Table 2's postures.",
-    "figure6": "Fig. 6. ε_max over the workspace with the inferred servo gain. Red: Table 2's postures.",
-    "figure7": "Fig. 7. w_i over the workspace: (a) to (c) transpose, (d) to (f) inverse control.",
+    "(d) is drawn as the intersection, which the caption's “union” must mean (see below). Red: Table 2's postures. "
+    f"{FRAME}",
+    "figure6": f"Fig. 6. ε_max over the workspace with the inferred servo gain. Red: Table 2's postures. {FRAME}",
+    "figure7": f"Fig. 7. w_i over the workspace: (a) to (c) transpose, (d) to (f) inverse control. {FRAME}",
     "figure8": "Fig. 8. ε_max and w_1 along y_d, elbow up. Red lines: Table 2's end-points, and where the measures "
     "printed for posture B are found.",
     "figure9": "Fig. 9. Nonlinear closed loop at postures A and B of Table 2: end-point error on the left, the "

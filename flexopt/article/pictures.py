@@ -29,6 +29,11 @@ Arms = Mapping[str, Array]
 NAMED = 0.1
 
 
+def _branch(dataset: Any) -> str:
+    """Which of the two postures of each end-point a map is of, for a title."""
+    return f", elbow {dataset.attrs['elbow']}"
+
+
 @sized
 def plot_figure5(inverse: Any, arms: Arms) -> Figure:
     """In-phase regions of modes 1 to 3, and the first two together (their intersection)."""
@@ -41,7 +46,7 @@ def plot_figure5(inverse: Any, arms: Arms) -> Figure:
         draw_regions(axes, plane, values)
         draw_arms(axes, arms)
         label_plane(axes, plane, title, left=k % 2 == 0, bottom=k > 1)
-    figure.suptitle("Fig. 5: in phase (yellow) and out of phase (blue), Jacobian inverse control")
+    figure.suptitle(f"Fig. 5: in phase (yellow) and out of phase (blue), Jacobian inverse control{_branch(inverse)}")
     return figure
 
 
@@ -55,7 +60,7 @@ def plot_figure6(transpose: Any, inverse: Any, arms: Arms) -> Figure:
         draw_arms(axes, arms)
         gain = f"kr = {dataset.attrs['gain']:.4g} {dataset.attrs['gain_unit']}"
         label_plane(axes, plane, f"{title}, {gain}", left=k == 0)
-    figure.suptitle("Fig. 6: $\\epsilon_{max}$ over the workspace")
+    figure.suptitle(f"Fig. 6: $\\epsilon_{{max}}$ over the workspace{_branch(inverse)}")
     return figure
 
 
@@ -72,7 +77,8 @@ def plot_figure7(transpose: Any, inverse: Any) -> Figure:
             letter = "abcdefghij"[row * len(w) + mode]
             title = f"({letter}) {control}: $w_{mode + 1}$, mean {np.nanmean(frequency[mode]):.4f} Hz"
             label_plane(axes, plane, title, left=mode == 0, bottom=row == 1)
-    figure.suptitle("Fig. 7: $w_i$ over the workspace (0 is best; the lowest twentieth in one colour)")
+    shown = "(0 is best; the lowest twentieth in one colour)"
+    figure.suptitle(f"Fig. 7: $w_i$ over the workspace{_branch(inverse)} {shown}")
     return figure
 
 

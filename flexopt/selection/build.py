@@ -132,7 +132,8 @@ def build_one(
 
     functions = quantities(machine, asked.control, asked.gravity, asked.gain)
     plant = functions.measures.plant
-    if control_damping(asked.control) is None and (never := unmoved_told(plant)):
+    # A damped control bears what is singular, its margin does not.
+    if (control_damping(asked.control) is None or margin > 0) and (never := unmoved_told(plant)):
         raise_if_any(InputError, "select", [Fault("machine", never, machine.name)])
     told = present if travel_now is None else travel_now[: len(names)]
     now = standing(plant, told)

@@ -502,11 +502,14 @@ def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
 
 def resting(problem: SelectionProblem, z: Vector) -> list[str]:
     """Which bounds and constraints hold with equality in a configuration, the target aside."""
+    drive = next((each.value for each in problem.assumed if each.name == "reach"), math.nan)
+    now = np.zeros(z.size) if problem.present_base is None else np.append(problem.present_base, z)
     found = [
-        f"{variable.name} {side} bound"
-        for variable, x in zip(problem.variables, z.tolist(), strict=True)
+        # A bound of a placement that nobody gave is no border of the site.
+        f"{variable.name} {side} bound{' (assumed: reach)' if abs(abs(x - here) - drive) <= near else ''}"
+        for variable, x, here in zip(problem.variables, z.tolist(), now.tolist(), strict=False)
         for side, end in (("lower", variable.lower), ("upper", variable.upper))
-        if variable.lower < variable.upper and abs(x - end) <= AT_END * variable.scale
+        if variable.lower < variable.upper and abs(x - end) <= (near := AT_END * variable.scale)
     ]
     rows, (lower, upper, scale) = problem.rows(z), problem.row_bounds
     held = (lower < upper) & (np.minimum(np.abs(rows - lower), np.abs(rows - upper)) <= AT_END * scale)

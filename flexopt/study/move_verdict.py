@@ -33,7 +33,6 @@ from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 from flexopt.selection import Selection, SelectionProblem, select, solve_problem, solve_selection
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.selection.problem import resting
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.study.asked import any_problem
@@ -50,6 +49,7 @@ from flexopt.study.place_loops import (
     configurations_of,
     drive_to,
     problems_of,
+    resting_at,
     unreached,
 )
 from flexopt.study.places import FIRST, MOVE, STAY, TOLD
@@ -201,7 +201,7 @@ def verdict(
         decision = replace(decision, reason=f"{absent}; apart from it {decision.reason}")
     places = tuple(
         _place(name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name],
-               drives[name], shown.get(name), problems_of(chosen))
+               drives[name], shown.get(name), chosen)
         for name in told
     )  # fmt: skip
     return Verdict(
@@ -330,7 +330,7 @@ def _place(
     slowest: Slowest,
     drive: tuple[float, float],
     runs: Runs | None,
-    problems: Sequence[SelectionProblem],
+    chosen: Chosen,
 ) -> PlaceVerdict:
     few = [None, *place.box.corners(CORNERED), slowest.member]
     outcomes = [[loop.outcome(u) for u in few] for loop in place.loops]
@@ -378,7 +378,7 @@ def _place(
         swing=band("swing", factor=MOVE),
         swing_unit=swing_unit(outcomes[0][0]),
         runs=runs,
-        rests_on=tuple(tuple(resting(problem, e.z)) for problem, e in zip(problems, stands, strict=True)),
+        rests_on=tuple(resting_at(chosen, [(e.base, e.posture) for e in stands])),
     )
 
 

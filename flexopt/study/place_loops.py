@@ -25,7 +25,7 @@ from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.continua import unwound
 from flexopt.selection.optima import finished
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.selection.problem import broken, value_at
+from flexopt.selection.problem import broken, resting, value_at
 from flexopt.selection.program import single
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
@@ -115,6 +115,14 @@ def broken_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:
     if len(each) == 1:
         return each[0]
     return "; ".join(f"{sentence} at target {k}" for k, sentence in enumerate(each, start=1) if sentence)
+
+
+def resting_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> list[tuple[str, ...]]:
+    """Which bounds and constraints a place holds with equality, (base, posture) at each target."""
+    pairs = zip(problems_of(chosen), map(np.concatenate, stand), strict=True)
+    found = [tuple(resting(problem, z)) for problem, z in pairs]
+    of_loop = chosen.loops_rest(stand) if isinstance(chosen, OutcomeSelection | ByLoop) else [()] * len(found)
+    return [(*own, *more) for own, more in zip(found, of_loop, strict=True)]
 
 
 def configurations_of(chosen: Chosen) -> dict[str, Configurations]:

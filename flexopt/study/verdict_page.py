@@ -95,6 +95,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "taken": verdict.taken and sentence(f"staying is judged in {verdict.taken}"),
         "present": verdict.present_told and sentence(f"{STAY}: {verdict.present_told}"),
         "where": _where(verdict),
+        "assumed": list[str](),
         "rests": [sentence(place.rest) for place in verdict.places if place.rest],
         "loop": with_minus(verdict.controller),
         "handed_on": sentence(verdict.handed_on),
@@ -108,9 +109,9 @@ def verdict_html(verdict: Verdict) -> str:
     problems = verdict.problems
     where = target_of(problems[0]) if len(problems) == 1 else f"{len(problems)} targets"
     title = f"Verdict: {problems[0].machine.name}, end-point at {where}"
-    return render(
-        "study/templates/verdict.html", title=title, provenance=verdict.provenance, judged=judged(verdict), missing=""
-    )
+    # A report names them beside its choice.
+    told = judged(verdict) | {"assumed": [sentence(assumption) for assumption in verdict.assumed]}
+    return render("study/templates/verdict.html", title=title, provenance=verdict.provenance, judged=told, missing="")
 
 
 def target_of(problem: SelectionProblem) -> str:

@@ -101,11 +101,13 @@ class PlaceVerdict(Result):
     @property
     def rest(self) -> str:
         """On which bounds and constraints it rests, a sentence; empty where on none."""
-        several = len(self.rests_on) > 1
+        count, at = len(self.rests_on), dict[str, list[int]]()
+        for k, names in enumerate(self.rests_on, start=1):
+            for name in names:
+                at.setdefault(name, []).append(k)
         told = [
-            f"{', '.join(names)}{f' at target {k}' if several else ''}"
-            for k, names in enumerate(self.rests_on, start=1)
-            if names
+            name if len(where) == count else f"{name} at target {' and '.join(map(str, where))}"
+            for name, where in at.items()
         ]
         stopped = "; nothing stops a joint there in its runs" if self.runs and self._on_a_joint else ""
         return f"{self.name} rests on {', '.join(told)}{stopped}" if told else ""
@@ -144,6 +146,7 @@ class Verdict(Pictured, Printed, Result):
         uncertainty: intervals by name;  members: how many points of them were looked at;  proven: False: bands are what
             was found among these points, and by a search from the slowest ones.
         selection: the problem's answer;  targets: (K, n_task), m.
+        assumed: what the problem leaves open and the choice assumes, a sentence for each.
         present_end_point: where staying holds the end-point at each target, (K, n_task), m; None where no posture
             reaches them from there.  present_off: how far from its target, of several the farthest, m, or None: what
             is more than a centimetre off is told in words, too, and the numbers of staying are those beside the target.
@@ -171,7 +174,7 @@ class Verdict(Pictured, Printed, Result):
 
     DOCUMENT = """
     word sentence place reason drawbacks measure gains rule targets[m] present_end_point[m] present_off[m]
-    present_breaks places
+    present_breaks places assumed
     settings uncertainty=_uncertainty members judged proven provenance
     """
 
@@ -402,6 +405,11 @@ class Verdict(Pictured, Printed, Result):
         return f"the arm's self-motion is not damped, {where}; loop.nullspace_damping brakes it"
 
     @property
+    def assumed(self) -> list[str]:
+        """See the class."""
+        return [str(assumption) for assumption in self.problems[0].assumed]
+
+    @property
     def _uncertainty(self) -> list[dict[str, Any]]:
         return [each.model_dump(exclude_none=True) for each in self.uncertainty]
 
@@ -431,6 +439,7 @@ class Verdict(Pictured, Printed, Result):
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
         lines += [f"  {place.rest}" for place in self.places if place.rest]
         lines += [f"  {self.drifts}"] * bool(self.drifts)
+        lines += [f"  {sentence}" for sentence in self.assumed]
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
         return "\n".join([*lines, *filter(None, (self.drawbacks, self.measure))])
 

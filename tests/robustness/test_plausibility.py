@@ -810,6 +810,8 @@ def test_rows_that_no_joint_moves_are_told() -> None:
     assert "bend" not in str(singular.value)
     with pytest.raises(InputError, match=r"machine = planar: in no posture do the joints move all task rows"):
         flexopt.build_selection(machine, [0.6, 0.0, 0.9], base=np.zeros(len(machine.base_coordinates)))
+    with pytest.raises(InputError, match="in no posture do the joints move all task rows"):
+        flexopt.build_selection(machine, [0.6, 0.0, 0.9], control="damped:0.1")
     # A single singular posture of a machine whose joints move all rows is another matter.
     with pytest.raises(flexopt.SingularPosture, match="; bend "):
         flexopt.evaluate(tree_from_dict(in_space(arm_of([0.5, 0.3]))), [0.3, 0.0])

@@ -559,3 +559,34 @@ def test_on_what_a_place_rests_is_told(tmp_path: Path) -> None:
     verdict.to_html(tmp_path / "verdict.html")
     text = (tmp_path / "verdict.html").read_text(encoding="utf-8")
     assert all(place.rest.split(" ", 1)[1] in text for place in resting)
+
+
+def test_a_place_may_rest_on_what_its_loop_must_do_at_least() -> None:
+    """Candidates by w3 that just decay as fast as they must; and a bound that nobody gave is named as assumed."""
+    machine, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
+    few: dict[str, Any] = {"members": 4, "runs": 0}
+    least = {"outcome": {"decay": 0.013}}
+    found = flexopt.verdict(
+        machine, (0.0, 1.6), base=0.0, loop=loop, objective="w3", constraints=least, starts=4, **few
+    )
+    just = [place for place in found.places if abs(place.decay.nominal - 0.013) < 1e-9]
+    assert just
+    assert all("decay" in place.rests_on[0] for place in just)
+    far = flexopt.verdict(machine, (0.3, 0.3), base=1.5, loop=loop, **few)
+    (drive,) = [each.value for each in far.problems[0].assumed if each.name == "reach"]
+    for place in far.places:
+        at_end = math.isclose(abs(float(place.base[0]) - 1.5), drive, abs_tol=1e-5)
+        assert any(name.endswith("bound (assumed: reach)") for name in place.rests_on[0]) == at_end
+    assert all(sentence in repr(far) for sentence in far.assumed)
+    assert far.to_dict()["assumed"] == far.assumed == [str(each) for each in far.problems[0].assumed]
+
+
+def test_what_all_targets_rest_on_is_told_once() -> None:
+    found = flexopt.verdict(
+        flexopt.load("excavator"), (0.0, 1.6), base=0.0, loop={"kp": 1e4}, starts=2, members=2, runs=0
+    )
+    place = replace(
+        found.places[0], rests_on=(("base.x upper bound", "decay"), ("base.x upper bound", "boom lower bound"))
+    )
+    assert place.rest == "stay rests on base.x upper bound, decay at target 1, boom lower bound at target 2"
+    assert replace(place, rests_on=((), ())).rest == ""

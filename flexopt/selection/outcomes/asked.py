@@ -31,6 +31,8 @@ from flexopt.selection.solve import least_of
 
 # Intervals whose corners are members from the beginning.
 CORNERED = 3
+# How near to what it must be at least a measure is just that, as a share of it.
+JUST = 1e-6
 MeasureBounds = tuple[tuple[Measure, float], ...]
 
 
@@ -109,13 +111,31 @@ class Asked:
         bounds: MeasureBounds = (),
     ) -> tuple[str, ...]:
         """What a loop in a configuration does not do of what it must at least, or of further bounds, in words."""
-        bounds = (*self.bounds, *bounds)
-        if not bounds:
-            return ()
-        box, corners = self._box_and_corners(problem.machine, settings.dead_time)
-        kept = least_values(bounds, UncertainLoop(settings, base, posture, problem.gravity, box), corners)
+        kept = self._kept(problem, settings, base, posture, bounds)
         # What a loop that grows has no number of counts as broken.
         return tuple(f"{name} {value}" for name, value in kept.items() if not value.room >= 0)
+
+    def resting(
+        self, problem: SelectionProblem, settings: LoopSettings, base: Vector, posture: Vector
+    ) -> tuple[str, ...]:
+        """What of it a loop in a configuration does just so."""
+        kept = self._kept(problem, settings, base, posture)
+        ends = {name: min(abs(value.lower), abs(value.upper)) for name, value in kept.items()}
+        return tuple(name for name, value in kept.items() if abs(value.room) <= JUST * ends[name])
+
+    def _kept(
+        self,
+        problem: SelectionProblem,
+        settings: LoopSettings,
+        base: Vector,
+        posture: Vector,
+        bounds: MeasureBounds = (),
+    ) -> dict[str, ConstraintValue]:
+        bounds = (*self.bounds, *bounds)
+        if not bounds:
+            return {}
+        box, corners = self._box_and_corners(problem.machine, settings.dead_time)
+        return least_values(bounds, UncertainLoop(settings, base, posture, problem.gravity, box), corners)
 
     def _box_and_corners(self, machine: AnyMachine, dead_time: float) -> tuple[UncertaintyBox, Vector]:
         """What is not known, of the radius its factors; the members (n, k) over which the measure is the worst."""

@@ -74,6 +74,12 @@ class ChosenByLoop:
         pairs = zip(problems, stand, strict=True)
         return [broken_told(self.asked.broken(problem, settings, *there)) for problem, there in pairs]
 
+    def _rests(
+        self, problems: Sequence[SelectionProblem], settings: LoopSettings, stand: Sequence[tuple[Vector, Vector]]
+    ) -> list[tuple[str, ...]]:
+        """At each target what the loop does just so of what it must at least."""
+        return [self.asked.resting(problem, settings, *there) for problem, there in zip(problems, stand, strict=True)]
+
 
 @dataclass(frozen=True, repr=False)
 class OutcomeSelection(ChosenByLoop, Selection):
@@ -125,6 +131,10 @@ class OutcomeSelection(ChosenByLoop, Selection):
     def loops_break(self, stand: Sequence[tuple[Vector, Vector]]) -> list[str]:
         """As of `ByLoop`, with the gains of the best candidate."""
         return self._breaks((self.problem,), self.settings[0], stand)
+
+    def loops_rest(self, stand: Sequence[tuple[Vector, Vector]]) -> list[tuple[str, ...]]:
+        """As of `ByLoop`, with the gains of the best candidate."""
+        return self._rests((self.problem,), self.settings[0], stand)
 
     @property
     def objective_unit(self) -> str:

@@ -24,7 +24,7 @@ from flexopt.selection.starts import starting_points
 
 # Targets that are looked at alone, the worst of the best so far; starts of each, its optima that are kept, and the
 # angles to which the placement of each is turned.
-TARGETS, ALONE, KEPT, TURNED = 3, 8, 4, 24
+TARGETS, ALONE, KEPT, TURNED = 3, 8, 4, 18
 # How much better than in the best so far a target must be alone, relative to the objective's scale.
 GAIN = 1e-4
 

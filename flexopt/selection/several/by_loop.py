@@ -59,6 +59,10 @@ class ByLoop(ChosenByLoop, ConfigurationSet):
         """At each target what the loop does not do of what it must at least, base and posture there: "breaks …"."""
         return self._breaks(self.problems, self.settings, stand)
 
+    def loops_rest(self, stand: Sequence[tuple[Vector, Vector]]) -> list[tuple[str, ...]]:
+        """At each target what the loop does just so of what it must at least, base and posture there."""
+        return self._rests(self.problems, self.settings, stand)
+
     def _document(self, status: str, own: dict[str, Any], targets: str) -> dict[str, Any]:
         more = {"measure": self.measure, "gains": self.gains, "settings": self.settings.to_dict()}
         more |= {"uncertainty": self._uncertainty}

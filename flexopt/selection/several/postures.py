@@ -21,7 +21,7 @@ from flexopt.selection.starts import LONGER, SHORTER, STEP, STEP_LEAST, STEP_MOS
 # Postures tried from each placement: coordinates of a longer planar arm for each elbow; starts of the iteration.
 REDUNDANT, NEAR, FAR = 24, 4, 3
 # Postures of a placement that climb at random, and their steps.
-CLIMBED, STEPS = 3, 40
+CLIMBED, STEPS = 3, 30
 # Rounding on the edge of a constraint, in units of its scale.
 EDGE = 1e-7
 

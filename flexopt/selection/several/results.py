@@ -78,7 +78,8 @@ class ConfigurationSet(Tabled):
             in `flexopt.selection.result.Candidate`.
         attempts: starts, and how many led to a verified optimum;  beside: how many of these starts nobody asked for,
             as of a plan standing still and postures carried along.
-        further: verified optima of climbs from points that were seen to be better than where the starts led.
+        further: verified optima of climbs from points that were seen to be better than where the starts led, and of a
+            stand in space from what its worst targets can have alone.
         problems: the configuration problem of each target.
         unverified: what the best climb was worth that broke no constraint but could not be verified where it ended,
             where that is better than what was chosen; else None.
@@ -174,7 +175,7 @@ class ConfigurationSet(Tabled):
     def _found(self, what: str) -> str:
         tried, done = self.attempts
         beside = f" ({self.beside} besides those asked for)" if self.beside else ""
-        further = f", and {counted(self.further, 'further climb')} from better points seen" if self.further else ""
+        further = f", and {counted(self.further, 'further climb')}" if self.further else ""
         return f"{done} of {counted(tried, 'start')}{beside} led to a verified {what} {self._targets}{further}"
 
     def _document(self, status: str, own: dict[str, Any], targets: str) -> dict[str, Any]:
@@ -285,17 +286,19 @@ class Stand(Pictured, ConfigurationSet):
 
     @property
     def missed_chance(self) -> float | None:
-        """As `flexopt.selection.Selection.missed_chance`; None of a choice by the loop."""
+        """As `flexopt.selection.Selection.missed_chance`; None also of a choice by the loop."""
         return chance(self._found_how_often)
 
     @property
     def missed_chance_at_most(self) -> float | None:
-        """As `flexopt.selection.Selection.missed_chance_at_most`; None of a choice by the loop."""
+        """As `flexopt.selection.Selection.missed_chance_at_most`; None also of a choice by the loop."""
         return chance_at_most(self._found_how_often)
 
     @property
     def _found_how_often(self) -> NDArray[np.integer[Any]]:
-        return how_often(self.ends, self.problems[0].first_scale)
+        first = self.problems[0]
+        seen_whole = first.redundancy < 2 and first.measures.plant.closed_form
+        return how_often(() if seen_whole else self.ends, first.first_scale)
 
     @property
     def left_open(self) -> str:

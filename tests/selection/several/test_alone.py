@@ -32,7 +32,7 @@ def test_turned_placements_reach_the_target_with_the_same_posture(
     base, posture = np.split(z, [3])
     turned = _turned_about(machine, problem.target, base)
     np.testing.assert_allclose(turned[:, 0], base)
-    assert np.ptp(turned[2]) > 6.0
+    assert np.ptp(turned[2]) > 5.0
     w = flexopt.evaluate(machine, posture, base=base).w
     for placed in turned[:, ::5].T:
         found = flexopt.evaluate(machine, posture, base=placed)
@@ -80,17 +80,19 @@ def test_a_stand_lies_between_few_starts_and_what_its_worst_target_can_have_alon
 
 @pytest.mark.parametrize("starts", [2, 6])
 def test_what_more_starts_may_find_is_told(starts: int) -> None:
-    """By where they ended; text and document."""
-    machine = flexopt.load("excavator")
-    stand = flexopt.select_stand(machine, [(0.0, 1.6), (0.6, 1.2)], objective="w2", starts=starts)
+    """By where they ended; text and document. None of a curve of postures that is seen whole."""
+    machine = flexopt.load("boom-stick-bucket")
+    stand = flexopt.select_stand(machine, [(5.0, 1.0), (6.0, 2.0)], objective="w2", starts=starts)
     counts = how_often(stand.ends, stand.problems[0].first_scale)
     assert counts.sum() == len(stand.ends) == stand.attempts[1]
     assert stand.missed_chance == chance(counts) == stand.to_dict()["missed_chance"]
     assert stand.missed_chance_at_most == chance_at_most(counts) == stand.to_dict()["missed_chance_at_most"]
-    assert f"best found in {starts} starts, {len(stand.ends)} of which ended at an optimum" in repr(stand)
-    if stand.alternatives:
+    told = f"best found in {starts} starts, {len(stand.ends)} of which ended at an optimum"
+    assert (told in repr(stand)) == (stand.stationarity > 0)
+    if stand.alternatives and stand.stationarity > 0:
         assert f"the next best worth {stand.alternatives[0][0]:.4e}" in repr(stand)
-    by_loop = replace(stand, ends=())
-    assert by_loop.missed_chance is None
-    assert by_loop.missed_chance_at_most is None
-    assert "ended at an optimum" not in repr(by_loop)
+    curve = flexopt.select_stand(flexopt.load("excavator"), [(0.0, 1.6), (0.6, 1.2)], objective="w2", starts=starts)
+    for other in (replace(stand, ends=()), curve):
+        assert other.missed_chance is None
+        assert other.missed_chance_at_most is None
+        assert "ended at an optimum" not in repr(other)

@@ -151,7 +151,7 @@ def test_no_more_starts_are_counted_than_are_asked_for(
     monkeypatch.setattr(standing, "_exchanged", lambda program, x, seed: x)
     found = select_stand(excavator, TARGETS[:2], starts=1, workers=1)
     assert (found.attempts, found.further) == ((1, 1), 1)
-    assert "1 of 1 start led to a verified placement for 2 targets, and 1 further climb from better" in found.status
+    assert "1 of 1 start led to a verified placement for 2 targets, and 1 further climb" in found.status
 
 
 def test_number_of_workers_does_not_matter(excavator: flexopt.Machine) -> None:
