@@ -71,8 +71,8 @@ def kinematics(at: Context) -> tuple[Operation, ...]:
                "lengths"), end_point, size),
         (field("jacobian", "TASK COORDINATES", by_coordinate, "J = dr/dq", scale="Frobenius norm"), jacobian,
          ca.norm_fro(jacobian)),
-        (field("rigid_jacobian", "TASK JOINTS", by_joint, "Jv = dr/dq_a, the arm on rigid ground",
-               scale="Frobenius norm"), rigid, ca.norm_fro(rigid)),
+        (field("rigid_jacobian", "TASK JOINTS", by_joint, "Jv = dr/dq_a at this q; control takes it with the base at "
+               "rest", scale="Frobenius norm"), rigid, ca.norm_fro(rigid)),
     ]  # fmt: skip
     return (at.operation("kinematics", "End-point and its Jacobians at any configuration.", inputs, outputs, []),)
 
