@@ -19,7 +19,9 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
+from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.problem import broken, elsewhere, reached
+from flexopt.selection.several.by_loop import ByLoop
 from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import FASTER, RULE, Word, gains_in_words, spoken
@@ -307,6 +309,16 @@ class Verdict(Pictured, Printed, Result):
         )
 
     @property
+    def sought_by(self) -> str:
+        """By what places were sought, where that knows no controller, a sentence; empty where it does."""
+        if isinstance(self.selection, OutcomeSelection | ByLoop):
+            return ""
+        objective = self.selection.objective
+        return (
+            f"places were sought by {objective}, which knows no controller; objective decay asks for what this one does"
+        )
+
+    @property
     def controller(self) -> str:
         """The loop in words, with its gains."""
         return repr(self.settings).splitlines()[0]
@@ -428,7 +440,7 @@ class Verdict(Pictured, Printed, Result):
         ]
         highest = self.settings.highest_kp
         lines += [_row(place, allowed(place.allowed_gain.least, unit, highest), wide) for place in self.places]
-        lines += [f"  {self.left_out}"] * bool(self.left_out)
+        lines += [f"  {sentence}" for sentence in (self.left_out, self.sought_by) if sentence]
         grows = any(place.decay.least <= 0 for place in self.places)
         late = any(math.isnan(place.settling.greatest) and place.decay.least > 0 for place in self.places)
         if grows or late:
