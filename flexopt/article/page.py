@@ -14,6 +14,7 @@ from flexopt.study.page import PageTable, pictures
 if TYPE_CHECKING:
     from flexopt.article.reproduction import Reproduction
 
+DOUBT = "± of a decay is its standard error in the run, than which one in three is farther off."
 FRAME = "Each end-point is reached with the elbow up; the workspace frame begins at the first joint at rest."
 CAPTIONS = {
     "figure5": "Fig. 5. In-phase (yellow) and out-of-phase (blue) regions, Jacobian inverse control: trace R_i > 0. "
@@ -25,12 +26,13 @@ CAPTIONS = {
     "printed for posture B are found.",
     "figure9": "Fig. 9. Nonlinear closed loop at postures A and B of Table 2: end-point error on the left, the "
     "article's (a), (b), base oscillation on the right, its (c) to (e). Gains and start are stated, not printed. The "
-    "optimised posture is an addition.",
+    f"optimised posture is an addition. {DOUBT}",
     "figure10": "Fig. 10. The base's way by nullspace augmentation from posture A, with the article's stop and without "
     "it: the machine on the left, the article's (a); on the right, from above, position and rate of the base and the "
     "objective, its (b) to (d).",
     "figures11and12": "Figs. 11 and 12. End-point error on the left, base oscillation on the right, with base "
-    "adjustment from A to B along Fig. 10, and without at A. Gains and start are stated, not printed.",
+    "adjustment from A to B along Fig. 10, and without at A. Gains and start are stated, not printed. "
+    f"{DOUBT}",
     "gains": "Not in the article: decay of the sampled linear loop over both gains, exact between the samples, black "
     "where it is 0; marks: nonlinear runs by RK4 at 200 Hz, crosses where they show another sign than this decay.",
     "gaps": "Not in the article: ν-gap between kr R0/s² and the full plant, and ε_max, as the damping grows.",

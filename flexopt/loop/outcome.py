@@ -40,6 +40,8 @@ from flexopt.model.loop import DELAY_MAX
 LOW, HIGH, POINTS = -4.0, 4.0, 241
 # Looks at longer dead times in a sample, and how many at most up to where the loop may be at a border.
 CLOSE, LOOKS = 4, 16
+# How far on either side of a border, in samples, eigenvalues say that it is one.
+ASIDE = 1e-3
 # Slowest motion that is looked at, rad in a sample, and how near to a pole in units of its damping.
 SLOWEST, NEAR = 1e-5, np.concatenate([-np.geomspace(0.01, 30.0, 24), np.zeros(1), np.geomspace(0.01, 30.0, 24)])
 # Between which multiples of its angle a crossing is looked for once a part of a sample is added, how often, and the
@@ -49,8 +51,8 @@ BESIDE, ROUNDS, SETTLED = np.array([[1 - step, 1 + step] for step in (1e-3, 1e-2
 SAME = 1e-6
 # Motions of a loop that count, the slowest first: at an optimum several are as slow.
 SLOWEST_MOTIONS = 6
-# How far the angle of a peak may be off, rad, and how often it is bettered.
-POLISH, POLISHES = 1e-5, 3
+# How far the angle of a peak may be off, rad; how often it is bettered, and a dead time at a border.
+POLISH, POLISHES = 1e-5, 4
 # Peaks of feed · I + sign · F (zI − Φ)⁻¹ Γ, by sign and feed.
 PEAKS = {"sensitivity_peak": (1.0, 1.0), "complementary_peak": (-1.0, 0.0), "disk_margin": (1.0, 0.5)}
 
@@ -275,21 +277,50 @@ class LoopPoint:
         if not self.loop.stable:
             return UNDEFINED
         most = DELAY_MAX * self.period - self.dead_time
-        late = [crossing.late for crossing in self._late if 0 < crossing.late < most]
+        crossings = [crossing for crossing in self._late if 0 < crossing.late < most]
+        late = [crossing.late for crossing in crossings]
+        # A loop that holds has to pass the first of these to grow; where they are nearly is off by less than a sample.
+        early = [crossing for crossing in crossings if crossing.late < late[0] + 2 * self.period]
+        first = min(map(self._exactly, early), default=math.inf)
+        aside = self.period * ASIDE
+        if below <= first - aside and below < most and growth(below) < 0:
+            return Measured(math.inf)
+        if aside < first < most - aside and growth(first - aside) < 0 <= growth(first + aside):
+            found, slopes = self._polished_border(first)
+            if abs(found - first) <= aside:
+                return self._border(found, slopes)
         before = 0.0
         for more in _between([0.0, *late, most], self.period / CLOSE) if late else []:
             if growth(more) >= 0:
                 found = root(growth, before, more, xtol=1e-13 * self.period, rtol=1e-14)
-                slopes = LoopPoint(self.motions, self.numbers, self.dead_time + found).rate().slopes
-                # The dead time at the border stays, whatever the present one is.
-                by = None if slopes is None else slopes * (-1 / slopes.dead_time)
-                return Measured(found, by and Slopes(by.parts, -1.0))
+                return self._border(found, LoopPoint(self.motions, self.numbers, self.dead_time + found).rate().slopes)
             before = more
             if before >= below:
                 return Measured(math.inf)
         # A sample before the end, too: where it is nearly may lie on the other side.
         beyond = (self._exactly(crossing) for crossing in self._late if crossing.late >= most - self.period)
         return Measured(next((more for more in beyond if more >= most), math.inf))
+
+    def _polished_border(self, more: float) -> tuple[float, Slopes | None]:
+        """A dead time more near a border as the eigenvalues have it, by Newton's steps, and the decay's slopes there.
+
+        NaN where these lead nowhere.
+        """
+        for _ in range(POLISHES):
+            slowest = LoopPoint(self.motions, self.numbers, self.dead_time + more).rate()
+            if slowest.slopes is None or not slowest.slopes.dead_time:
+                break
+            step = slowest.value / slowest.slopes.dead_time
+            if abs(step) <= SETTLED * self.period:
+                return more, slowest.slopes
+            more -= step
+        return math.nan, None
+
+    @staticmethod
+    def _border(found: float, slopes: Slopes | None) -> Measured:
+        """A margin with its derivative, from that of the decay there: the dead time at the border stays."""
+        by = None if slopes is None else slopes * (-1 / slopes.dead_time)
+        return Measured(found, by and Slopes(by.parts, -1.0))
 
     @cached_property
     def _late(self) -> list[_Crossing]:

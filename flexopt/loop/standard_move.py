@@ -276,8 +276,9 @@ class StandardMove:
             shares = np.abs(left.conj().T @ told @ self.start) / np.abs(np.sum(left.conj() * right, axis=0))[:, None]
             sizes = np.linalg.norm(seen @ right, axis=1).max(axis=0)[:, None] * shares
         every = seen.reshape(-1, seen.shape[-1])
-        # An arm that drifts along its self-motion has no such sum.
-        energy: Vector | None = lyapunov(matrix.T, every.T @ every) if np.abs(values).max() < 1 else None
+        # An arm that drifts along its self-motion has no such sum, a loop at its border one of rounding alone.
+        decays = np.abs(values).max() < 1 - len(matrix) * np.finfo(float).eps
+        energy: Vector | None = lyapunov(matrix.T, every.T @ every) if decays else None
 
         def bound(k: int, x: Vector) -> float:
             with np.errstate(over="ignore", invalid="ignore"):

@@ -45,10 +45,10 @@ class Behaviour:
             that decays slowest, 1/s: half the slope of the logarithm of the mode's energy, maxima over periods of the
             slowest swing, least squares over the second half of the run, three at least (N,); NaN where the base never
             moved.
-        growth_rate_error: what that slope may be off by (N,), squares added: its standard error, by how much its halves
-            differ beyond what scatter makes of them, and where a louder mode decays, by how much that one's slope
-            does, and its own error and halves; as large as the rate where fewer than six periods are fitted. What is
-            called clear is so by the standard error of each mode.
+        growth_rate_error: standard deviation of that slope (N,), than which one in three may be farther off, squares
+            added: its standard error, by how much its halves differ beyond what scatter makes of them, and where a
+            louder mode decays, by how much that one's slope does, and its own error and halves; as large as the rate
+            where fewer than six periods are fitted. What is called clear is so by the standard error of each mode.
         settling_time: after which the end-point error stays below 2 % of what it was at the start, s; NaN where it does
             not (N,).
         peak_error, end_error: largest and last |e|, m (N,).

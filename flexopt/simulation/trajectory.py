@@ -67,7 +67,7 @@ class Trajectory(Pictured, Result):
             the same, `"undecided"` where they do not, or the run is shorter than four periods of the slowest mode, or
             the eigenvalues are 1 to rounding; where there is no `linear`, the run's own, if significant.
         verdict_reason: both, in a sentence.
-        growth_rate, growth_rate_error: of the base's amplitude in the run and what it may be off by, 1/s: of the
+        growth_rate, growth_rate_error: of the base's amplitude in the run and its standard error, 1/s: of the
             largest mode that grows, or else of the one that decays slowest; None where it never moved. See
             `simulation.behaviour.Behaviour`.
         linear_growth_rate: of `linear`, 1/s.
