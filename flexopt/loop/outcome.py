@@ -311,7 +311,7 @@ class LoopPoint:
             if slowest.slopes is None or not slowest.slopes.dead_time:
                 break
             step = slowest.value / slowest.slopes.dead_time
-            if abs(step) <= SETTLED * self.period:
+            if abs(step) <= SETTLED * (self.dead_time + more):
                 return more, slowest.slopes
             more -= step
         return math.nan, None
