@@ -176,7 +176,9 @@ def deciding(decision: Decision, known: Mapping[str, Place], stay: Place | None)
         return f"whether {spoken(place.name)} is stable", np.where(place.decays > 0, 1.0, -1.0)
     if stay is None or place.name == stay.name:
         return f"the decay at {spoken(place.name)}", place.decays
-    return f"what is gained by moving to {place.name}", place.decays - stay.decays
+    # Beyond what makes it better: where that has one sign everywhere, no ground decides.
+    gained = place.decays - stay.decays - FASTER * np.abs(stay.decays)
+    return f"what is gained by moving to {place.name}", gained
 
 
 def _why_not(rival: Place, share: float, unconfirmed: Sequence[str]) -> str:

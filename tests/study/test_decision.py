@@ -180,7 +180,11 @@ def test_what_tells_growing_from_stable_grounds_is_to_be_measured() -> None:
     gained = place("near", np.where(np.arange(40) < 20, 2.0, 0.7) * GROUNDS)
     what, values = deciding(decide(STAY, [gained]), {"stay": STAY, "near": gained}, STAY)
     assert what == "what is gained by moving to near"
-    assert np.array_equal(values, gained.decays - STAY.decays)
+    assert np.array_equal(values > 0, faster(gained.decays, STAY.decays))
+    # A thousandth more on some grounds and less on others decides nothing.
+    alike = place("near", np.where(np.arange(40) < 20, 1.001, 0.999) * GROUNDS)
+    _, values = deciding(decide(STAY, [alike], unconfirmed=["stay"]), {"stay": STAY, "near": alike}, STAY)
+    assert values.max() < 0
     found_by_search = Place("near", GROUNDS, -0.1, 0.0)
     what, values = deciding(
         decide(grows := place("stay", -GROUNDS), [found_by_search]), {"near": found_by_search}, grows
