@@ -61,8 +61,10 @@ class Trajectory(Pictured, Result):
         target: of the end-point, (K, n_task), m.
         run: what the run alone shows of growth: its tendency, `run.word`, and how sure that is.
         ended: the loop that was run, and where it came to.
-        linear: the linear loop about the rest at the run's end, exact between the samples, whatever integrated the run
-            (computed when asked for); None where the loop has no such rest.
+        linear: the linear loop about the posture that was asked for, of a base or target that moved about the rest at
+            the run's end, exact between the samples, whatever integrated the run (computed when asked for); None where
+            the loop has no such rest. A redundant arm may come to rest beside that posture: then the run shows another
+            decay.
         verdict: of the base's oscillation, `"converges"` or `"grows"` where the run and the eigenvalues of `linear` say
             the same, `"undecided"` where they do not, or the run is shorter than four periods of the slowest mode, or
             the eigenvalues are 1 to rounding; where there is no `linear`, the run's own, if significant.
