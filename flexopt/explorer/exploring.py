@@ -33,6 +33,7 @@ from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import settings_at
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.loop import Loop, LoopLike
+from flexopt.model.problem import judged_by
 from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.measures import build_measures
@@ -189,7 +190,9 @@ def explore(
         place = np.zeros(len(machine.base_coordinates)) if base is None else cast(Vector, base)
         start = _open_posture(machine, place) if posture is None else cast(Vector, posture)
         return _page(machine, {PRESENT: (place, start)}, control, known, gravity, {"title": machine.name})
-    asked = machine_or_problem.judged_by(known, None) if isinstance(machine_or_problem, Problem) else machine_or_problem
+    asked = (
+        judged_by(machine_or_problem, known, None) if isinstance(machine_or_problem, Problem) else machine_or_problem
+    )
     problem, stands, which = _solved(asked, target or 1, progress)
     configurations = {name: (stand.base, stand.posture) for name, stand in stands.items() if stand is not None}
     title, own = (asked.name, asked.loop) if isinstance(asked, Problem) else (problem.machine.name, None)

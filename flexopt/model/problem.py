@@ -210,16 +210,6 @@ class Problem(OnMachine):
         """As of a file."""
         return problem_faults(self.model_dump(by_alias=True, exclude_unset=True))
 
-    def judged_by(self, loop: Loop | None, uncertainty: tuple[Uncertainty, ...] | None) -> Problem:
-        """The same with a controller, and with what is uncertain, in place of its own; where None with its own.
-
-        Example:
-            >>> flexopt.load_problem("article").judged_by(flexopt.Loop(kp=1e4), None).loop.kp
-            (10000.0,)
-        """
-        given = {"loop": loop, "uncertainty": uncertainty}
-        return self.model_copy(update={name: value for name, value in given.items() if value})
-
     def select_arguments(self) -> Document:
         """The arguments that the file amounts to: of `flexopt.select`, `select_stand` or `plan_base`, by its target.
 
@@ -234,6 +224,12 @@ class Problem(OnMachine):
         if asks_for_loop(self.selection.objective, self.constraints):
             options |= {"loop": self.loop, "ranges": self.uncertainty or None}
         return options | (self.motion or PathMotion()).model_dump() if kind == "path" else options
+
+
+def judged_by(problem: Problem, loop: Loop | None, uncertainty: tuple[Uncertainty, ...] | None) -> Problem:
+    """A problem with a controller, and with what is uncertain, in place of its own; where None with its own."""
+    given = {"loop": loop, "uncertainty": uncertainty}
+    return problem.model_copy(update={name: value for name, value in given.items() if value})
 
 
 TABLE["problem"] = holding_machine(Problem, "a Problem, from flexopt.load_problem")

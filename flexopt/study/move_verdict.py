@@ -29,7 +29,7 @@ from flexopt.model import AnyMachine, Problem
 from flexopt.model.choices import asks_for_loop
 from flexopt.model.constraints import AnyConstraints
 from flexopt.model.loop import Loop, LoopLike, gain_ranges, under_control
-from flexopt.model.problem import SelectionKeywords, SelectionOptions
+from flexopt.model.problem import SelectionKeywords, SelectionOptions, judged_by
 from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 from flexopt.selection import Selection, SelectionProblem, select, solve_problem, solve_selection
 from flexopt.selection.outcomes.result import OutcomeSelection
@@ -257,7 +257,7 @@ def _chosen(problem: Any, asked: dict[str, Any], loop: Any, ranges: Any) -> Chos
     raise_if_any(InputError, "verdict", faults)
     if isinstance(problem, SelectionProblem):
         return solve_selection(problem)
-    return solve_problem(problem.judged_by(loop, ranges)) if isinstance(problem, Problem) else cast(Chosen, problem)
+    return solve_problem(judged_by(problem, loop, ranges)) if isinstance(problem, Problem) else cast(Chosen, problem)
 
 
 def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, tuple[Uncertainty, ...]]:

@@ -20,6 +20,7 @@ from flexopt.foundation.stages import Stages
 from flexopt.loop.settings import loop_settings
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.loop import Loop, LoopLike, under_control
+from flexopt.model.problem import judged_by
 from flexopt.model.simulation import Experiment, SimulationOptions
 from flexopt.model.simulation_faults import brought_twice
 from flexopt.model.uncertainty import RangesLike, Uncertainty
@@ -115,7 +116,7 @@ def report(
     brought = cast("Loop | None", loop) or (experiment and experiment.loop)
     known = brought or getattr(problem, "loop", None) or machine.loop
     if isinstance(problem, Problem):
-        problem = problem.judged_by(brought, cast("tuple[Uncertainty, ...] | None", ranges))
+        problem = judged_by(problem, brought, cast("tuple[Uncertainty, ...] | None", ranges))
         selection = solve_problem(problem)
     else:
         selection = solve_selection(problem)

@@ -420,10 +420,10 @@ def test_a_place_flush_with_an_area_is_an_optimum() -> None:
 
 
 def test_an_arm_that_is_always_singular_is_refused_and_nothing_else_is_printed(capfd):
-    """Solvers end where the inverse of the arm's Jacobian, and with it every w_i, is no number."""
+    """Its joints move all rows in no posture; no solver is asked."""
     machine = tree_from_dict(random_tree(104, rows=("x", "y", "z", "roll"), counts=(3, 3)))
     target = [0.9569489132709212, -3.1053215935498977, 2.1675971175054016]
     weights = [0.7098202889184134, 0.543859899923019, 0.9223694568046157]
-    with pytest.raises(flexopt.NoSolutionFound, match="singularity margin"):
+    with pytest.raises(flexopt.InputError, match="in no posture do the joints move all task rows"):
         flexopt.select(machine, target, objective="V", weights=weights, starts=2, assume="limits", workers=1)
     assert capfd.readouterr().err == ""
