@@ -349,7 +349,11 @@ def _selection_text(result: Selection, *, judged: bool) -> str:
     stand = f"Stand at {base} and hold" if base else "Hold"
     if judged:
         stand = f"Best by {result.objective}, whether it pays is told below: {stand[0].lower()}{stand[1:]}"
-    lines = [repr(result), "", f"{stand} {angles}.", repr(best)]
+    unjudged = ""
+    if not judged and result.measure is None:
+        known = f"Best by {result.objective}, which knows no controller"
+        unjudged = f" {known}: --loop, or flexopt verdict, tells what it is worth."
+    lines = [repr(result), "", f"{stand} {angles}.{unjudged}", repr(best)]
     if result.initial is not None and result.measure is None:
         from flexopt.selection.result import shown_measures  # noqa: PLC0415  (`evaluate` does not need it)
 
