@@ -52,8 +52,13 @@ def test_rounding_is_told_as_zero(value: float, bounds: tuple[float, float], uni
 
 def test_nothing_is_told_where_nothing_was_asked() -> None:
     places = [{"singularity margin": ConstraintValue(0.5, 0.03, np.inf, "sin²")}]
-    for asked in ({}, {"joint_margin": 0.1}, {"travel": {"cost": 0.1}}):
+    for asked in ({}, {"travel": {"cost": 0.1}}):
         assert nearest_told(read_constraints(asked), places) == ""
+    margin = "joint margin at least 0.1 rad (slides: m)"
+    assert nearest_told(read_constraints({"joint_margin": 0.1}), places) == f"constraints: {margin}"
+    both = nearest_told(read_constraints({"joint_margin": 0.1, "manipulability": 1.0}), places)
+    assert both.startswith("constraints, of each kind that nearest to its bound: singularity margin 0.5 sin²")
+    assert both.endswith(f"; {margin}")
 
 
 def test_a_weighted_sum_has_its_own_column() -> None:
