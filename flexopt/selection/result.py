@@ -510,16 +510,19 @@ def chance_told(counts: NDArray[np.integer[Any]], starts: int) -> str:
 
 
 def _found_how_often(problem: SelectionProblem, attempts: Sequence[Attempt]) -> NDArray[np.integer[Any]]:
-    """How many starts ended at each value; empty where `Selection.missed_chance` is None."""
-    if problem.redundancy < 2 and problem.measures.plant.closed_form:
+    """How many starts ended at each value."""
+    return how_often(problem, [attempt.value for attempt in attempts if attempt.value is not None])
+
+
+def how_often(problem: SelectionProblem, values: Sequence[float]) -> NDArray[np.integer[Any]]:
+    """How often each value was found; empty where `Selection.missed_chance` is None.
+
+    Values are one that differ by less than `SAME_VALUE` of the objective's scale.
+    """
+    if not values or (problem.redundancy < 2 and problem.measures.plant.closed_form):
         return np.zeros(0, dtype=np.int64)
-    return how_often([attempt.value for attempt in attempts if attempt.value is not None], problem.first_scale)
-
-
-def how_often(values: Sequence[float], scale: float) -> NDArray[np.integer[Any]]:
-    """How often each value was found; those are one that differ by less than `SAME_VALUE` of the scale."""
-    apart = np.diff(np.sort(values)) > SAME_VALUE * scale
-    return np.diff(np.flatnonzero(np.concatenate([[True], apart, [True]]))) if values else np.zeros(0, dtype=np.int64)
+    apart = np.diff(np.sort(values)) > SAME_VALUE * problem.first_scale
+    return np.diff(np.flatnonzero(np.concatenate([[True], apart, [True]])))
 
 
 def shown_measures(problem: SelectionProblem, evaluation: Evaluation) -> Vector:

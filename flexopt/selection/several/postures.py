@@ -39,6 +39,10 @@ class Reached:
     value: Vector
     violation: Vector
 
+    def of(self, places: list[int]) -> Reached:
+        """Those of some of the placements."""
+        return Reached(self.z[:, places], self.value[places], self.violation[places])
+
 
 def reached_from(problem: SelectionProblem, bases: Vector, seed: int, finer: int = 1) -> Reached:
     """Postures for placements (n_b, N); `finer` times as many of each are looked at as usual."""

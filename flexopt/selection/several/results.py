@@ -296,9 +296,7 @@ class Stand(Pictured, ConfigurationSet):
 
     @property
     def _found_how_often(self) -> NDArray[np.integer[Any]]:
-        first = self.problems[0]
-        seen_whole = first.redundancy < 2 and first.measures.plant.closed_form
-        return how_often(() if seen_whole else self.ends, first.first_scale)
+        return how_often(self.problems[0], self.ends)
 
     @property
     def left_open(self) -> str:

@@ -122,7 +122,7 @@ def best_placements(
     ends = ends_from(program, begins, workers, progress)
     good = verified(program, ends, "placement")
     worths = [program.worth(end.x) for end in good]
-    if further and (chance(how_often(worths, program.first.first_scale)) or 0.0) > LEFT_OPEN:
+    if further and (chance(how_often(program.first, worths)) or 0.0) > LEFT_OPEN:
         ends += ends_from(program, _starts_alone(program, good[0].x, seed, workers), workers, None)
         good = verified(program, ends, "placement")
     for end in good[:EXCHANGED]:
@@ -147,7 +147,7 @@ def _starts(program: Program, bases: Vector, found: list[Reached], count: int, s
     near = _spread(bases, _worth(program, found), AGAIN * count)
     bases = bases[:, near]
     again = [reached_from(problem, bases, seed, FINER) for problem in program.problems]
-    both = [_together(reached, near, more) for reached, more in zip(found, again, strict=True)]
+    both = [joined(reached.of(near), more) for reached, more in zip(found, again, strict=True)]
     picks = [_picks(reached) for reached in both]
     chosen = _spread(bases, _worth(program, both), count)
     return [program.packed([r.z[:, j, pick[j]] for r, pick in zip(both, picks, strict=True)]) for j in chosen]
@@ -165,14 +165,6 @@ def _starts_alone(program: Program, best: Vector, seed: int, workers: int) -> li
         for problem in program.problems
     ]
     return _starts(program, bases, found, FURTHER, seed) if np.isfinite(_worth(program, found)).any() else []
-
-
-def _together(found: Reached, near: list[int], more: Reached) -> Reached:
-    return Reached(
-        np.concatenate([found.z[:, near], more.z], axis=2),
-        np.concatenate([found.value[near], more.value], axis=1),
-        np.concatenate([found.violation[near], more.violation], axis=1),
-    )
 
 
 def _picks(reached: Reached) -> NDArray[np.int64]:

@@ -83,7 +83,7 @@ def test_what_more_starts_may_find_is_told(starts: int) -> None:
     """By where they ended; text and document. None of a curve of postures that is seen whole."""
     machine = flexopt.load("boom-stick-bucket")
     stand = flexopt.select_stand(machine, [(5.0, 1.0), (6.0, 2.0)], objective="w2", starts=starts)
-    counts = how_often(stand.ends, stand.problems[0].first_scale)
+    counts = how_often(stand.problems[0], stand.ends)
     assert counts.sum() == len(stand.ends) == stand.attempts[1]
     assert stand.missed_chance == chance(counts) == stand.to_dict()["missed_chance"]
     assert stand.missed_chance_at_most == chance_at_most(counts) == stand.to_dict()["missed_chance_at_most"]
