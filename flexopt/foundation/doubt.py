@@ -23,6 +23,8 @@ def with_doubt(value: float, error: float | None, digits: int = 5, sign: Literal
     decimals = 1 - math.floor(math.log10(error))
     if not -LONGEST < decimals < LONGEST:
         known = max(1, math.floor(math.log10(abs(value) or error)) + decimals + 1)
-        return f"{value:{sign}z#.{known}g} ± {error:#.2g}"
+        # `#` keeps zeros that are known, and a point behind a single digit.
+        shown = f"{value:{sign}z#.{known}g}".replace(".e", "e").rstrip(".")
+        return f"{shown} ± {error:#.2g}"
     places = max(decimals, 0)
     return f"{round(value, decimals):{sign}z.{places}f} ± {round(error, decimals):.{places}f}"

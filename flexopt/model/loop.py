@@ -45,8 +45,9 @@ class Loop(BuiltByCall):
         control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; see `flexopt.evaluate`.
         feedback: `"pd"` or `"pid"`.
         kp, kv, ki: gains, one number or one for each task row: N/m, N s/m, N/(m s) for transpose control, N m,
-            N m s, N m/s for the inverse of hinges. Of velocity-served joints 1/s, 1 and 1/s², from the end-point's
-            error to the rate asked for.
+            N m s, N m/s for the inverse of hinges (of an arm with both, the inverse's number is N m at its hinges and
+            N/m at its slides). Of velocity-served joints 1/s, 1 and 1/s², from the end-point's error to the rate
+            asked for.
         kp_range, kv_range: (lower, upper) between which all entries of a gain may be chosen.
         rate: of the samples, Hz.
         dead_time: from the end-point's measurement to command, s; any time of up to 100 samples, not only whole ones.

@@ -172,7 +172,7 @@ def _listed(report: Report) -> list[_Listed]:
         ]
     present = [] if selection.initial is None else [_Listed("present", selection.initial, "")]
     return present + [
-        _Listed(f"candidate {k}" + (" (chosen)" * (k == 1)), each.evaluation, ", ".join(each.active))
+        _Listed(f"candidate {k}" + (" (best by the objective)" * (k == 1)), each.evaluation, ", ".join(each.active))
         for k, each in enumerate(selection.candidates[:SHOWN], start=1)
     ]
 
