@@ -1,4 +1,4 @@
-"""Time of one RK4 step of machines in space: beside the planar closed form, beside MuJoCo, beside other recursions.
+"""Time of one RK4 step of machines in space: beside the planar closed form, beside MuJoCo.
 
 Run: python -m benchmarks.spatial
 
@@ -24,7 +24,6 @@ import casadi as ca
 import numpy as np
 
 import flexopt
-from benchmarks.recursions import Articulated, WorldAxes
 from benchmarks.simulation.peers import STRICT, Missing, _built, _folder
 from benchmarks.timing import table
 from flexopt.compiled import recurrence
@@ -40,7 +39,6 @@ from flexopt.plant.tree_motion import TreeMotion
 from flexopt.plant.tree_structure import skeleton
 from tests.oracles.spatial import grounded, in_space, mujoco_tree
 
-OTHERS: dict[str, type[TreeMotion]] = {"articulated bodies": Articulated, "composite bodies, world axes": WorldAxes}
 STEP, STEPS, ROUNDS = 0.005, 2000, 15
 HELD = (2e5, 4e3)  # N m/rad, N m s/rad
 
@@ -208,13 +206,13 @@ class Mujoco:
         return np.concatenate([q[self.order], v[self.order]]), seconds
 
 
-def spatial(tree: Any, case: Case, build: Callable[..., Any] = TreeMotion) -> Ours:
+def spatial(tree: Any, case: Case) -> Ours:
     """A tree through the recursions, also where its structure has a closed form."""
     given = {parameter.name: ca.SX(parameter.value) for parameter in tree.parameters}
     values = {name: float(ca.evalf(graph)) for name, graph in constant_graphs(tree.kinematic_tree, given).items()}
     zeros = frozenset(name for name, value in values.items() if value == 0)
     structure = replace(skeleton(tree.kinematic_tree), zeros=zeros, local=True)
-    return Ours(lambda value: build(structure, value), values, zeros, case)
+    return Ours(lambda value: TreeMotion(structure, value), values, zeros, case)
 
 
 def closed_form(machine: Any, case: Case) -> Ours:
@@ -256,7 +254,6 @@ def main() -> None:
     case = case_of(plant, np.array([0.0448, -2.0499]), 0.0)
     tree = tree_from_dict(in_space(machine.model_dump(by_alias=True)))
     rows = {"closed form": closed_form(machine, case), "spatial path": spatial(tree, case)}
-    rows |= {name: spatial(tree, case, build) for name, build in OTHERS.items()}
     least = compare("The excavator, 3 + 2 coordinates in the plane", rows)
     print(f"spatial path / closed form: {least['spatial path'] / least['closed form']:.2f} (bar: at most 3)\n")
 
@@ -265,7 +262,6 @@ def main() -> None:
         tree = tree_from_dict(data)
         case = case_of(Plant(tree, build_graph(tree)), np.linspace(0.4, -0.5, arm), np.zeros(3))
         rows = {"flexopt": spatial(tree, case)}
-        rows |= {name: spatial(tree, case, build) for name, build in OTHERS.items()}
         try:
             rows["MuJoCo, all C"] = Mujoco(data, case)
         except Missing as reason:
