@@ -75,42 +75,28 @@ def in_parallel(
         ProcessLost: as above.
     """
     done: Done | None = None if progress is None else lambda number: progress(number, count)
-    with one_blas_thread():
-        return _worked_off(task, count, workers, done, meanwhile, lost, seen, at_once=at_once, ahead=ahead)
-
-
-def _worked_off(
-    task: Task[T],
-    count: int,
-    workers: int,
-    done: Done | None,
-    meanwhile: Callable[[], None] | None,
-    lost: Callable[[int, str], T] | None,
-    seen: Callable[[T], None] | None,
-    *,
-    at_once: bool,
-    ahead: int,
-) -> list[T]:
-    """As `in_parallel`."""
     results: list[T] = []
     method = "fork" if sys.platform == "linux" else "spawn"
     worth = WORTH_FORKING if method == "fork" else WORTH_SPAWNING
     begin = time.perf_counter()
-    while len(results) < count:
-        left = count - len(results)
-        known = (time.perf_counter() - begin) / len(results) * left > worth if results else at_once and method == "fork"
-        if workers > 1 and left > 1 and known and not _is_worker():
-            numbers = list(range(len(results), count))
-            context = multiprocessing.get_context(method)
-            rest = _spread(context, task, numbers, min(workers, left), done, len(results), meanwhile, lost, seen, ahead)
-            if rest is not None:
-                return results + rest
-            workers = 1
-        results.append(task(len(results)))
-        if seen is not None:
-            seen(results[-1])
-        if done is not None:
-            done(len(results))
+    with one_blas_thread():
+        while len(results) < count:
+            left = count - len(results)
+            known = at_once and method == "fork"
+            if results:
+                known = (time.perf_counter() - begin) / len(results) * left > worth
+            if workers > 1 and left > 1 and known and not _is_worker():
+                crew = _Crew(multiprocessing.get_context(method), task)
+                numbers = range(len(results), count)
+                rest = _spread(crew, numbers, min(workers, left), done, meanwhile, lost, seen, ahead)
+                if rest is not None:
+                    return results + rest
+                workers = 1
+            results.append(task(len(results)))
+            if seen is not None:
+                seen(results[-1])
+            if done is not None:
+                done(len(results))
     return results
 
 
@@ -168,34 +154,28 @@ class _Crew:
 
 
 def _spread(
-    context: BaseContext,
-    task: Task[T],
-    numbers: list[int],
+    crew: _Crew,
+    numbers: range,
     workers: int,
     done: Done | None,
-    before: int,
     meanwhile: Callable[[], None] | None,
     lost: Callable[[int, str], T] | None,
     seen: Callable[[T], None] | None,
     ahead: int,
 ) -> list[T] | None:
     """Results of the numbers from `workers` processes; None where processes cannot be started."""
-    crew = _Crew(context, task)
     try:
         while len(crew.pairs) < workers and crew.hire():
             pass
-        if not crew.pairs:
-            return None
-        return _collect(crew, numbers, done, before, meanwhile, lost, seen, ahead)
+        return _collect(crew, numbers, done, meanwhile, lost, seen, ahead) if crew.pairs else None
     finally:
         crew.dismiss()
 
 
 def _collect(
     crew: _Crew,
-    numbers: list[int],
+    numbers: range,
     done: Done | None,
-    before: int,
     meanwhile: Callable[[], None] | None,
     lost: Callable[[int, str], Any] | None,
     seen: Callable[[Any], None] | None,
@@ -217,7 +197,7 @@ def _collect(
         if seen is not None:
             seen(value)
         if done is not None:
-            done(before + len(results))
+            done(numbers.start + len(results))
 
     def replace(connection: Connection) -> None:
         """Another process for one that was ended; what it worked on is tried once more, the rest goes back."""

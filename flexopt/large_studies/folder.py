@@ -204,15 +204,16 @@ def open_folder(path: str | os.PathLike[str]) -> StudyFolder:
         fits = told["sha256"] == digest_of(study) and told["layout"] == 1
         made_by = cast("dict[str, Any]", told["made_by"])
     except FileNotFoundError:
-        sentence = f"is no folder of a study: it has no {DOCUMENT}"
-        raise InputError(f"folder = {os.fspath(path)!r}: {sentence}", [Fault("folder", sentence)]) from None
+        raise _refused(path, f"is no folder of a study: it has no {DOCUMENT}") from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        sentence = f"its {DOCUMENT} cannot be read ({' '.join(str(error).split())[:200]})"
-        raise InputError(f"folder = {os.fspath(path)!r}: {sentence}", [Fault("folder", sentence)]) from None
+        raise _refused(path, f"its {DOCUMENT} cannot be read ({' '.join(str(error).split())[:200]})") from None
     if not fits:
-        sentence = f"its {DOCUMENT} was changed, or comes from another version"
-        raise InputError(f"folder = {os.fspath(path)!r}: {sentence}", [Fault("folder", sentence)])
+        raise _refused(path, f"its {DOCUMENT} was changed, or comes from another version")
     return StudyFolder(Path(path), study, made_by)
+
+
+def _refused(path: str | os.PathLike[str], sentence: str) -> InputError:
+    return InputError(f"folder = {os.fspath(path)!r}: {sentence}", [Fault("folder", sentence)])
 
 
 def check_alike(folder: StudyFolder) -> None:

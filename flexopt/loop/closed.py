@@ -155,7 +155,7 @@ class ClosedLoop:
     def _substep(self, *, carried: bool) -> ca.Function:
         """One integration step by an explicit method. Inputs s = [u, w, z], d, command, t, e, c."""
         s, d, command, t, e, c = self._substep_symbols(carried=carried)
-        state = self._state(s)
+        state = self.state(s)
         frame: Computed | Carried = Carried(d) if carried else Computed(self.shape.angles(state.u))
         flow = Flow(self.structure, self.layouts, command, e, c)
         if self.structure.method == "rk4":
@@ -164,7 +164,7 @@ class ClosedLoop:
             after, heading = explicit_step(flow, dormand_prince(), flow.of["h"], t, state, frame)
         turned = stacked(heading.pairs) if carried else d
         turn = frame.turn if isinstance(frame, Carried) else ca.SX(0)
-        outputs = [ca.vertcat(after.u, after.w, after.z), turned, turn]
+        outputs = [after.column, turned, turn]
         names = ["s", "d", "command", "t", "e", "c"]
         return ca.Function(
             "substep", [s, d, command, t, e, c], outputs, names, ["s_next", "d_next", "turn"], {"cse": not self._short}
@@ -175,10 +175,10 @@ class ClosedLoop:
         s, _, command, t, e, c = self._substep_symbols(carried=False)
         flow = Flow(self.structure, self.layouts, command, e, c)
         tableau = radau() if self.structure.stiff else gauss()
-        parts = implicit_step(flow, tableau, flow.of["h"], t, self._state(s), damped=self.structure.damped)
+        parts = implicit_step(flow, tableau, flow.of["h"], t, self.state(s), damped=self.structure.damped)
         inputs, names, cse = [s, command, t, e, c], ["s", "command", "t", "e", "c"], {"cse": True}
         iterated, known = [parts.unknowns, parts.known, *inputs], ["k", "factors", *names]
-        end = ca.vertcat(parts.finish.u, parts.finish.w, parts.finish.z)
+        end = parts.finish.column
         return (
             ca.Function("stages", inputs, [parts.start, parts.factors], names, ["k", "factors"], cse),
             ca.Function("iteration", iterated, [parts.iterate], known, ["k_next"], cse),
@@ -187,17 +187,19 @@ class ClosedLoop:
 
     def _substep_symbols(self, *, carried: bool) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
         _, e, c = self._symbols()
-        s = ca.SX.sym("s", self._n_continuous)
+        s = ca.SX.sym("s", self.n_continuous)
         d = ca.SX.sym("d", self.directions if carried else 0)
         command = ca.SX.sym("command", self.shape.n_joints if self.structure.sampled else 0)
         return s, d, command, ca.SX.sym("t"), e, c
 
     @property
-    def _n_continuous(self) -> int:
+    def n_continuous(self) -> int:
+        """Entries of the state s = [u, w, z] between samples."""
         sizes = self.states.sizes
         return sizes["u"] + sizes["w"] + sizes["torque"] + (0 if self.structure.sampled else sizes["law"])
 
-    def _state(self, s: ca.SX) -> State:
+    def state(self, s: ca.SX) -> State:
+        """The parts of s."""
         n = self.shape.n
         return State(s[:n], s[n : 2 * n], s[2 * n :])
 
@@ -215,7 +217,7 @@ class ClosedLoop:
         )
         d = ca.MX.sym("d", self.directions if carried else 0)
         command, law, queue, monitor, turn = self._sampling(carried=carried)(x, d, e, c)
-        state, turned, residual = x[: self._n_continuous], d, ca.MX(0)
+        state, turned, residual = x[: self.n_continuous], d, ca.MX(0)
         h = c[self.constants.slices["h"]]
         parts = self._gauss() if s.method == "gauss" else None
         substep = None if parts else self._substep(carried=carried)

@@ -1,6 +1,6 @@
 """Between the samples: the right-hand sides of the loop for the integrators.
 
-In: signals and constants of a loop, and the command that is held. Out: the graph builders of a `Field`.
+In: signals and constants of a loop, and the command that is held. Out: the graph builders of a `VectorField`.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ class Flow(SampleModel):
 
     @property
     def n_translations(self) -> int:
-        """See `Field`."""
+        """See `VectorField`."""
         return self.motion.n_translations
 
     def rates(self, t: ca.SX, state: State, along: Directions) -> State:
-        """See `Field`."""
+        """See `VectorField`."""
         if not self.s.sampled:
             return self.rates_of(t, state, along)
         # A called Function is inlined many times faster than the graph is built anew.
@@ -41,15 +41,15 @@ class Flow(SampleModel):
         return State(state.w, accelerations, z_rate)
 
     def momentum(self, u: ca.SX, w: ca.SX, along: Directions) -> ca.SX:
-        """See `Field`."""
+        """See `VectorField`."""
         return self.motion.momentum(u, w, self.motion.with_base(along))
 
     def rates_of_momentum(self, u: ca.SX, momentum: ca.SX, along: Directions) -> ca.SX:
-        """See `Field`."""
+        """See `VectorField`."""
         return self.motion.rates_of_momentum(u, momentum, self.motion.with_base(along))
 
     def damping(self, u: ca.SX, along: Directions) -> ca.SX:
-        """See `Field`."""
+        """See `VectorField`."""
         w, whole = ca.SX.sym("w", self.motion.n), self.motion.with_base(along)
         base, base_rate = self.base_at(ca.SX(0))
         no_torque, still = ca.SX.zeros(self.motion.n_joints, 1), ca.SX.zeros(*base_rate.shape)
@@ -58,7 +58,7 @@ class Flow(SampleModel):
         return -ca.substitute(ca.jacobian(force, w), w, ca.SX.zeros(self.motion.n, 1))
 
     def momentum_rates(self, t: ca.SX, state: State, along: Directions) -> State:
-        """See `Field`."""
+        """See `VectorField`."""
         whole = self.motion.with_base(along)
         base, base_rate = self.base_at(t)
         command = self._command(t, state, whole)

@@ -29,6 +29,11 @@ class State:
     w: ca.SX
     z: ca.SX
 
+    @property
+    def column(self) -> ca.SX:
+        """[u, w, z]."""
+        return ca.vertcat(self.u, self.w, self.z)
+
 
 class VectorField(Protocol):
     """The right-hand sides at a time `t` after the start of the sample, the bodies pointing `along`."""
@@ -200,7 +205,7 @@ def implicit_step(
     size = 2 * n + n_z
     at_start = Computed(state.u[k:]).start.pairs
     p = field.momentum(state.u, state.w, at_start)
-    first = _column(field.momentum_rates(t, state, at_start))
+    first = field.momentum_rates(t, state, at_start).column
 
     unknowns = ca.SX.sym("stages", size * stages)
     rates = [unknowns[size * i : size * (i + 1)] for i in range(stages)]
@@ -212,7 +217,7 @@ def implicit_step(
         w = field.rates_of_momentum(u, p + h * change[n : 2 * n], along)
         now = State(u, w, state.z + h * change[2 * n :])
         at = t + float(tableau.c[i]) * h
-        renewed.append(_column(field.momentum_rates(at, now, along)))
+        renewed.append(field.momentum_rates(at, now, along).column)
     factors = known = ca.SX(n, 0)
     if damped:
         dampers, probe = StrongDampers(tableau, h), ca.SX.sym("w", n)
@@ -251,7 +256,3 @@ _FLOOR = 1e-6
 # Steps h are as short as the fastest mode asks, ω h ≈ 0.3: what springs make in one of the rounding ε of coordinates,
 # ε ω² h, then grows as 1/h. Beside so much over h, m or rad, it is no change of 1e-10.
 _ROUNDED = 8e-7
-
-
-def _column(rates: State) -> ca.SX:
-    return ca.vertcat(rates.u, rates.w, rates.z)

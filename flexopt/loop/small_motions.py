@@ -21,7 +21,7 @@ from flexopt.foundation.control import Control, control_damping, control_method
 from flexopt.loop.closed import ClosedLoop, closed_loop
 from flexopt.loop.rest import design_constants, placed, state_at_rest
 from flexopt.loop.structure import JACOBIAN_DAMPING, LoopStructure
-from flexopt.loop.tangent import flow_size, graphs_about_rest
+from flexopt.loop.tangent import graphs_about_rest
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.machine_motion import constants_at, full_structure, motion_of
@@ -157,7 +157,7 @@ class SmallMotions:
         sizes = loop.constants.sizes
         c = ca.vertcat(*(values.get(name, ca.SX.zeros(size, 1)) for name, size in sizes.items()))
         between, at_sample = graphs_about_rest(structure)
-        e, n = ca.SX(0, 1), flow_size(structure)
+        e, n = ca.SX(0, 1), closed_loop(structure).n_continuous
         here = dict(zip(at_sample.name_out(), at_sample.call([x, e, c]), strict=True))
         _, flow, drive = between.call([x[:n], here["command"], e, c])
         found = (flow, drive, here["direct"][:, :n], here["spread"], here["by_force"][:, n:], here["by_law"][:, n:])
@@ -190,7 +190,7 @@ class SmallMotions:
         at = plant.operating_point(s["base"], s["posture"], s["p"], s["held"] if self.gravity else None)
         n, m = plant.n_coordinates, plant.n_passive
         rates = ca.SX(np.linalg.inv(to_q)) @ solve_spd(at.mass, ca.SX.eye(n)[:, :m])
-        rest = flow_size(self.structure) - 2 * n
+        rest = closed_loop(self.structure).n_continuous - 2 * n
         return given, ca.densify(ca.vertcat(ca.SX.zeros(n, m), rates, ca.SX.zeros(rest, m)))
 
     @cached_property

@@ -17,7 +17,6 @@ from flexopt.foundation.arrays import Vector
 from flexopt.loop.closed import ClosedLoop, closed_loop
 from flexopt.loop.directions import Computed
 from flexopt.loop.flow import Flow
-from flexopt.loop.integrators import State
 from flexopt.loop.sample import Sample
 from flexopt.loop.structure import LoopStructure
 
@@ -101,7 +100,7 @@ def tangent(structure: LoopStructure, x: Vector, e: Vector, c: Vector) -> Tangen
     """The linear loop about a state x (n_x,), with signals e and constants c."""
     between, at = graphs_about_rest(structure)
     command, kept, waiting, by_command, by_kept, by_waiting = (np.array(m) for m in at.call([x, e, c])[:6])
-    rates, flow, drive = (np.array(m) for m in between.call([x[: flow_size(structure)], command, e, c]))
+    rates, flow, drive = (np.array(m) for m in between.call([x[: closed_loop(structure).n_continuous], command, e, c]))
     n = len(flow)
     period = float(c[closed_loop(structure).constants.slices["h"]][0]) * structure.substeps
     laws, queue = x[n : n + len(kept)], x[n + len(kept) :]
@@ -141,23 +140,16 @@ def still(structure: LoopStructure, here: Tangent, x: Vector) -> bool:
     return bool(np.all(moved[:n] <= REST) and np.all(moved[n:] <= REST * (1.0 + np.abs(x[n:]))))
 
 
-def flow_size(structure: LoopStructure) -> int:
-    """Entries of s."""
-    sizes = closed_loop(structure).states.sizes
-    return sizes["u"] + sizes["w"] + sizes["torque"] + (0 if structure.sampled else sizes["law"])
-
-
 @lru_cache(maxsize=64)
 def _between(structure: LoopStructure) -> ca.Function:
     """Rates of s and their derivatives by s and by the held command. Inputs s, command, e, c."""
     loop = closed_loop(structure)
-    s = ca.SX.sym("s", flow_size(structure))
+    s = ca.SX.sym("s", loop.n_continuous)
     command = ca.SX.sym("command", loop.shape.n_joints if structure.sampled else 0)
     e, c = ca.SX.sym("e", loop.signals.total), ca.SX.sym("c", loop.constants.total)
-    flow, n = Flow(structure, loop.layouts, command, e, c), loop.shape.n
-    state = State(s[:n], s[n : 2 * n], s[2 * n :])
+    flow, state = Flow(structure, loop.layouts, command, e, c), loop.state(s)
     rates = flow.rates(ca.SX(0), state, Computed(loop.shape.angles(state.u)).start.pairs)
-    column = ca.vertcat(rates.u, rates.w, rates.z)
+    column = rates.column
     outputs = [column, ca.jacobian(column, s), ca.jacobian(column, command)]
     dense, names = [ca.densify(value) for value in outputs], ["rates", "flow", "drive"]
     return ca.Function("between", [s, command, e, c], dense, ["s", "command", "e", "c"], names, {"cse": True})

@@ -16,6 +16,7 @@ from flexopt.model.kinematic_tree import TreeBody
 from flexopt.model.machine import AnyMachine
 from flexopt.model.planar import Machine
 from flexopt.model.tree import Tree
+from flexopt.model.tree_quantities import symmetric
 
 
 @dataclass
@@ -186,7 +187,7 @@ def _farthest(child: TreeBody) -> Array:
 def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: float | None) -> BodyNumbers:
     far = max(carried, key=lambda point: float(np.linalg.norm(point)), default=np.zeros(3))
     com, length = np.array(body.com), float(np.linalg.norm(far))
-    tensor = _tensor(body.inertia)
+    tensor = symmetric(*body.inertia)
     moments = np.linalg.eigvalsh(tensor)
     # Second moments of the mass about its centre, per kg: tr(I)/2 · 1 − I.
     spread = (np.trace(tensor) / 2 * np.eye(3) - tensor) / body.mass if body.mass else np.zeros((3, 3))
@@ -210,8 +211,3 @@ def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: fl
         rest=(f"{moved}.rest", joint.rest) if joint.passive and hinge else None, joint=moved,
         end=machine.end_point.body == body.name and np.array_equal(far, machine.end_point.position),
     )  # fmt: skip
-
-
-def _tensor(six: tuple[float, ...]) -> Array:
-    xx, yy, zz, xy, xz, yz = six
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

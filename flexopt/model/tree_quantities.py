@@ -7,6 +7,7 @@ from typing import Annotated, Any, cast
 
 import numpy as np
 
+from flexopt.foundation.arrays import Array
 from flexopt.foundation.quantities import (
     ANGLE,
     INERTIA_ENTRY,
@@ -116,11 +117,16 @@ def _from_angles(roll: float, pitch: float, yaw: float) -> np.ndarray[Any, np.dt
     return about_z @ about_y @ about_x
 
 
+def symmetric(xx: float, yy: float, zz: float, xy: float = 0.0, xz: float = 0.0, yz: float = 0.0) -> Array:
+    """The matrix (3, 3) of six entries."""
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
 @accepting(_INERTIA.accepts or {})
 def check_inertia(value: Any) -> tuple[float, float, float, float, float, float]:
     """Six entries of an inertia tensor that is not negative."""
     xx, yy, zz, xy, xz, yz = _INERTIA(value)
-    eigenvalues = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    eigenvalues = np.linalg.eigvalsh(symmetric(xx, yy, zz, xy, xz, yz))
     if eigenvalues[0] < -INERTIA_ROUNDING * max(eigenvalues[-1], 0.0):
         raise ValueError(f"is no inertia: it has a negative principal moment, {eigenvalues[0]:.3g} kg m²")
     return xx, yy, zz, xy, xz, yz

@@ -5,13 +5,14 @@ In: a machine's graph, of whatever file. Out: its postures on a target, and how 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import functools
 from dataclasses import dataclass
 from itertools import pairwise
 
 import casadi as ca
 
 from flexopt.algebra import safe_norm
+from flexopt.plant.chain_constants import sum_of
 from flexopt.plant.graph import MachineGraph
 from flexopt.plant.tree_algebra import ORIGIN
 from flexopt.plant.tree_structure import Skeleton
@@ -83,8 +84,8 @@ def build_inverse_kinematics(graph: MachineGraph) -> InverseKinematicsGraph:
         away = target - point
         distance = safe_norm(away)
         rest = lengths[k + 1 :]
-        outer = _sum(rest)
-        inner = ca.fmax(0, 2 * _largest(rest) - outer)
+        outer = sum_of(rest)
+        inner = ca.fmax(0, 2 * functools.reduce(ca.fmax, rest) - outer)
         both = distance**2 + lengths[k] ** 2
         least = _acos((both - inner**2) / (2 * distance * lengths[k]))
         most = _acos((both - outer**2) / (2 * distance * lengths[k]))
@@ -113,20 +114,9 @@ def build_inverse_kinematics(graph: MachineGraph) -> InverseKinematicsGraph:
     )
 
 
-def _largest(values: list[ca.SX]) -> ca.SX:
-    largest = values[0]
-    for value in values[1:]:
-        largest = ca.fmax(largest, value)
-    return largest
-
-
 def _acos(cosine: ca.SX) -> ca.SX:
     return ca.acos(ca.fmax(-1, ca.fmin(1, cosine)))
 
 
 def _e(angle: ca.SX) -> ca.SX:
     return ca.vertcat(ca.cos(angle), ca.sin(angle))
-
-
-def _sum(terms: Iterable[ca.SX]) -> ca.SX:
-    return sum(terms, start=ca.SX(0))

@@ -13,7 +13,7 @@ import casadi as ca
 from flexopt.model import AnyMachine
 from flexopt.model.tree_quantities import snapped_rows
 from flexopt.plant.graph import MachineGraph
-from flexopt.plant.tree_algebra import ORIGIN, ZERO, Triple, turned_back
+from flexopt.plant.tree_algebra import ORIGIN, UNITS, turned_back
 from flexopt.plant.tree_structure import segments_and_frames
 from flexopt.plant.tree_task import in_inertial_axes, placed
 
@@ -51,7 +51,7 @@ def build_frames(machine: AnyMachine, graph: MachineGraph) -> Frames:
     for i in tree.frames:
         origins.append(ca.vertcat(*placed(at, at.point(i, ORIGIN), graph.base))[axes])
         # The recursion's frame of a body is its own choice; `own` leads from it to the machine file's.
-        directions = [turned_back(snapped_rows(own[i]), _unit(k)) for k in axes]
+        directions = [turned_back(snapped_rows(own[i]), UNITS[k]) for k in axes]
         inertial = [in_inertial_axes(at, at.to_ground(i, direction), graph.base) for direction in directions]
         rotations.append(ca.horzcat(*(ca.vertcat(*axis) for axis in inertial))[axes, :])
     tip = placed(at, at.point(at.skeleton.tip, at.vector("tip")), graph.base)
@@ -62,9 +62,3 @@ def build_frames(machine: AnyMachine, graph: MachineGraph) -> Frames:
         tip=ca.vertcat(*tip)[axes],
         tip_rotation=graph.end_rotation[axes, axes],
     )
-
-
-def _unit(k: int) -> Triple:
-    axis = [ZERO] * 3
-    axis[k] = ca.SX(1)
-    return axis[0], axis[1], axis[2]

@@ -22,6 +22,8 @@ AXES = "xyz"
 SECOND = INERTIA_ENTRIES
 ZERO = ca.SX(0)
 ORIGIN: Triple = (ZERO, ZERO, ZERO)
+ONE = ca.SX(1)
+UNITS: tuple[Triple, Triple, Triple] = ((ONE, ZERO, ZERO), (ZERO, ONE, ZERO), (ZERO, ZERO, ONE))
 NOWHERE: dict[str, Scalar] = dict.fromkeys(SECOND, ZERO)
 
 

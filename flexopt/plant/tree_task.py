@@ -8,7 +8,7 @@ from __future__ import annotations
 import casadi as ca
 
 from flexopt.plant.orientation import rotation_vector
-from flexopt.plant.tree_algebra import ORIGIN, ZERO, Triple, turned, turned_back
+from flexopt.plant.tree_algebra import ORIGIN, UNITS, ZERO, Triple, turned, turned_back
 from flexopt.plant.tree_recursion import Recursion
 
 POSITION = ("x", "y", "z")
@@ -30,13 +30,8 @@ def task(at: Recursion, base: ca.SX) -> ca.SX:
 
 def end_axes(at: Recursion, base: ca.SX) -> list[Triple]:
     """Axes x, y, z of the end-point's frame in inertial axes."""
-    axes: list[Triple] = []
-    for k in range(3):
-        axis = [ZERO] * 3
-        axis[k] = ca.SX(1)
-        of_body = turned(at.skeleton.tip_rotation, (axis[0], axis[1], axis[2]))
-        axes.append(in_inertial_axes(at, at.to_ground(at.skeleton.tip, of_body), base))
-    return axes
+    of_body = [turned(at.skeleton.tip_rotation, unit) for unit in UNITS]
+    return [in_inertial_axes(at, at.to_ground(at.skeleton.tip, axis), base) for axis in of_body]
 
 
 def placed(at: Recursion, point: Triple, base: ca.SX) -> Triple:

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+
 from flexopt.foundation.doubt import BELOW, with_doubt
 
 SHOWN = re.compile(r"-?\d+(\.\d+)?(e[+-]\d+)? ± (inf|\d+(\.\d+)?(e[+-]\d+)?)")

@@ -138,8 +138,3 @@ class Inertial:
     def principal_moments(self) -> Array:
         """Eigenvalues of the tensor (3,), ascending, kg m²."""
         return np.linalg.eigvalsh(self.tensor).astype(np.float64)
-
-
-def tensor(xx: float, yy: float, zz: float, xy: float = 0.0, xz: float = 0.0, yz: float = 0.0) -> Array:
-    """The symmetric matrix of six entries."""
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -20,13 +20,14 @@ from flexopt.foundation.arrays import Array
 from flexopt.model.robots.collisions import Solid, mjcf_solid
 from flexopt.model.robots.description import Description, Frame, Joint, RobotLink, check_inertial
 from flexopt.model.robots.elements import Element, Faults, unique
-from flexopt.model.robots.geometry import Inertial, Pose, tensor
+from flexopt.model.robots.geometry import Inertial, Pose
 from flexopt.model.robots.known import check_known
 from flexopt.model.robots.mjcf_actuators import drive_efforts
 from flexopt.model.robots.mjcf_geoms import geom_inertial
 from flexopt.model.robots.mjcf_joints import read_joint
 from flexopt.model.robots.mjcf_settings import MAIN, Settings, read_settings, with_includes
 from flexopt.model.robots.visuals import LinkVisual, mjcf_meshes, mjcf_visuals
+from flexopt.model.tree_quantities import symmetric
 
 LEFT_OUT = ("contact", "actuator", "sensor", "keyframe", "extension")
 IN_A_BODY = ("body", "frame", "inertial", "joint", "freejoint", "geom", "site", "camera", "light")
@@ -169,7 +170,7 @@ class _MjcfReader:
         moments = faults.numbers(element, "diaginertia", 3, (0.0, 0.0, 0.0), of)
         if given == ["fullinertia"]:
             moments = faults.numbers(element, "fullinertia", 6, (0.0,) * 6, of)
-        own = Inertial(faults.number(element, "mass", 0.0, of), np.zeros(3), tensor(*(float(m) for m in moments)))
+        own = Inertial(faults.number(element, "mass", 0.0, of), np.zeros(3), symmetric(*(float(m) for m in moments)))
         check_inertial(faults, element, own, of)
         return own.seen_from(self.settings.pose(element, of))
 

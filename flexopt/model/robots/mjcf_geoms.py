@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from flexopt.model.robots.elements import Element, check_text
-from flexopt.model.robots.geometry import Inertial, Pose, tensor
+from flexopt.model.robots.geometry import Inertial, Pose
 from flexopt.model.robots.mjcf_settings import Settings
+from flexopt.model.tree_quantities import symmetric
 
 DENSITY = 1000.0
 WITHOUT_MASS = ("plane", "hfield")
@@ -88,4 +89,4 @@ def _solid(shape: str, size: list[float]) -> Inertial:
             along += ball * 2 / 5 * radius**2
             mass += ball
         moments = [across, across, along]
-    return Inertial(mass, np.zeros(3), tensor(*moments))
+    return Inertial(mass, np.zeros(3), symmetric(*moments))

@@ -19,9 +19,10 @@ from flexopt.foundation.quantities import EFFORT, SPEED
 from flexopt.model.robots.collisions import urdf_solids
 from flexopt.model.robots.description import Description, Joint, JointKind, Mimic, RobotLink, check_inertial, unit_axis
 from flexopt.model.robots.elements import Element, Faults, unique
-from flexopt.model.robots.geometry import Inertial, Pose, from_quaternion, from_rpy, tensor
+from flexopt.model.robots.geometry import Inertial, Pose, from_quaternion, from_rpy
 from flexopt.model.robots.known import check_known
 from flexopt.model.robots.visuals import urdf_visuals
+from flexopt.model.tree_quantities import symmetric
 
 KINDS: dict[str, JointKind | None] = {
     "revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "fixed": None, "floating": "free",
@@ -179,7 +180,7 @@ def _inertial(faults: Faults, link: Element) -> Inertial:
     for key in MOMENTS:
         faults.required(moments, key, of=link)
     entries = [faults.number(moments, key, of=link) for key in MOMENTS]
-    body = Inertial(faults.number(mass, "value", of=link), np.zeros(3), tensor(*entries))
+    body = Inertial(faults.number(mass, "value", of=link), np.zeros(3), symmetric(*entries))
     check_inertial(faults, element, body, link)
     if body.mass == 0 and body.tensor.any():
         faults.warn(element, "has moments of inertia and no mass", of=link)
