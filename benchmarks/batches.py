@@ -13,8 +13,6 @@ machine does falls on all alike; each time is the least of its rounds.
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,7 +24,7 @@ import scipy.linalg
 
 import flexopt
 from benchmarks.score import Row, has_avx512, means
-from benchmarks.timing import least_of, table
+from benchmarks.timing import fresh_process, least_of, table
 from flexopt.compiled import Batch, batch
 from flexopt.robustness.batches import evaluate_w
 from flexopt.robustness.measures import Measures
@@ -105,10 +103,7 @@ def numpy_in_its_own_process(others: Peers, calls: int) -> float:
         file = Path(folder) / "peers.npz"
         np.savez(file, stiffness=others.stiffness, mass=others.mass, jacobian=others.jacobian,
                  inverse=others.inverse, m=others.m)  # fmt: skip
-        done = subprocess.run(
-            [sys.executable, "-c", PEER, str(file), str(calls)], check=True, capture_output=True, text=True
-        )
-    return float(done.stdout)
+        return float(fresh_process(PEER, str(file), str(calls))[1])
 
 
 def rows(quick: bool) -> list[Row]:

@@ -10,10 +10,7 @@ the clock starts. What the first map costs with an empty cache is printed beside
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import tempfile
-import time
 import warnings
 from collections.abc import Callable
 from unittest import mock
@@ -23,7 +20,7 @@ import scipy.linalg
 
 import flexopt
 from benchmarks.batches import peers
-from benchmarks.timing import table
+from benchmarks.timing import fresh_process, least_of, table
 from flexopt.foundation.turns import available_cores
 from flexopt.robustness.margin import build_margin
 from flexopt.study import points
@@ -33,13 +30,8 @@ GAIN = 5e5
 
 
 def seconds(work: Callable[[], object]) -> float:
-    """The least of three calls."""
-    times = []
-    for _ in range(3):
-        start = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start)
-    return min(times)
+    """The least of four calls."""
+    return least_of({"": work}, 2)[""]
 
 
 def scipy_margins(postures: np.ndarray) -> tuple[float, np.ndarray]:
@@ -79,9 +71,7 @@ print(f"{seconds:.1f} s; processor time {user[0]:.1f} s, of compilers {user[1]:.
 def first_map(size: tuple[int, int]) -> str:
     """What the first map costs, and what of it was worth compiling."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-c", FIRST, str(size[0])]
-        environment = os.environ | {"FLEXOPT_CACHE": folder}
-        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
+        return fresh_process(FIRST, str(size[0]), environment={"FLEXOPT_CACHE": folder})[1].strip()
 
 
 def main() -> None:

@@ -9,16 +9,13 @@ IPOPT solve, the independent checks and the evaluation of each candidate.
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import time
 from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize
 
 import flexopt
-from benchmarks.timing import median_seconds, table
+from benchmarks.timing import fresh_process, median_seconds, table
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.optima import run_solver
 from flexopt.selection.scan import peaks
@@ -35,21 +32,14 @@ IMPORT = "import time; start = time.perf_counter(); import flexopt; print(time.p
 
 def _fresh(code: str, repeats: int = 7) -> float:
     """Median of what a fresh process prints, s."""
-    runs = [
-        float(subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout)
-        for _ in range(repeats)
-    ]
+    runs = [float(fresh_process(code)[1]) for _ in range(repeats)]
     return float(np.median(runs))
 
 
 def _process(arguments: list[str], repeats: int = 7) -> float:
     """Median wall time of the command line as a process, s."""
-    command = [sys.executable, "-c", "from flexopt.cli import main; main()", *arguments]
-    times: list[float] = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        subprocess.run(command, capture_output=True, check=True)
-        times.append(time.perf_counter() - start)
+    program = "from flexopt.cli import main; main()"
+    times = [fresh_process(program, *arguments)[0] for _ in range(repeats)]
     return float(np.median(times))
 
 

@@ -14,14 +14,13 @@ from __future__ import annotations
 import json
 import os
 import statistics
-import subprocess
 import sys
 import time
 from typing import Any
 
 import flexopt
 from benchmarks.choice import PARENTS, SAMPLES, STEPS, Other
-from benchmarks.timing import table
+from benchmarks.timing import fresh_process, table
 
 REPEATS = 5
 PROCESSES = 3
@@ -50,8 +49,7 @@ def timed(arguments: dict[str, Any]) -> tuple[float, float, flexopt.Selection]:
 
 def first() -> tuple[float, float, float]:
     """Wall seconds of `build_selection` and of `solve_selection` in a fresh process, processor seconds of both."""
-    out = subprocess.run([sys.executable, "-c", FIRST], check=True, capture_output=True, text=True).stdout
-    build, solve, processor = json.loads(out)
+    build, solve, processor = json.loads(fresh_process(FIRST)[1])
     return build, solve, processor
 
 

@@ -8,14 +8,10 @@ process that imports numpy, casadi and pydantic, and does nothing.
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import tempfile
-import time
 
 from benchmarks.score import Row
-from benchmarks.timing import table
+from benchmarks.timing import fresh_process, table
 
 BASE = "import numpy, casadi, pydantic"
 EVALUATE = "import flexopt; flexopt.evaluate(flexopt.load('excavator'), (0.9929, -2.6306))"
@@ -31,29 +27,18 @@ print(time.perf_counter() - begin)
 POINTS = 200
 
 
-def seconds(program: str, *arguments: str, environment: dict[str, str] | None = None) -> tuple[float, str]:
-    """Of a process from its start to its end, and what it printed."""
-    given = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    begin = time.perf_counter()
-    done = subprocess.run(
-        [sys.executable, "-c", program, *arguments], env=given | (environment or {}), check=True, capture_output=True,
-        text=True,
-    )  # fmt: skip
-    return time.perf_counter() - begin, done.stdout
-
-
 def rows(quick: bool) -> list[Row]:
     """Whole processes beside the imports that they cannot do without."""
     programs = {"base": BASE, "import": "import flexopt", "evaluate": EVALUATE, "command": COMMAND}
     least = dict.fromkeys(programs, float("inf"))
     for _ in range(2 if quick else 20):
         for name, program in programs.items():
-            least[name] = min(least[name], seconds(program)[0])
+            least[name] = min(least[name], fresh_process(program)[0])
     maps = []
     for _ in range(1 if quick else 3):
         with tempfile.TemporaryDirectory() as folder:
             points = str(8 if quick else POINTS)
-            maps.append(float(seconds(MAP, points, environment={"FLEXOPT_CACHE": folder})[1]))
+            maps.append(float(fresh_process(MAP, points, environment={"FLEXOPT_CACHE": folder})[1]))
     unit, ran = least["base"], "Python"
     return [
         Row("import flexopt / numpy, casadi, pydantic", least["import"] / unit, 1.6, at_least=False, ran=ran),

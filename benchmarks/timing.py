@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 
@@ -32,6 +35,16 @@ def least_of(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, f
                 work()
                 least[name] = min(least[name], time.perf_counter() - start)
     return least
+
+
+def fresh_process(program: str, *arguments: str, environment: dict[str, str] | None = None) -> tuple[float, str]:
+    """Seconds of a new Python from its start to its end, and what the program's text printed there."""
+    # As on a user's machine, where modules are compiled once.
+    given = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    command = [sys.executable, "-c", program, *arguments]
+    begin = time.perf_counter()
+    done = subprocess.run(command, env=given | (environment or {}), check=True, capture_output=True, text=True)
+    return time.perf_counter() - begin, done.stdout
 
 
 def table(title: str, rows: list[tuple[str, ...]]) -> str:

@@ -9,19 +9,15 @@ error, squared base rotation and the energy of three modes.
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import flexopt
 from benchmarks.simulation.peers import POSTURE, Missing, Run
+from benchmarks.timing import fresh_process, median_seconds
 from flexopt.compiled import Recurrence
 from flexopt.simulation.run import runners
 from flexopt.simulation.scenario import Scenario, build_scenario, checked_options
@@ -69,7 +65,7 @@ class Ours:
 
 
 def python_call() -> tuple[float, float]:
-    """Seconds of `flexopt.simulate` of the article's 10 s, and with its dataset: the least of many, after warm-up."""
+    """Seconds of `flexopt.simulate` of the article's 10 s, and with its dataset: medians of many, after warm-up."""
     machine = flexopt.load("excavator")
 
     def once() -> None:
@@ -78,17 +74,7 @@ def python_call() -> tuple[float, float]:
     def with_dataset() -> None:
         _ = flexopt.simulate(machine, POSTURE_B).dataset
 
-    return _median(once), _median(with_dataset)
-
-
-def _median(work: Callable[[], None]) -> float:
-    work()
-    times: list[float] = []
-    for _ in range(60):
-        begin = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - begin)
-    return float(np.median(times))
+    return median_seconds(once, repeats=60, seconds=0), median_seconds(with_dataset, repeats=60, seconds=0)
 
 
 FIRST_CALL = """
@@ -128,8 +114,4 @@ def large_ensemble(members: int = 100_000) -> tuple[float, float]:
 
 
 def _process(program: str, cache: str) -> str:
-    root = Path(__file__).resolve().parents[2]
-    paths = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])
-    environment = os.environ | {"FLEXOPT_CACHE": cache, "PYTHONPATH": paths}
-    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
-    return done.stdout
+    return fresh_process(program, environment={"FLEXOPT_CACHE": cache})[1]

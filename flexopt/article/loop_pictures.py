@@ -42,7 +42,7 @@ def plot_figure10(stopped: BaseTrajectory, climb: BaseTrajectory) -> Figure:
     }
     axes = figure.add_subplot(grid[:, 0])
     actors = [
-        Actor(chain(skeleton), color, f"{name}: {_minus(f'{skeleton[0, 0]:.3f}')} m", ghost)
+        Actor(chain(skeleton), color, f"{name}: {skeleton[0, 0]:.3f} m".replace("-", "−"), ghost)
         for name, (skeleton, color, ghost) in ends.items()
     ]
     draw_scene(axes, views(actors[0].shape)[0], actors, stopped.target)
@@ -113,7 +113,3 @@ def plot_gains(gains: GainMap, pairs: Sequence[tuple[float, float]], *, kv: floa
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, markerscale=1.2, handlelength=3.0)
     return figure
-
-
-def _minus(text: str) -> str:
-    return text.replace("-", "−")

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.plain import counted
 from flexopt.model.tables import Visual
 
 # Triangles of a whole page: more are simplified, for a picture must be drawn within a frame.
@@ -93,12 +94,8 @@ class Meshes:
         of = f", simplified from {self.given}" if self.given > self.triangles else ""
         drawn = f"Meshes: {self.triangles} triangles{of}." if self.bodies else ""
         count = len(self.left_out)
-        missing = f"Not drawn: {_meshes(count)}; capsules, if any, stay there." if count else ""
+        missing = f"Not drawn: {counted(count, 'mesh', 'meshes')}; capsules, if any, stay there." if count else ""
         return " ".join(filter(None, [drawn, missing]))
-
-
-def _meshes(count: int) -> str:
-    return f"{count} mesh{'es' if count > 1 else ''}"
 
 
 def body_meshes(visuals: Iterable[Visual], most: int = TRIANGLES) -> Meshes:
@@ -110,7 +107,7 @@ def body_meshes(visuals: Iterable[Visual], most: int = TRIANGLES) -> Meshes:
         trimesh = import_module("trimesh")
     except ImportError:
         files = {visual.file for visual in visuals if visual.shape == "mesh"}
-        return Meshes(left_out=(f"{_meshes(len(files))}: {NEEDED}",) if files else (), note=WITHOUT)
+        return Meshes(left_out=(f"{counted(len(files), 'mesh', 'meshes')}: {NEEDED}",) if files else (), note=WITHOUT)
     known: dict[tuple[str, str], MeshPart | str] = {}
     placed: list[tuple[Visual, tuple[str, str]]] = []
     counts: list[int] = []

@@ -88,16 +88,11 @@ class View:
         return bool(depth.min() <= reach and depth.max() >= -reach)
 
 
-def machine_segments(machine: AnyMachine) -> tuple[tuple[int, int], ...]:
-    """Columns of the skeleton that are joined."""
-    return build_plant(machine).graph.segments
-
-
 def shape_at(machine: AnyMachine, q: Points, base: Points) -> Shape:
     """A machine at the coordinates q (n_q,) and the placement (n_b,)."""
     plant = build_plant(machine)
     at = [q, base, plant.parameter_values]
-    skeleton, segments = plant.skeleton.call(at)[0].full(), machine_segments(machine)
+    skeleton, segments = plant.skeleton.call(at)[0].full(), plant.graph.segments
     tree = machine.kinematic_tree
     fixed = _fixed(tree)
     gives = {i for i, body in enumerate(tree.bodies) if body.joint.passive and i not in tree.held}

@@ -66,12 +66,6 @@ class Film:
     caption: str
 
 
-def decimals(film: Film) -> int:
-    """Of the clock: as many as tell the frames apart."""
-    steps = np.diff(film.time[film.frames])
-    return max(1, math.ceil(-math.log10(float(steps[steps > 0].min()))))
-
-
 def usual(points: Vector, anchor: Vector, size: float) -> tuple[Vector, Vector]:
     """Least and greatest of points (K, points, 2), most of the time: not where a run flies away from the anchor."""
     center = anchor[:, None]
@@ -94,7 +88,9 @@ class Shots(ABC):
         self.film = film
         self.figure = Figure(figsize=size, dpi=DPI)
         self.canvas = FigureCanvasAgg(self.figure)
-        self.decimals = decimals(film)
+        # Of the clock: as many as tell the frames apart.
+        steps = np.diff(film.time[film.frames])
+        self.decimals = max(1, math.ceil(-math.log10(float(steps[steps > 0].min()))))
 
     def _finish(self, moving: list[Artist], clock: Text, places: Sequence[AxesPlace], top: float) -> None:
         """Draw what stays.

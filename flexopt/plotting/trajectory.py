@@ -80,7 +80,7 @@ def _runs(arguments: Arguments, field: str, runs: Any) -> Any:
 
 def _size_of_runs(runs: Mapping[str, Trajectory]) -> tuple[float, float]:
     first = next(iter(runs.values()))
-    return 7.2, 0.9 + 0.3 * len(runs) + 1.4 * max(len(axis_names(first)), first.n_passive)
+    return 7.2, 0.9 + 0.3 * len(runs) + 1.4 * max(len(first.model.task_rows), first.n_passive)
 
 
 @picture("", size=_size_of_runs, check=_runs)
@@ -92,7 +92,7 @@ def plot_trajectories(sheet: Sheet, trajectories: Mapping[str, Trajectory]) -> N
     first = next(iter(trajectories.values()))
     left = [
         Panel(f"error {axis}, mm", tuple((name, t.time, 1e3 * t.error[:, k]) for name, t in trajectories.items()))
-        for k, axis in enumerate(axis_names(first))
+        for k, axis in enumerate(first.model.task_rows)
     ]
     right = [deflection_panel(trajectories, k) for k in range(first.n_passive)]
     panels = _draw_columns(sheet.figure, left, right, legends=0)
@@ -118,11 +118,6 @@ def outcome(trajectory: Trajectory) -> str:
     return f"{trajectory.verdict}, decay {number} s$^{{-1}}$"
 
 
-def axis_names(trajectory: Trajectory) -> Sequence[str]:
-    """Names of the task's rows."""
-    return trajectory.model.task_rows
-
-
 def _known_rate(trajectory: Trajectory) -> float | None:
     """The growth rate where at least its sign is known."""
     rate, error = trajectory.growth_rate, trajectory.growth_rate_error
@@ -143,7 +138,7 @@ def _prefix(values: NDArray[np.float64]) -> tuple[str, float]:
 
 def error_panel(trajectory: Trajectory) -> Panel:
     """End-point error of every axis."""
-    axes = zip(axis_names(trajectory), trajectory.error.T, strict=True)
+    axes = zip(trajectory.model.task_rows, trajectory.error.T, strict=True)
     return Panel("end-point error, mm", tuple((axis, trajectory.time, 1e3 * row) for axis, row in axes))
 
 

@@ -15,7 +15,7 @@ from flexopt.model.constraints import read_constraints
 from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
 from flexopt.plotting.scenery import draw_scenery
-from flexopt.plotting.shape import capsule_outline, machine_segments, shape_at, shape_of, views
+from flexopt.plotting.shape import capsule_outline, shape_at, shape_of, views
 from flexopt.plotting.trajectory import deflection_panel
 from tests.oracles.spatial import grounded, in_space, pinocchio_tree, random_tree
 from tests.plotting.looking import faults
@@ -96,7 +96,7 @@ def test_views_are_orthogonal_projections():
     assert side.of(tip)[0] - side.of(foot)[0] == pytest.approx(math.hypot(*(tip - foot)[:2]))
     assert side.of(tip)[1] == pytest.approx(tip[2], rel=1e-15)
     np.testing.assert_allclose(above.of(foot), [0.4, -0.2], atol=1e-15)
-    assert machine_segments(machine) == shape.segments
+    assert build_plant(machine).graph.segments == shape.segments
     assert side.cuts(tip[:, None])
     # What touches counts, on whichever side rounding leaves it; what is a millimetre off does not.
     away = np.cross(side.axes[0], side.axes[1])
