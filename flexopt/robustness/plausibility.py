@@ -34,7 +34,7 @@ def implausibilities(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     # Where springs, masses or lengths are off by their units, so are the modes, by the same slip.
     told = any("stiffness" in finding.field or finding.field in BASE_MASS for finding in found)
     modes = () if told else _of_modes(machine)
-    return (*found, *modes, *_of_rows(machine), *distant_ranges(machine, machine.uncertainty))
+    return (*found, *modes, *_of_rows(machine), *_of_placement(machine), *distant_ranges(machine, machine.uncertainty))
 
 
 def warn_implausible(machine: AnyMachine) -> None:
@@ -109,6 +109,20 @@ def _of_rows(machine: AnyMachine) -> Iterator[ImplausibleNumber]:
         yield ImplausibleNumber(
             "end_point.rows", quoted(rows), "in no posture do the joints move all of them",
             f"what they move is {quoted(kept)}" if kept else "they move none of them",
+        )  # fmt: skip
+
+
+def _of_placement(machine: AnyMachine) -> Iterator[ImplausibleNumber]:
+    """A placement that leads out of the plane in which the task is."""
+    placed, aside = machine.base_coordinates, [row for row in ("x", "y") if row not in machine.task_rows]
+    leaving = [name for name in placed if name in (*aside, "yaw")]
+    if len(aside) == 1 and leaving:
+        kept = [name for name in placed if name not in leaving]
+        row = f"{aside[0]} among end_point.rows"
+        yield ImplausibleNumber(
+            "placement", quoted(placed), f"the end-point's {aside[0]} is no task row, and changes with "
+            f"{' and '.join(leaving)}: what is chosen may lie beside the target",
+            f"placement = {quoted(kept)}, or {row}" if kept else row,
         )  # fmt: skip
 
 

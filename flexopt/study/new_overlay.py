@@ -354,6 +354,9 @@ class _Text:
         locked = self._locked([joint for joint, _ in joints])
         relative = _relative(chain.path.resolve(), self.folder.resolve())
         blocked = chain.robot.blockers.get("gravity")
+        # Aside of a plane the end-point would leave the target, of which rows say nothing there.
+        along = [row for row in ("x", "y") if row in self.rows]
+        placed = ["x", "y", "yaw"] if len(along) == 2 else along
 
         def by_direction(values: Sequence[float]) -> str:
             parts = (f"{d} = {number(x)}" for d, x in zip(self.ground.gives, values, strict=True))
@@ -384,6 +387,8 @@ class _Text:
             "offset_note": "the link's own origin, where its joint is"
             if not any(self.offset)
             else "twice as far as its centre of mass, as its joint does not move its origin",
+            "placement": _listed(placed),
+            "placement_note": "" if len(placed) > 1 else " (proposed: in the plane of end_point.rows)",
             "rows": _listed(self.rows),
             "rows_note": "" if self.rows == ROWS[0] else " (proposed: what these joints can move)",
             "first": quoted(chain.actuated[0]),

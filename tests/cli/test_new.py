@@ -195,6 +195,40 @@ def test_an_end_that_its_own_joint_does_not_move_is_put_at_the_links_far_end(com
     assert "twice as far as its centre of mass" in Path("arm.toml").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(
+    ("axis", "rows", "placement"),
+    [("0 1 0", ("x", "z"), ("x",)), ("1 0 0", ("y", "z"), ("y",)), ("0 0 1", ("x", "y"), ("x", "y", "yaw"))],
+)
+def test_an_arm_in_a_plane_is_placed_in_it(
+    command: Command, axis: str, rows: tuple[str, ...], placement: tuple[str, ...]
+) -> None:
+    """Two hinges about one axis: wherever the machine may be put, the end-point stays in its plane."""
+    turned = f"<axis xyz='{axis}'/><limit lower='-2' upper='2' effort='9' velocity='1'/>"
+    inertial = "<inertial><origin xyz='0.3 0.3 0.3'/><mass value='9'/><inertia ixx='1' ixy='0' ixz='0' iyy='1' iyz='0' izz='1'/></inertial>"
+    links = (
+        "".join(f"<link name='{name}'>{inertial}</link>" for name in ("cart", "upper", "fore")) + "<link name='tip'/>"
+    )
+    joints = "".join(
+        f"<joint name='{name}' type='{kind}'><parent link='{parent}'/><child link='{child}'/>"
+        f"<origin xyz='0.6 0.6 0.6'/>{turned if kind == 'revolute' else ''}</joint>"
+        for name, kind, parent, child in (
+            ("shoulder", "revolute", "cart", "upper"), ("elbow", "revolute", "upper", "fore"), ("tool", "fixed", "fore", "tip"),
+        )
+    )  # fmt: skip
+    command.write("arm.urdf", f"<robot name='arm'>{links}{joints}</robot>")
+    followed(command, "arm.toml", "--from", "arm.urdf")
+    machine = flexopt.load("arm.toml")
+    assert (machine.task_rows, machine.base_coordinates) == (rows, placement)
+    assert command("check", "arm.toml").stdout.strip().endswith("nothing to mend")
+    text = Path("arm.toml").read_text(encoding="utf-8")
+    line = next(line for line in text.splitlines() if line.startswith("placement"))
+    command.write("astray.toml", text.replace(line, 'placement = ["x", "y", "yaw"]'))
+    told = command("check", "astray.toml").stdout
+    assert ("what is chosen may lie beside the target" in told) == (len(placement) == 1)
+    if len(placement) == 1:
+        assert f"placement = {list(placement)}, or " in told
+
+
 def test_what_the_springs_carry_is_all_that_does_not_move_on_them(command: Command) -> None:
     """By Pinocchio, which holds the joints that are not driven."""
     inertial = "<inertial><mass value='{}'/><inertia ixx='9' ixy='0' ixz='0' iyy='9' iyz='0' izz='9'/></inertial>"

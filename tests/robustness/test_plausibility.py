@@ -469,7 +469,8 @@ def test_a_machine_whose_payload_is_all_its_mass_is_checked() -> None:
     ]
     bodies[2]["position"] = [1.0, 0.0, 0.0]
     end = {"body": "stick", "position": [1.0, 0.0, 0.0], "rows": ["x", "z"]}
-    tree = tree_from_dict({"name": "light", "bodies": bodies, "end_point": end, "payload": {"mass": 10.0}})
+    data = {"name": "light", "bodies": bodies, "placement": ["x"], "end_point": end, "payload": {"mass": 10.0}}
+    tree = tree_from_dict(data)
     assert flexopt.check(tree).findings == ()
 
 
