@@ -85,12 +85,24 @@ def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | No
         return None
     known = own.model_dump(exclude_unset=True) if own else {}
     if DEFAULT_LOOP not in entries:
-        return known | asked
+        return _beside(known, asked)
     if left_out := [name for name in known if name not in asked]:
         say_once(
             f"flexopt: --loop default stands in place of the file's [loop]: its {', '.join(left_out)} do not count"
         )
     return asked
+
+
+def _beside(known: dict[str, Any], asked: dict[str, Any]) -> dict[str, Any]:
+    """What was asked for on top of the file's own; of the file's that do not go with it the way out is told."""
+    try:
+        Loop(**known | asked)
+    except InputError as error:
+        of_file = [fault for fault in error.faults if fault.field in known and fault.field not in asked]
+        sentence = "{}; it is the file's own: --loop default leaves the file's [loop] out"
+        faults = [Fault(each.field, sentence.format(each.sentence), each.value) for each in of_file]
+        raise_if_any(InputError, click.get_current_context().command_path.partition(" ")[2], faults)
+    return known | asked
 
 
 @click.command("verdict", short_help="Does it pay to move, with this controller, on this ground?")
@@ -113,7 +125,7 @@ def verdict_command(as_json: bool, problem: str, html: str | None, pdf: str | No
     hand_out = handing_out(options, ".json", as_json=as_json)
     check_output("--html", html, (".html",))
     check_pdf(pdf)
-    with working(options, as_json, "stages") as progress:
+    with working(options, as_json, "percent") as progress:
         asked, own = asked_problem("verdict", problem, options)
         settings = given(options, "members", "runs", "duration")
         ranges = table("--ranges", options["ranges"])

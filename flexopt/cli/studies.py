@@ -181,7 +181,7 @@ def report_command(as_json: bool, problem: str, out: str | None, pdf: str | None
     check_folder("--out", folder)
     check_pdf(pdf)
     experiment = None if options["experiment"] is None else read(load_experiment, options["experiment"])
-    with working(options, as_json, "stages") as progress:
+    with working(options, as_json, "percent") as progress:
         asked, own = asked_problem("report", problem, options)
         simulation = given(options, *LOOPS)
         result = report(

@@ -7,10 +7,11 @@ each place what the loop does over the uncertainty, nonlinear runs, the drive th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
-from typing import Any, Unpack, cast
+from typing import Any, TypeVar, Unpack, cast
 
 import numpy as np
 
@@ -65,6 +66,7 @@ CORNERED = 3
 STAGES = 4
 # Length of a nonlinear run, s.
 DURATION = 20.0
+T = TypeVar("T")
 # Of values of a measure (targets, few members), and of others that are known, those of a search among all members.
 Further = Callable[[Vector, Sequence[float]], list[float]]
 
@@ -124,7 +126,7 @@ def verdict(
         members: how many points of the uncertainty decays are computed of; all corners of up to six ranges at least.
         runs: how many of them are run nonlinearly in each place, too; 0 for none, which then need not confirm.
         duration: of a run, s.
-        progress: called with the number of stages done and of all: places, decays, runs, gains.
+        progress: called with the percentage done and 100: a quarter each for places, decays, runs, gains.
 
     Raises:
         InputError: arguments are not usable; the problem has no present placement.
@@ -138,8 +140,9 @@ def verdict(
         >>> answer.word
         'move'
     """
-    stages = Stages(progress, STAGES)
-    chosen = _chosen(problem, {"target": target, "constraints": constraints, **keywords}, loop, ranges)
+    stages = Stages(progress, STAGES, 100 // STAGES)
+    asked_of = {"target": target, "constraints": constraints, **keywords}
+    chosen = _chosen(problem, asked_of, loop, ranges, stages.within)
     solved = problems_of(chosen)[0]
     machine, now = solved.machine, solved.present_base
     if now is None:
@@ -157,23 +160,19 @@ def verdict(
         name: PlaceLoops.at(settings, [(e.base, e.posture) for e in stand], box, gravity=solved.gravity)
         for name, stand in stands.items()
     }
-    each = {name: place.decays(points) for name, place in loops.items()}
+    each = _each(loops, lambda name: loops[name].decays(points), lambda done, of: stages.within(done, 2 * of))
     decays: dict[str, Vector] = {name: own.min(axis=0) for name, own in each.items()}
     others = [name for name in ranked(decays) if name != STAY]
     told = list(dict.fromkeys(name for name in (STAY, *others[:TOLD], FIRST) if name in stands))
     shares = shares_better(decays)
     told += overlooked(shares, told)
-    slowest = {name: loops[name].slowest(points, each[name]) for name in told}
+    slowest = _each(
+        told, lambda name: loops[name].slowest(points, each[name]), lambda done, of: stages.within(of + done, 2 * of)
+    )
     drives = {name: drive_to(stands[name], cast(Vector, now)) for name in told}
     stages.next()
-    shown = dict[str, Runs]()
-    for name in told if runs else []:
-        try:
-            shown[name] = loops[name].runs(points[:runs], each[name][:, :runs], duration)
-        except InputError as error:
-            # As where the arm is held beyond its limits, which `assume` may leave out.
-            sentence = f"in {spoken(name)}: {error}; `flexopt verdict --runs 0`, or runs = 0, leaves them out"
-            raise_if_any(InputError, "verdict", [Fault("runs", sentence, f"{runs}")])
+    first_runs = partial(_first_runs, loops, each, points[:runs], duration)
+    shown = _each(told if runs else [], first_runs, stages.within)
     stages.next()
     breaks = broken_at(chosen, [(e.base, e.posture) for e in stands[STAY]]) if STAY in stands else ""
     absent = f"the present place {breaks}" if breaks or STAY in stands else unreached(chosen)
@@ -240,7 +239,29 @@ def overlooked(shares: Mapping[str, float], told: Sequence[str]) -> list[str]:
     return [first] if shares[first] > 1 - MOST >= max(shares[name] for name in told) else []
 
 
-def _chosen(problem: Any, asked: dict[str, Any], loop: Any, ranges: Any) -> Chosen:
+def _each(names: Collection[str], work: Callable[[str], T], tell: Progress) -> dict[str, T]:
+    """What `work` makes of each name, and how many are done."""
+    made = dict[str, T]()
+    for name in names:
+        made[name] = work(name)
+        tell(len(made), len(names))
+    return made
+
+
+def _first_runs(
+    loops: Mapping[str, PlaceLoops], decays: Mapping[str, Vector], members: Vector, duration: float, name: str
+) -> Runs:
+    """Nonlinear runs of the first members in one place."""
+    try:
+        return loops[name].runs(members, decays[name][:, : len(members)], duration)
+    except InputError as error:
+        # As where the arm is held beyond its limits, which `assume` may leave out.
+        sentence = f"in {spoken(name)}: {error}; `flexopt verdict --runs 0`, or runs = 0, leaves them out"
+        raise_if_any(InputError, "verdict", [Fault("runs", sentence, f"{len(members)}")])
+        raise
+
+
+def _chosen(problem: Any, asked: dict[str, Any], loop: Any, ranges: Any, progress: Progress) -> Chosen:
     """The problem's answer, or that of a machine with a target; what is sought of the loop is sought of the one judged.
 
     `asked`: target, constraints and options of a machine.
@@ -251,13 +272,15 @@ def _chosen(problem: Any, asked: dict[str, Any], loop: Any, ranges: Any) -> Chos
             raise_if_any(InputError, "verdict", [Fault("target", "is needed of a machine")])
         if asks_for_loop(given.get("objective"), given.get("constraints")):
             given |= {"loop": loop, "ranges": ranges}
-        return select(problem, **given)
+        return select(problem, **given, progress=progress)
     sentence = "goes with a machine; the problem brings its own"
     faults = [Fault(name, sentence, shown(value)) for name, value in given.items()]
     raise_if_any(InputError, "verdict", faults)
     if isinstance(problem, SelectionProblem):
-        return solve_selection(problem)
-    return solve_problem(judged_by(problem, loop, ranges)) if isinstance(problem, Problem) else cast(Chosen, problem)
+        return solve_selection(problem, progress=progress)
+    if isinstance(problem, Problem):
+        return solve_problem(judged_by(problem, loop, ranges), progress=progress)
+    return cast(Chosen, problem)
 
 
 def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, tuple[Uncertainty, ...]]:

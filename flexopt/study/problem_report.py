@@ -98,7 +98,7 @@ def report(
             `[simulation]` say another.
         points: of the map, along each axis; 160; 48 in space, and with more than three passive coordinates.
         members, runs: of the verdict, as of `flexopt.verdict`.
-        progress: called with the number of stages done and of all.
+        progress: called with the percentage done and 100.
 
     Raises:
         InputError, UnreachableTarget, NoSolutionFound: as `flexopt.solve_problem`; arguments are not usable.
@@ -112,21 +112,21 @@ def report(
     machine = problem.loaded_machine if isinstance(problem, Problem) else problem.machine
     given = _simulation(machine, experiment, simulation)
     size = map_points(machine) if points is None else points
-    stages = Stages(progress, STAGES)
+    stages = Stages(progress, STAGES, 100 // STAGES)
     brought = cast("Loop | None", loop) or (experiment and experiment.loop)
     known = brought or getattr(problem, "loop", None) or machine.loop
     if isinstance(problem, Problem):
         problem = judged_by(problem, brought, cast("tuple[Uncertainty, ...] | None", ranges))
-        selection = solve_problem(problem)
+        selection = solve_problem(problem, progress=stages.within)
     else:
-        selection = solve_selection(problem)
+        selection = solve_selection(problem, progress=stages.within)
     solved, notes = problem_of(selection), list[str]()
     given |= {"control": solved.control, "gravity": solved.gravity}
     stages.next()
     drawn = _attempt(notes, "the map", lambda: surroundings(selection, size))
     stages.next()
     ground = ranges or getattr(problem, "uncertainty", None) or None
-    judged, why_not = _judged(selection, known, ground, members, runs)
+    judged, why_not = _judged(selection, known, ground, members, runs, stages.within)
     stages.next()
     stands, loops, real = stands_of(selection), dict[str, ReportLoop](), None
     # What is said of the controller otherwise goes before a loop that is known.
@@ -167,7 +167,12 @@ def report(
 
 
 def _judged(
-    selection: Selection | Stand | BasePlan, known: Loop | None, ground: Any, members: int, runs: int
+    selection: Selection | Stand | BasePlan,
+    known: Loop | None,
+    ground: Any,
+    members: int,
+    runs: int,
+    progress: Progress,
 ) -> tuple[Verdict | None, str]:
     """Whether it pays to move, or why that cannot be said and what to give."""
     if problems_of(selection)[0].present_base is None:
@@ -181,7 +186,7 @@ def _judged(
             "problem, or by --loop (kp=1e4, say); --loop default lets all of them follow from the machine."
         )
     try:
-        return verdict(selection, loop=known, ranges=ground, members=members, runs=runs), ""
+        return verdict(selection, loop=known, ranges=ground, members=members, runs=runs, progress=progress), ""
     except FlexoptError as error:
         return None, f"It could not be judged: {error}"
 

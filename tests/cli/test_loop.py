@@ -41,6 +41,20 @@ def test_options_on_top_of_a_file(command: Command) -> None:
     assert {"kp", "kv"} <= set(whole.settings.sources)
 
 
+def test_what_of_the_file_does_not_go_with_an_option_is_told_with_the_way_out(command: Command) -> None:
+    source = (Path(__file__).parents[2] / "models" / "excavator.toml").read_text(encoding="utf-8")
+    served = '\n[loop]\ndrive = "velocity"\nservo_gain = 2e5\n'
+    (command.folder / "own.toml").write_text(source + served, encoding="utf-8")
+    words = ("evaluate", "own.toml", *WORDS[2:], "--loop", "drive=torque", "--loop", "kp=1e4")
+    refused = command(*words)
+    assert refused.code == 2
+    assert "evaluate: servo_gain = 200000: goes with drive" in refused.stderr
+    assert "it is the file's own: --loop default leaves the file's [loop] out" in refused.stderr
+    assert command(*words, "--loop", "default").code == 0
+    # What was typed is told by its option.
+    assert "--loop servo_gain" in command(*words, "--loop", "servo_gain=3").stderr
+
+
 def test_what_is_no_option(command: Command) -> None:
     for given, sentence in ((("kp",), "NAME=VALUE"), (("kp=1", "kp=2"), "given twice"), (("kz=1",), "unknown key")):
         refused = command(*WORDS, *(part for entry in given for part in ("--loop", entry)))
