@@ -1,4 +1,5 @@
-{% set fmi, component, state, deserialize, reals = "fmi2", "fmi2Component", "FMUstate", "DeSerialize", "Real" %}
+{% set fmi, component, state, reals = "fmi2", "fmi2Component", "FMUstate", "Real" %}
+{% set deserialize, get_derivatives = "DeSerialize", "GetDerivatives" %}
 {% set allocate, release = "m->logger->allocateMemory", "m->logger->freeMemory" %}
 /* FMI 2.0: its types, and its functions around the model. */
 
@@ -144,41 +145,6 @@ EXPORT fmi2Status F(NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info) {
   }
   memset(info, 0, sizeof *info);
   return fmi2OK;
-}
-
-EXPORT fmi2Status F(SetTime)(fmi2Component c, fmi2Real time) {
-  Instance *m = (Instance *)c;
-  return permitted(m, CONTINUOUS | EVENT, "fmi2SetTime") ? (fmi2Status)set_time(m, time) : fmi2Error;
-}
-
-EXPORT fmi2Status F(SetContinuousStates)(fmi2Component c, const fmi2Real x[], size_t n) {
-  Instance *m = (Instance *)c;
-  return permitted(m, CONTINUOUS | EVENT, "fmi2SetContinuousStates") ? (fmi2Status)set_states(m, x, n) : fmi2Error;
-}
-
-EXPORT fmi2Status F(GetDerivatives)(fmi2Component c, fmi2Real rates[], size_t n) {
-  Instance *m = (Instance *)c;
-  return permitted(m, READABLE & ~INSTANTIATED, "fmi2GetDerivatives") ? (fmi2Status)get_derivatives(m, rates, n) : fmi2Error;
-}
-
-EXPORT fmi2Status F(GetEventIndicators)(fmi2Component c, fmi2Real indicators[], size_t n) {
-  Instance *m = (Instance *)c;
-  (void)indicators;
-  if (!permitted(m, READABLE & ~INSTANTIATED, "fmi2GetEventIndicators")) {
-    return fmi2Error;
-  }
-  return n == 0 ? fmi2OK : (fmi2Status)report(m, ERROR, "fmi2GetEventIndicators: there are none");
-}
-
-EXPORT fmi2Status F(GetContinuousStates)(fmi2Component c, fmi2Real x[], size_t n) {
-  Instance *m = (Instance *)c;
-  return permitted(m, READABLE & ~INSTANTIATED, "fmi2GetContinuousStates") ? (fmi2Status)get_states(m, x, n) : fmi2Error;
-}
-
-EXPORT fmi2Status F(GetNominalsOfContinuousStates)(fmi2Component c, fmi2Real nominals[], size_t n) {
-  Instance *m = (Instance *)c;
-  return permitted(m, READABLE & ~INSTANTIATED, "fmi2GetNominalsOfContinuousStates")
-    ? (fmi2Status)get_nominals(m, nominals, n) : fmi2Error;
 }
 #else
 EXPORT fmi2Status F(SetRealInputDerivatives)(fmi2Component c, const fmi2ValueReference vr[], size_t n,

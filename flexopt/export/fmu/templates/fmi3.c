@@ -1,4 +1,5 @@
-{% set fmi, component, state, deserialize, reals = "fmi3", "fmi3Instance", "FMUState", "Deserialize", "Float64" %}
+{% set fmi, component, state, reals = "fmi3", "fmi3Instance", "FMUState", "Float64" %}
+{% set deserialize, get_derivatives = "Deserialize", "GetContinuousStateDerivatives" %}
 {% set allocate, release = "calloc", "free" %}
 /* FMI 3.0: its types, and its functions around the model. */
 
@@ -282,24 +283,7 @@ EXPORT fmi3Status F(EnterStepMode)(fmi3Instance instance) {
   return unsupported(instance, "fmi3EnterStepMode");
 }
 
-#if MODEL_EXCHANGE
-EXPORT fmi3Status F(SetTime)(fmi3Instance instance, fmi3Float64 time) {
-  Instance *m = (Instance *)instance;
-  return permitted(m, CONTINUOUS | EVENT, "fmi3SetTime") ? (fmi3Status)set_time(m, time) : fmi3Error;
-}
-
-EXPORT fmi3Status F(SetContinuousStates)(fmi3Instance instance, const fmi3Float64 x[], size_t n) {
-  Instance *m = (Instance *)instance;
-  return permitted(m, CONTINUOUS | EVENT, "fmi3SetContinuousStates") ? (fmi3Status)set_states(m, x, n) : fmi3Error;
-}
-
-#define STATES(name, function)                                                                    \
-  EXPORT fmi3Status F(name)(fmi3Instance instance, fmi3Float64 values[], size_t n) {              \
-    Instance *m = (Instance *)instance;                                                           \
-    return permitted(m, READABLE & ~INSTANTIATED, "fmi3" #name)                                   \
-      ? (fmi3Status)function(m, values, n) : fmi3Error;                                           \
-  }
-#else
+#if !MODEL_EXCHANGE
 EXPORT fmi3Status F(SetTime)(fmi3Instance instance, fmi3Float64 time) {
   (void)time;
   return unsupported(instance, "fmi3SetTime");
@@ -310,25 +294,16 @@ EXPORT fmi3Status F(SetContinuousStates)(fmi3Instance instance, const fmi3Float6
   return unsupported(instance, "fmi3SetContinuousStates");
 }
 
-#define STATES(name, function)                                                                    \
-  EXPORT fmi3Status F(name)(fmi3Instance instance, fmi3Float64 values[], size_t n) {              \
-    (void)values, (void)n;                                                                        \
-    return unsupported(instance, "fmi3" #name);                                                   \
+#define NO_STATES(name)                                                              \
+  EXPORT fmi3Status F(name)(fmi3Instance instance, fmi3Float64 values[], size_t n) { \
+    (void)values, (void)n;                                                           \
+    return unsupported(instance, "fmi3" #name);                                      \
   }
+
+NO_STATES(GetContinuousStates)
+NO_STATES(GetContinuousStateDerivatives)
+NO_STATES(GetNominalsOfContinuousStates)
 #endif
-
-STATES(GetContinuousStates, get_states)
-STATES(GetContinuousStateDerivatives, get_derivatives)
-STATES(GetNominalsOfContinuousStates, get_nominals)
-
-EXPORT fmi3Status F(GetEventIndicators)(fmi3Instance instance, fmi3Float64 indicators[], size_t n) {
-  Instance *m = (Instance *)instance;
-  (void)indicators;
-  if (!permitted(m, READABLE, "fmi3GetEventIndicators")) {
-    return fmi3Error;
-  }
-  return n == 0 ? fmi3OK : (fmi3Status)report(m, ERROR, "fmi3GetEventIndicators: there are none");
-}
 
 static fmi3Status counted(fmi3Instance instance, size_t *n, size_t count, const char *call) {
   Instance *m = (Instance *)instance;

@@ -1,4 +1,4 @@
-{# What both versions of FMI have in common but for names: modes, and the state of an instance. #}
+{# What both versions of FMI have in common but for names: modes, the state of an instance, and the states of the loop. #}
 static {{ fmi }}Status no_variables({{ component }} instance, size_t n, const char *call) {
   Instance *m = (Instance *)instance;
   if (!permitted(m, READABLE, call)) {
@@ -139,6 +139,38 @@ EXPORT {{ fmi }}Status F(CompletedIntegratorStep)({{ component }} instance, {{ f
   *enter_event_mode = *terminate = 0;
   return {{ fmi }}OK;
 }
+
+EXPORT {{ fmi }}Status F(GetEventIndicators)({{ component }} instance, {{ fmi }}{{ reals }} indicators[], size_t n) {
+  Instance *m = (Instance *)instance;
+  (void)indicators;
+  if (!permitted(m, READABLE{% if fmi == "fmi2" %} & ~INSTANTIATED{% endif %}, "{{ fmi }}GetEventIndicators")) {
+    return {{ fmi }}Error;
+  }
+  return n == 0 ? {{ fmi }}OK : ({{ fmi }}Status)report(m, ERROR, "{{ fmi }}GetEventIndicators: there are none");
+}
 {% if fmi == "fmi2" %}
 #endif
 {% endif %}
+
+#if MODEL_EXCHANGE
+EXPORT {{ fmi }}Status F(SetTime)({{ component }} instance, {{ fmi }}{{ reals }} time) {
+  Instance *m = (Instance *)instance;
+  return permitted(m, CONTINUOUS | EVENT, "{{ fmi }}SetTime") ? ({{ fmi }}Status)set_time(m, time) : {{ fmi }}Error;
+}
+
+EXPORT {{ fmi }}Status F(SetContinuousStates)({{ component }} instance, const {{ fmi }}{{ reals }} x[], size_t n) {
+  Instance *m = (Instance *)instance;
+  return permitted(m, CONTINUOUS | EVENT, "{{ fmi }}SetContinuousStates") ? ({{ fmi }}Status)set_states(m, x, n) : {{ fmi }}Error;
+}
+
+#define STATES(name, status, what, from)                                                              \
+  EXPORT {{ fmi }}Status F(name)({{ component }} instance, {{ fmi }}{{ reals }} values[], size_t n) { \
+    Instance *m = (Instance *)instance;                                                               \
+    return permitted(m, READABLE & ~INSTANTIATED, "{{ fmi }}" #name)                                  \
+      ? ({{ fmi }}Status)give(m, status, what, from, values, n) : {{ fmi }}Error;                     \
+  }
+
+STATES(GetContinuousStates, prepare(m), "states", m->core.x)
+STATES({{ get_derivatives }}, differentiate(m), "derivatives", m->core.derivatives)
+STATES(GetNominalsOfContinuousStates, OK, "nominals", state_nominal)
+#endif
