@@ -169,42 +169,27 @@ EXPORT fmi2Status F(CancelStep)(fmi2Component c) {
   return unsupported(c, "fmi2CancelStep");
 }
 
-EXPORT fmi2Status F(GetStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
-  (void)kind, (void)value;
-  return unsupported(c, "fmi2GetStatus");
-}
-
-EXPORT fmi2Status F(GetRealStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
-  Instance *m = (Instance *)c;
-  if (kind != fmi2LastSuccessfulTime || value == NULL) {
-    return unsupported(c, "fmi2GetRealStatus");
+#define NO_STATUS(name, type)                                                          \
+  EXPORT fmi2Status F(name)(fmi2Component c, const fmi2StatusKind kind, type *value) { \
+    (void)kind, (void)value;                                                           \
+    return unsupported(c, "fmi2" #name);                                               \
   }
-  if (!permitted(m, STEP | TERMINATED, "fmi2GetRealStatus")) {
-    return fmi2Error;
+#define STATUS(name, type, known, now)                                                 \
+  EXPORT fmi2Status F(name)(fmi2Component c, const fmi2StatusKind kind, type *value) { \
+    Instance *m = (Instance *)c;                                                       \
+    if (kind != known || value == NULL) {                                              \
+      return unsupported(c, "fmi2" #name);                                             \
+    }                                                                                  \
+    if (!permitted(m, STEP | TERMINATED, "fmi2" #name)) {                              \
+      return fmi2Error;                                                                \
+    }                                                                                  \
+    *value = now;                                                                      \
+    return fmi2OK;                                                                     \
   }
-  *value = m->core.time;
-  return fmi2OK;
-}
 
-EXPORT fmi2Status F(GetIntegerStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) {
-  (void)kind, (void)value;
-  return unsupported(c, "fmi2GetIntegerStatus");
-}
-
-EXPORT fmi2Status F(GetBooleanStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
-  Instance *m = (Instance *)c;
-  if (kind != fmi2Terminated || value == NULL) {
-    return unsupported(c, "fmi2GetBooleanStatus");
-  }
-  if (!permitted(m, STEP | TERMINATED, "fmi2GetBooleanStatus")) {
-    return fmi2Error;
-  }
-  *value = 0;
-  return fmi2OK;
-}
-
-EXPORT fmi2Status F(GetStringStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {
-  (void)kind, (void)value;
-  return unsupported(c, "fmi2GetStringStatus");
-}
+NO_STATUS(GetStatus, fmi2Status)
+STATUS(GetRealStatus, fmi2Real, fmi2LastSuccessfulTime, m->core.time)
+NO_STATUS(GetIntegerStatus, fmi2Integer)
+STATUS(GetBooleanStatus, fmi2Boolean, fmi2Terminated, 0)
+NO_STATUS(GetStringStatus, fmi2String)
 #endif
