@@ -57,13 +57,14 @@ static void emit(Instance *m, int status, const char *category, const char *text
 
 {% include "export/fmu/templates/interface.c" %}
 
-static fmi3Instance created(const char *name, const char *token, int logging, Logger logger, const char *fault) {
+static fmi3Instance created(const char *name, const char *token, int logging, fmi3InstanceEnvironment environment,
+                            fmi3LogMessageCallback message, const char *fault) {
   Instance *m;
   const char *identity = identity_fault(name, token);
   fault = identity == NULL ? fault : identity;
   if (fault != NULL) {
-    if (logger.message != NULL) {
-      logger.message(logger.environment, fmi3Error, "logStatusError", fault);
+    if (message != NULL) {
+      message(environment, fmi3Error, "logStatusError", fault);
     }
     return NULL;
   }
@@ -71,7 +72,8 @@ static fmi3Instance created(const char *name, const char *token, int logging, Lo
   if (m == NULL) {
     return NULL;
   }
-  m->logger = logger;
+  m->logger.environment = environment;
+  m->logger.message = message;
   m->logging = logging;
   christen(m, name);
   return m;
@@ -82,11 +84,9 @@ EXPORT const char *F(GetVersion)(void) { return "3.0"; }
 EXPORT fmi3Instance F(InstantiateModelExchange)(fmi3String name, fmi3String token, fmi3String resources,
                                                 fmi3Boolean visible, fmi3Boolean logging,
                                                 fmi3InstanceEnvironment environment, fmi3LogMessageCallback message) {
-  Logger logger;
-  logger.environment = environment;
-  logger.message = message;
   (void)resources, (void)visible;
-  return created(name, token, logging, logger, MODEL_EXCHANGE ? NULL : "instantiate: the model is for co-simulation");
+  return created(name, token, logging, environment, message,
+                 MODEL_EXCHANGE ? NULL : "instantiate: the model is for co-simulation");
 }
 
 EXPORT fmi3Instance F(InstantiateCoSimulation)(fmi3String name, fmi3String token, fmi3String resources,
@@ -95,16 +95,13 @@ EXPORT fmi3Instance F(InstantiateCoSimulation)(fmi3String name, fmi3String token
                                                size_t n_intermediate, fmi3InstanceEnvironment environment,
                                                fmi3LogMessageCallback message, fmi3IntermediateUpdateCallback update) {
   const char *fault = NULL;
-  Logger logger;
-  logger.environment = environment;
-  logger.message = message;
   (void)resources, (void)visible, (void)early_return, (void)intermediate, (void)update;
   if (MODEL_EXCHANGE) {
     fault = "instantiate: the model is for model exchange";
   } else if (event_mode || n_intermediate > 0) {
     fault = "instantiate: the model has no event mode and no intermediate variables";
   }
-  return created(name, token, logging, logger, fault);
+  return created(name, token, logging, environment, message, fault);
 }
 
 EXPORT fmi3Instance F(InstantiateScheduledExecution)(fmi3String name, fmi3String token, fmi3String resources,
@@ -112,11 +109,8 @@ EXPORT fmi3Instance F(InstantiateScheduledExecution)(fmi3String name, fmi3String
                                                      fmi3InstanceEnvironment environment, fmi3LogMessageCallback message,
                                                      fmi3ClockUpdateCallback update, fmi3LockPreemptionCallback lock,
                                                      fmi3UnlockPreemptionCallback unlock) {
-  Logger logger;
-  logger.environment = environment;
-  logger.message = message;
   (void)resources, (void)visible, (void)update, (void)lock, (void)unlock;
-  return created(name, token, logging, logger, "instantiate: the model is not for scheduled execution");
+  return created(name, token, logging, environment, message, "instantiate: the model is not for scheduled execution");
 }
 
 EXPORT void F(FreeInstance)(fmi3Instance instance) {
