@@ -1,6 +1,7 @@
 {% set fmi, component, state, reals = "fmi2", "fmi2Component", "FMUstate", "Real" %}
 {% set deserialize, get_derivatives = "DeSerialize", "GetDerivatives" %}
 {% set allocate, release = "m->logger->allocateMemory", "m->logger->freeMemory" %}
+{% from "export/fmu/templates/refusals.c" import refuse_null, refuse_unless with context %}
 /* FMI 2.0: its types, and its functions around the model. */
 
 #ifndef FMI2_FUNCTION_PREFIX
@@ -137,12 +138,8 @@ EXPORT fmi2Status F(GetDirectionalDerivative)(fmi2Component c, const fmi2ValueRe
 #if MODEL_EXCHANGE
 EXPORT fmi2Status F(NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info) {
   Instance *m = (Instance *)c;
-  if (!permitted(m, EVENT, "fmi2NewDiscreteStates")) {
-    return fmi2Error;
-  }
-  if (info == NULL) {
-    return (fmi2Status)report(m, ERROR, "fmi2NewDiscreteStates: a pointer is NULL");
-  }
+  {{ refuse_unless("NewDiscreteStates", "EVENT") }}
+  {{ refuse_null("NewDiscreteStates", "info") }}
   memset(info, 0, sizeof *info);
   return fmi2OK;
 }

@@ -1,6 +1,7 @@
 {% set fmi, component, state, reals = "fmi3", "fmi3Instance", "FMUState", "Float64" %}
 {% set deserialize, get_derivatives = "Deserialize", "GetContinuousStateDerivatives" %}
 {% set allocate, release = "calloc", "free" %}
+{% from "export/fmu/templates/refusals.c" import refuse_null, refuse_unless with context %}
 /* FMI 3.0: its types, and its functions around the model. */
 
 #include <stdbool.h>
@@ -122,9 +123,7 @@ EXPORT fmi3Status F(EnterInitializationMode)(fmi3Instance instance, fmi3Boolean 
   Instance *m = (Instance *)instance;
   int status;
   (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop;
-  if (!permitted(m, INSTANTIATED, "fmi3EnterInitializationMode")) {
-    return fmi3Error;
-  }
+  {{ refuse_unless("EnterInitializationMode", "INSTANTIATED") }}
   status = set_start(m, start);
   m->core.mode = status == OK ? INITIALIZATION : m->core.mode;
   return (fmi3Status)status;
@@ -133,18 +132,14 @@ EXPORT fmi3Status F(EnterInitializationMode)(fmi3Instance instance, fmi3Boolean 
 EXPORT fmi3Status F(GetFloat64)(fmi3Instance instance, const fmi3ValueReference vr[], size_t n, fmi3Float64 values[],
                                 size_t n_values) {
   Instance *m = (Instance *)instance;
-  if (!permitted(m, READABLE, "fmi3GetFloat64")) {
-    return fmi3Error;
-  }
+  {{ refuse_unless("GetFloat64", "READABLE") }}
   return (fmi3Status)(n == n_values ? get_reals(m, vr, n, values) : report(m, ERROR, "fmi3GetFloat64: counts differ"));
 }
 
 EXPORT fmi3Status F(SetFloat64)(fmi3Instance instance, const fmi3ValueReference vr[], size_t n,
                                 const fmi3Float64 values[], size_t n_values) {
   Instance *m = (Instance *)instance;
-  if (!permitted(m, READABLE & ~TERMINATED, "fmi3SetFloat64")) {
-    return fmi3Error;
-  }
+  {{ refuse_unless("SetFloat64", "READABLE & ~TERMINATED") }}
   return (fmi3Status)(n == n_values ? set_reals(m, vr, n, values) : report(m, ERROR, "fmi3SetFloat64: counts differ"));
 }
 
@@ -261,13 +256,8 @@ EXPORT fmi3Status F(UpdateDiscreteStates)(fmi3Instance instance, fmi3Boolean *ag
                                           fmi3Boolean *nominals_changed, fmi3Boolean *states_changed,
                                           fmi3Boolean *next_defined, fmi3Float64 *next) {
   Instance *m = (Instance *)instance;
-  if (!permitted(m, EVENT, "fmi3UpdateDiscreteStates")) {
-    return fmi3Error;
-  }
-  if (again == NULL || terminate == NULL || nominals_changed == NULL || states_changed == NULL || next_defined == NULL
-      || next == NULL) {
-    return (fmi3Status)report(m, ERROR, "fmi3UpdateDiscreteStates: a pointer is NULL");
-  }
+  {{ refuse_unless("UpdateDiscreteStates", "EVENT") }}
+  {{ refuse_null("UpdateDiscreteStates", "again", "terminate", "nominals_changed", "states_changed", "next_defined", "next") }}
   *again = *terminate = *nominals_changed = *states_changed = *next_defined = false;
   *next = 0.0;
   return fmi3OK;
@@ -334,12 +324,8 @@ EXPORT fmi3Status F(DoStep)(fmi3Instance instance, fmi3Float64 time, fmi3Float64
   Instance *m = (Instance *)instance;
   int status;
   (void)final;
-  if (!permitted(m, STEP, "fmi3DoStep")) {
-    return fmi3Error;
-  }
-  if (event == NULL || terminate == NULL || early == NULL || last == NULL) {
-    return (fmi3Status)report(m, ERROR, "fmi3DoStep: a pointer is NULL");
-  }
+  {{ refuse_unless("DoStep", "STEP") }}
+  {{ refuse_null("DoStep", "event", "terminate", "early", "last") }}
   status = do_step(m, time, size);
   *event = *terminate = *early = false;
   *last = m->core.time;
