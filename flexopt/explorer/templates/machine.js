@@ -288,14 +288,7 @@ class Loop {
     const toQ = new Matrix(q, q, Float64Array.from(data.loop.to_q)), inner = own.T.times(mass).times(own);
     const shares = values.map(([x, y], index) => {
       if (y !== 0 || x <= 0) return { index, share: 0 };
-      const shifted = M.a.slice();
-      for (let k = 0; k < M.n; k++) shifted[k + k * M.n] -= x * (1 + 1e-14);
-      let v = new Float64Array(M.n).map((_, k) => 1 + 0.1 * Math.sin(k));
-      for (let turn = 0; turn < 3; turn++) {
-        v = Linear.solve(shifted, v, M.n, 1);
-        const length = Math.hypot(...v);
-        v = v.map((z) => z / length);
-      }
+      const v = Linear.eigenvector(M.a, M.n, x, 0).subarray(0, M.n);
       const lifted = U.T.times(new Matrix(M.n, 1, v)).a.map((z, k) => z * scale[k]);
       const rates = toQ.times(new Matrix(q, 1, lifted.slice(q, 2 * q))), along = own.T.times(mass).times(rates);
       const part = along.T.times(new Matrix(n - r, 1, Linear.solve(inner.a, along.a, n - r, 1))).a[0];

@@ -27,9 +27,9 @@ from flexopt.export.kernels import Unsupported
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Document, PostureLike
 from flexopt.foundation.boundary import path, public, words
-from flexopt.foundation.documents import json_ready, package_version, provenance
+from flexopt.foundation.documents import package_version, provenance
 from flexopt.foundation.escapes import c_identifier
-from flexopt.foundation.results import Tabled
+from flexopt.foundation.results import Result
 from flexopt.foundation.warned import warn_user
 from flexopt.foundation.writing import write_files
 from flexopt.loop.settings import LoopSettings
@@ -53,7 +53,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # equal models have equal bytes
 
 
 @dataclass(frozen=True)
-class FmuReport(Tabled):
+class FmuReport(Result):
     """What was written.
 
     Attributes:
@@ -86,16 +86,6 @@ class FmuReport(Tabled):
     files: tuple[str, ...]
     warnings: tuple[str, ...]
     provenance: Document
-
-    def to_dict(self) -> Document:
-        """JSON-ready dictionary.
-
-        Example:
-            >>> report.to_dict()["kind"]
-            'co-simulation'
-        """
-        paths = {"path": str(self.path), "reference": str(self.reference)}
-        return cast(dict[str, Any], json_ready(vars(self) | paths))
 
     def __repr__(self) -> str:
         where = ", ".join(self.platforms) or "sources only"

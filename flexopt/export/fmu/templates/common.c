@@ -368,18 +368,6 @@ static int give(Instance *m, int status, const char *what, const double *from, d
   }
   return status;
 }
-
-static int get_states(Instance *m, double *x, size_t n) {
-  return give(m, prepare(m), "states", m->core.x, x, n);
-}
-
-static int get_derivatives(Instance *m, double *rates, size_t n) {
-  return give(m, differentiate(m), "derivatives", m->core.derivatives, rates, n);
-}
-
-static int get_nominals(Instance *m, double *nominals, size_t n) {
-  return give(m, OK, "nominals", state_nominal, nominals, n);
-}
 #endif
 
 static int restore(Instance *m, const Saved *saved) {

@@ -1,5 +1,7 @@
-{% set fmi, component, state, deserialize, reals = "fmi2", "fmi2Component", "FMUstate", "DeSerialize", "Real" %}
+{% set fmi, component, state, reals = "fmi2", "fmi2Component", "FMUstate", "Real" %}
+{% set deserialize, get_derivatives = "DeSerialize", "GetDerivatives" %}
 {% set allocate, release = "m->logger->allocateMemory", "m->logger->freeMemory" %}
+{% from "export/fmu/templates/refusals.c" import refuse_null, refuse_unless with context %}
 /* FMI 2.0: its types, and its functions around the model. */
 
 #ifndef FMI2_FUNCTION_PREFIX
@@ -136,49 +138,10 @@ EXPORT fmi2Status F(GetDirectionalDerivative)(fmi2Component c, const fmi2ValueRe
 #if MODEL_EXCHANGE
 EXPORT fmi2Status F(NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info) {
   Instance *m = (Instance *)c;
-  if (!permitted(m, EVENT, "fmi2NewDiscreteStates")) {
-    return fmi2Error;
-  }
-  if (info == NULL) {
-    return (fmi2Status)report(m, ERROR, "fmi2NewDiscreteStates: a pointer is NULL");
-  }
+  {{ refuse_unless("NewDiscreteStates", "EVENT") }}
+  {{ refuse_null("NewDiscreteStates", "info") }}
   memset(info, 0, sizeof *info);
   return fmi2OK;
-}
-
-EXPORT fmi2Status F(SetTime)(fmi2Component c, fmi2Real time) {
-  Instance *m = (Instance *)c;
-  return permitted(m, CONTINUOUS | EVENT, "fmi2SetTime") ? (fmi2Status)set_time(m, time) : fmi2Error;
-}
-
-EXPORT fmi2Status F(SetContinuousStates)(fmi2Component c, const fmi2Real x[], size_t n) {
-  Instance *m = (Instance *)c;
-  return permitted(m, CONTINUOUS | EVENT, "fmi2SetContinuousStates") ? (fmi2Status)set_states(m, x, n) : fmi2Error;
-}
-
-EXPORT fmi2Status F(GetDerivatives)(fmi2Component c, fmi2Real rates[], size_t n) {
-  Instance *m = (Instance *)c;
-  return permitted(m, READABLE & ~INSTANTIATED, "fmi2GetDerivatives") ? (fmi2Status)get_derivatives(m, rates, n) : fmi2Error;
-}
-
-EXPORT fmi2Status F(GetEventIndicators)(fmi2Component c, fmi2Real indicators[], size_t n) {
-  Instance *m = (Instance *)c;
-  (void)indicators;
-  if (!permitted(m, READABLE & ~INSTANTIATED, "fmi2GetEventIndicators")) {
-    return fmi2Error;
-  }
-  return n == 0 ? fmi2OK : (fmi2Status)report(m, ERROR, "fmi2GetEventIndicators: there are none");
-}
-
-EXPORT fmi2Status F(GetContinuousStates)(fmi2Component c, fmi2Real x[], size_t n) {
-  Instance *m = (Instance *)c;
-  return permitted(m, READABLE & ~INSTANTIATED, "fmi2GetContinuousStates") ? (fmi2Status)get_states(m, x, n) : fmi2Error;
-}
-
-EXPORT fmi2Status F(GetNominalsOfContinuousStates)(fmi2Component c, fmi2Real nominals[], size_t n) {
-  Instance *m = (Instance *)c;
-  return permitted(m, READABLE & ~INSTANTIATED, "fmi2GetNominalsOfContinuousStates")
-    ? (fmi2Status)get_nominals(m, nominals, n) : fmi2Error;
 }
 #else
 EXPORT fmi2Status F(SetRealInputDerivatives)(fmi2Component c, const fmi2ValueReference vr[], size_t n,
@@ -203,42 +166,27 @@ EXPORT fmi2Status F(CancelStep)(fmi2Component c) {
   return unsupported(c, "fmi2CancelStep");
 }
 
-EXPORT fmi2Status F(GetStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
-  (void)kind, (void)value;
-  return unsupported(c, "fmi2GetStatus");
-}
-
-EXPORT fmi2Status F(GetRealStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
-  Instance *m = (Instance *)c;
-  if (kind != fmi2LastSuccessfulTime || value == NULL) {
-    return unsupported(c, "fmi2GetRealStatus");
+#define NO_STATUS(name, type)                                                          \
+  EXPORT fmi2Status F(name)(fmi2Component c, const fmi2StatusKind kind, type *value) { \
+    (void)kind, (void)value;                                                           \
+    return unsupported(c, "fmi2" #name);                                               \
   }
-  if (!permitted(m, STEP | TERMINATED, "fmi2GetRealStatus")) {
-    return fmi2Error;
+#define STATUS(name, type, known, now)                                                 \
+  EXPORT fmi2Status F(name)(fmi2Component c, const fmi2StatusKind kind, type *value) { \
+    Instance *m = (Instance *)c;                                                       \
+    if (kind != known || value == NULL) {                                              \
+      return unsupported(c, "fmi2" #name);                                             \
+    }                                                                                  \
+    if (!permitted(m, STEP | TERMINATED, "fmi2" #name)) {                              \
+      return fmi2Error;                                                                \
+    }                                                                                  \
+    *value = now;                                                                      \
+    return fmi2OK;                                                                     \
   }
-  *value = m->core.time;
-  return fmi2OK;
-}
 
-EXPORT fmi2Status F(GetIntegerStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) {
-  (void)kind, (void)value;
-  return unsupported(c, "fmi2GetIntegerStatus");
-}
-
-EXPORT fmi2Status F(GetBooleanStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
-  Instance *m = (Instance *)c;
-  if (kind != fmi2Terminated || value == NULL) {
-    return unsupported(c, "fmi2GetBooleanStatus");
-  }
-  if (!permitted(m, STEP | TERMINATED, "fmi2GetBooleanStatus")) {
-    return fmi2Error;
-  }
-  *value = 0;
-  return fmi2OK;
-}
-
-EXPORT fmi2Status F(GetStringStatus)(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {
-  (void)kind, (void)value;
-  return unsupported(c, "fmi2GetStringStatus");
-}
+NO_STATUS(GetStatus, fmi2Status)
+STATUS(GetRealStatus, fmi2Real, fmi2LastSuccessfulTime, m->core.time)
+NO_STATUS(GetIntegerStatus, fmi2Integer)
+STATUS(GetBooleanStatus, fmi2Boolean, fmi2Terminated, 0)
+NO_STATUS(GetStringStatus, fmi2String)
 #endif

@@ -1,5 +1,7 @@
-{% set fmi, component, state, deserialize, reals = "fmi3", "fmi3Instance", "FMUState", "Deserialize", "Float64" %}
+{% set fmi, component, state, reals = "fmi3", "fmi3Instance", "FMUState", "Float64" %}
+{% set deserialize, get_derivatives = "Deserialize", "GetContinuousStateDerivatives" %}
 {% set allocate, release = "calloc", "free" %}
+{% from "export/fmu/templates/refusals.c" import refuse_null, refuse_unless with context %}
 /* FMI 3.0: its types, and its functions around the model. */
 
 #include <stdbool.h>
@@ -56,13 +58,14 @@ static void emit(Instance *m, int status, const char *category, const char *text
 
 {% include "export/fmu/templates/interface.c" %}
 
-static fmi3Instance created(const char *name, const char *token, int logging, Logger logger, const char *fault) {
+static fmi3Instance created(const char *name, const char *token, int logging, fmi3InstanceEnvironment environment,
+                            fmi3LogMessageCallback message, const char *fault) {
   Instance *m;
   const char *identity = identity_fault(name, token);
   fault = identity == NULL ? fault : identity;
   if (fault != NULL) {
-    if (logger.message != NULL) {
-      logger.message(logger.environment, fmi3Error, "logStatusError", fault);
+    if (message != NULL) {
+      message(environment, fmi3Error, "logStatusError", fault);
     }
     return NULL;
   }
@@ -70,7 +73,8 @@ static fmi3Instance created(const char *name, const char *token, int logging, Lo
   if (m == NULL) {
     return NULL;
   }
-  m->logger = logger;
+  m->logger.environment = environment;
+  m->logger.message = message;
   m->logging = logging;
   christen(m, name);
   return m;
@@ -81,11 +85,9 @@ EXPORT const char *F(GetVersion)(void) { return "3.0"; }
 EXPORT fmi3Instance F(InstantiateModelExchange)(fmi3String name, fmi3String token, fmi3String resources,
                                                 fmi3Boolean visible, fmi3Boolean logging,
                                                 fmi3InstanceEnvironment environment, fmi3LogMessageCallback message) {
-  Logger logger;
-  logger.environment = environment;
-  logger.message = message;
   (void)resources, (void)visible;
-  return created(name, token, logging, logger, MODEL_EXCHANGE ? NULL : "instantiate: the model is for co-simulation");
+  return created(name, token, logging, environment, message,
+                 MODEL_EXCHANGE ? NULL : "instantiate: the model is for co-simulation");
 }
 
 EXPORT fmi3Instance F(InstantiateCoSimulation)(fmi3String name, fmi3String token, fmi3String resources,
@@ -94,16 +96,13 @@ EXPORT fmi3Instance F(InstantiateCoSimulation)(fmi3String name, fmi3String token
                                                size_t n_intermediate, fmi3InstanceEnvironment environment,
                                                fmi3LogMessageCallback message, fmi3IntermediateUpdateCallback update) {
   const char *fault = NULL;
-  Logger logger;
-  logger.environment = environment;
-  logger.message = message;
   (void)resources, (void)visible, (void)early_return, (void)intermediate, (void)update;
   if (MODEL_EXCHANGE) {
     fault = "instantiate: the model is for model exchange";
   } else if (event_mode || n_intermediate > 0) {
     fault = "instantiate: the model has no event mode and no intermediate variables";
   }
-  return created(name, token, logging, logger, fault);
+  return created(name, token, logging, environment, message, fault);
 }
 
 EXPORT fmi3Instance F(InstantiateScheduledExecution)(fmi3String name, fmi3String token, fmi3String resources,
@@ -111,11 +110,8 @@ EXPORT fmi3Instance F(InstantiateScheduledExecution)(fmi3String name, fmi3String
                                                      fmi3InstanceEnvironment environment, fmi3LogMessageCallback message,
                                                      fmi3ClockUpdateCallback update, fmi3LockPreemptionCallback lock,
                                                      fmi3UnlockPreemptionCallback unlock) {
-  Logger logger;
-  logger.environment = environment;
-  logger.message = message;
   (void)resources, (void)visible, (void)update, (void)lock, (void)unlock;
-  return created(name, token, logging, logger, "instantiate: the model is not for scheduled execution");
+  return created(name, token, logging, environment, message, "instantiate: the model is not for scheduled execution");
 }
 
 EXPORT void F(FreeInstance)(fmi3Instance instance) {
@@ -127,9 +123,7 @@ EXPORT fmi3Status F(EnterInitializationMode)(fmi3Instance instance, fmi3Boolean 
   Instance *m = (Instance *)instance;
   int status;
   (void)tolerance_defined, (void)tolerance, (void)stop_defined, (void)stop;
-  if (!permitted(m, INSTANTIATED, "fmi3EnterInitializationMode")) {
-    return fmi3Error;
-  }
+  {{ refuse_unless("EnterInitializationMode", "INSTANTIATED") }}
   status = set_start(m, start);
   m->core.mode = status == OK ? INITIALIZATION : m->core.mode;
   return (fmi3Status)status;
@@ -138,18 +132,14 @@ EXPORT fmi3Status F(EnterInitializationMode)(fmi3Instance instance, fmi3Boolean 
 EXPORT fmi3Status F(GetFloat64)(fmi3Instance instance, const fmi3ValueReference vr[], size_t n, fmi3Float64 values[],
                                 size_t n_values) {
   Instance *m = (Instance *)instance;
-  if (!permitted(m, READABLE, "fmi3GetFloat64")) {
-    return fmi3Error;
-  }
+  {{ refuse_unless("GetFloat64", "READABLE") }}
   return (fmi3Status)(n == n_values ? get_reals(m, vr, n, values) : report(m, ERROR, "fmi3GetFloat64: counts differ"));
 }
 
 EXPORT fmi3Status F(SetFloat64)(fmi3Instance instance, const fmi3ValueReference vr[], size_t n,
                                 const fmi3Float64 values[], size_t n_values) {
   Instance *m = (Instance *)instance;
-  if (!permitted(m, READABLE & ~TERMINATED, "fmi3SetFloat64")) {
-    return fmi3Error;
-  }
+  {{ refuse_unless("SetFloat64", "READABLE & ~TERMINATED") }}
   return (fmi3Status)(n == n_values ? set_reals(m, vr, n, values) : report(m, ERROR, "fmi3SetFloat64: counts differ"));
 }
 
@@ -266,13 +256,8 @@ EXPORT fmi3Status F(UpdateDiscreteStates)(fmi3Instance instance, fmi3Boolean *ag
                                           fmi3Boolean *nominals_changed, fmi3Boolean *states_changed,
                                           fmi3Boolean *next_defined, fmi3Float64 *next) {
   Instance *m = (Instance *)instance;
-  if (!permitted(m, EVENT, "fmi3UpdateDiscreteStates")) {
-    return fmi3Error;
-  }
-  if (again == NULL || terminate == NULL || nominals_changed == NULL || states_changed == NULL || next_defined == NULL
-      || next == NULL) {
-    return (fmi3Status)report(m, ERROR, "fmi3UpdateDiscreteStates: a pointer is NULL");
-  }
+  {{ refuse_unless("UpdateDiscreteStates", "EVENT") }}
+  {{ refuse_null("UpdateDiscreteStates", "again", "terminate", "nominals_changed", "states_changed", "next_defined", "next") }}
   *again = *terminate = *nominals_changed = *states_changed = *next_defined = false;
   *next = 0.0;
   return fmi3OK;
@@ -282,24 +267,7 @@ EXPORT fmi3Status F(EnterStepMode)(fmi3Instance instance) {
   return unsupported(instance, "fmi3EnterStepMode");
 }
 
-#if MODEL_EXCHANGE
-EXPORT fmi3Status F(SetTime)(fmi3Instance instance, fmi3Float64 time) {
-  Instance *m = (Instance *)instance;
-  return permitted(m, CONTINUOUS | EVENT, "fmi3SetTime") ? (fmi3Status)set_time(m, time) : fmi3Error;
-}
-
-EXPORT fmi3Status F(SetContinuousStates)(fmi3Instance instance, const fmi3Float64 x[], size_t n) {
-  Instance *m = (Instance *)instance;
-  return permitted(m, CONTINUOUS | EVENT, "fmi3SetContinuousStates") ? (fmi3Status)set_states(m, x, n) : fmi3Error;
-}
-
-#define STATES(name, function)                                                                    \
-  EXPORT fmi3Status F(name)(fmi3Instance instance, fmi3Float64 values[], size_t n) {              \
-    Instance *m = (Instance *)instance;                                                           \
-    return permitted(m, READABLE & ~INSTANTIATED, "fmi3" #name)                                   \
-      ? (fmi3Status)function(m, values, n) : fmi3Error;                                           \
-  }
-#else
+#if !MODEL_EXCHANGE
 EXPORT fmi3Status F(SetTime)(fmi3Instance instance, fmi3Float64 time) {
   (void)time;
   return unsupported(instance, "fmi3SetTime");
@@ -310,25 +278,16 @@ EXPORT fmi3Status F(SetContinuousStates)(fmi3Instance instance, const fmi3Float6
   return unsupported(instance, "fmi3SetContinuousStates");
 }
 
-#define STATES(name, function)                                                                    \
-  EXPORT fmi3Status F(name)(fmi3Instance instance, fmi3Float64 values[], size_t n) {              \
-    (void)values, (void)n;                                                                        \
-    return unsupported(instance, "fmi3" #name);                                                   \
+#define NO_STATES(name)                                                              \
+  EXPORT fmi3Status F(name)(fmi3Instance instance, fmi3Float64 values[], size_t n) { \
+    (void)values, (void)n;                                                           \
+    return unsupported(instance, "fmi3" #name);                                      \
   }
+
+NO_STATES(GetContinuousStates)
+NO_STATES(GetContinuousStateDerivatives)
+NO_STATES(GetNominalsOfContinuousStates)
 #endif
-
-STATES(GetContinuousStates, get_states)
-STATES(GetContinuousStateDerivatives, get_derivatives)
-STATES(GetNominalsOfContinuousStates, get_nominals)
-
-EXPORT fmi3Status F(GetEventIndicators)(fmi3Instance instance, fmi3Float64 indicators[], size_t n) {
-  Instance *m = (Instance *)instance;
-  (void)indicators;
-  if (!permitted(m, READABLE, "fmi3GetEventIndicators")) {
-    return fmi3Error;
-  }
-  return n == 0 ? fmi3OK : (fmi3Status)report(m, ERROR, "fmi3GetEventIndicators: there are none");
-}
 
 static fmi3Status counted(fmi3Instance instance, size_t *n, size_t count, const char *call) {
   Instance *m = (Instance *)instance;
@@ -365,12 +324,8 @@ EXPORT fmi3Status F(DoStep)(fmi3Instance instance, fmi3Float64 time, fmi3Float64
   Instance *m = (Instance *)instance;
   int status;
   (void)final;
-  if (!permitted(m, STEP, "fmi3DoStep")) {
-    return fmi3Error;
-  }
-  if (event == NULL || terminate == NULL || early == NULL || last == NULL) {
-    return (fmi3Status)report(m, ERROR, "fmi3DoStep: a pointer is NULL");
-  }
+  {{ refuse_unless("DoStep", "STEP") }}
+  {{ refuse_null("DoStep", "event", "terminate", "early", "last") }}
   status = do_step(m, time, size);
   *event = *terminate = *early = false;
   *last = m->core.time;

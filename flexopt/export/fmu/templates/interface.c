@@ -1,4 +1,4 @@
-{# What both versions of FMI have in common but for names: modes, and the state of an instance. #}
+{# What both versions of FMI have in common but for names: modes, the state of an instance, and the states of the loop. #}
 static {{ fmi }}Status no_variables({{ component }} instance, size_t n, const char *call) {
   Instance *m = (Instance *)instance;
   if (!permitted(m, READABLE, call)) {
@@ -27,9 +27,7 @@ static {{ fmi }}Status keep(Instance *m, const Core *core, {{ fmi }}{{ state }} 
 EXPORT {{ fmi }}Status F(SetDebugLogging)({{ component }} instance, {{ fmi }}Boolean on, size_t n, const {{ fmi }}String categories[]) {
   Instance *m = (Instance *)instance;
   (void)n, (void)categories;
-  if (!permitted(m, READABLE, "{{ fmi }}SetDebugLogging")) {
-    return {{ fmi }}Error;
-  }
+  {{ refuse_unless("SetDebugLogging", "READABLE") }}
   m->logging = on;
   return {{ fmi }}OK;
 }
@@ -45,21 +43,15 @@ EXPORT {{ fmi }}Status F(Terminate)({{ component }} instance) {
 
 EXPORT {{ fmi }}Status F(Reset)({{ component }} instance) {
   Instance *m = (Instance *)instance;
-  if (!permitted(m, READABLE, "{{ fmi }}Reset")) {
-    return {{ fmi }}Error;
-  }
+  {{ refuse_unless("Reset", "READABLE") }}
   restart(&m->core);
   return {{ fmi }}OK;
 }
 
 EXPORT {{ fmi }}Status F(Get{{ state }})({{ component }} instance, {{ fmi }}{{ state }} *state) {
   Instance *m = (Instance *)instance;
-  if (!permitted(m, READABLE, "{{ fmi }}Get{{ state }}")) {
-    return {{ fmi }}Error;
-  }
-  if (state == NULL) {
-    return ({{ fmi }}Status)report(m, ERROR, "{{ fmi }}Get{{ state }}: a pointer is NULL");
-  }
+  {{ refuse_unless("Get" ~ state, "READABLE") }}
+  {{ refuse_null("Get" ~ state, "state") }}
   return keep(m, &m->core, state);
 }
 
@@ -70,9 +62,7 @@ EXPORT {{ fmi }}Status F(Set{{ state }})({{ component }} instance, {{ fmi }}{{ s
 
 EXPORT {{ fmi }}Status F(Free{{ state }})({{ component }} instance, {{ fmi }}{{ state }} *state) {
   Instance *m = (Instance *)instance;
-  if (!permitted(m, READABLE, "{{ fmi }}Free{{ state }}")) {
-    return {{ fmi }}Error;
-  }
+  {{ refuse_unless("Free" ~ state, "READABLE") }}
   if (state != NULL && *state != NULL) {
     {{ release }}(*state);
     *state = NULL;
@@ -83,12 +73,8 @@ EXPORT {{ fmi }}Status F(Free{{ state }})({{ component }} instance, {{ fmi }}{{ 
 EXPORT {{ fmi }}Status F(Serialized{{ state }}Size)({{ component }} instance, {{ fmi }}{{ state }} state, size_t *size) {
   Instance *m = (Instance *)instance;
   (void)state;
-  if (!permitted(m, READABLE, "{{ fmi }}Serialized{{ state }}Size")) {
-    return {{ fmi }}Error;
-  }
-  if (size == NULL) {
-    return ({{ fmi }}Status)report(m, ERROR, "{{ fmi }}Serialized{{ state }}Size: a pointer is NULL");
-  }
+  {{ refuse_unless("Serialized" ~ state ~ "Size", "READABLE") }}
+  {{ refuse_null("Serialized" ~ state ~ "Size", "size") }}
   *size = sizeof(Saved);
   return {{ fmi }}OK;
 }
@@ -104,12 +90,8 @@ EXPORT {{ fmi }}Status F({{ deserialize }}{{ state }})({{ component }} instance,
   Instance *m = (Instance *)instance;
   Saved saved;
   int status;
-  if (!permitted(m, READABLE, "{{ fmi }}{{ deserialize }}{{ state }}")) {
-    return {{ fmi }}Error;
-  }
-  if (state == NULL) {
-    return ({{ fmi }}Status)report(m, ERROR, "{{ fmi }}{{ deserialize }}{{ state }}: a pointer is NULL");
-  }
+  {{ refuse_unless(deserialize ~ state, "READABLE") }}
+  {{ refuse_null(deserialize ~ state, "state") }}
   status = deserialize(m, (const unsigned char *)bytes, size, &saved);
   return status == OK ? keep(m, &saved.core, state) : ({{ fmi }}Status)status;
 }
@@ -130,15 +112,41 @@ EXPORT {{ fmi }}Status F(CompletedIntegratorStep)({{ component }} instance, {{ f
                                              {{ fmi }}Boolean *terminate) {
   Instance *m = (Instance *)instance;
   (void)final;
-  if (!permitted(m, CONTINUOUS, "{{ fmi }}CompletedIntegratorStep")) {
-    return {{ fmi }}Error;
-  }
-  if (enter_event_mode == NULL || terminate == NULL) {
-    return ({{ fmi }}Status)report(m, ERROR, "{{ fmi }}CompletedIntegratorStep: a pointer is NULL");
-  }
+  {{ refuse_unless("CompletedIntegratorStep", "CONTINUOUS") }}
+  {{ refuse_null("CompletedIntegratorStep", "enter_event_mode", "terminate") }}
   *enter_event_mode = *terminate = 0;
   return {{ fmi }}OK;
+}
+
+EXPORT {{ fmi }}Status F(GetEventIndicators)({{ component }} instance, {{ fmi }}{{ reals }} indicators[], size_t n) {
+  Instance *m = (Instance *)instance;
+  (void)indicators;
+  {{ refuse_unless("GetEventIndicators", "READABLE & ~INSTANTIATED" if fmi == "fmi2" else "READABLE") }}
+  return n == 0 ? {{ fmi }}OK : ({{ fmi }}Status)report(m, ERROR, "{{ fmi }}GetEventIndicators: there are none");
 }
 {% if fmi == "fmi2" %}
 #endif
 {% endif %}
+
+#if MODEL_EXCHANGE
+EXPORT {{ fmi }}Status F(SetTime)({{ component }} instance, {{ fmi }}{{ reals }} time) {
+  Instance *m = (Instance *)instance;
+  return permitted(m, CONTINUOUS | EVENT, "{{ fmi }}SetTime") ? ({{ fmi }}Status)set_time(m, time) : {{ fmi }}Error;
+}
+
+EXPORT {{ fmi }}Status F(SetContinuousStates)({{ component }} instance, const {{ fmi }}{{ reals }} x[], size_t n) {
+  Instance *m = (Instance *)instance;
+  return permitted(m, CONTINUOUS | EVENT, "{{ fmi }}SetContinuousStates") ? ({{ fmi }}Status)set_states(m, x, n) : {{ fmi }}Error;
+}
+
+#define STATES(name, status, what, from)                                                              \
+  EXPORT {{ fmi }}Status F(name)({{ component }} instance, {{ fmi }}{{ reals }} values[], size_t n) { \
+    Instance *m = (Instance *)instance;                                                               \
+    return permitted(m, READABLE & ~INSTANTIATED, "{{ fmi }}" #name)                                  \
+      ? ({{ fmi }}Status)give(m, status, what, from, values, n) : {{ fmi }}Error;                     \
+  }
+
+STATES(GetContinuousStates, prepare(m), "states", m->core.x)
+STATES({{ get_derivatives }}, differentiate(m), "derivatives", m->core.derivatives)
+STATES(GetNominalsOfContinuousStates, OK, "nominals", state_nominal)
+#endif
