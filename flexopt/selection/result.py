@@ -20,7 +20,7 @@ from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Result, Tabled
 from flexopt.foundation.rounding import without_rounding
 from flexopt.foundation.turns import TURN
-from flexopt.robustness.evaluation import Evaluation
+from flexopt.robustness.evaluation import Evaluation, unreached
 from flexopt.robustness.residues import residue_unit, unit_in_words
 from flexopt.selection.constraint_values import ConstraintValue, nearest_told
 from flexopt.selection.continua import way_to
@@ -41,6 +41,8 @@ TIE_TOLERANCE = 1e-9
 CONFIDENCE = 0.95
 # What is no gain, as a share of the objective's scale.
 NOTHING = 1e-4
+# So far beside the best, rad or m of each joint, a mode is looked at that its optimum may hide.
+BESIDE = 0.1
 
 
 @dataclass(frozen=True)
@@ -359,6 +361,25 @@ class Selection(Pictured, Result):
         )
 
     @property
+    def unmoved(self) -> str:
+        """A sentence where the end-point moves in none of the modes that are weighed, here and beside; else empty."""
+        problem, weighed = self.problem, np.array(self.problem.objective.alpha) > 0
+        by_modes = weighed.any() and not problem.objective.has_kinks and problem.objective.own is None
+        if len(problem.sought) > 1 or not by_modes:
+            return ""
+        beside = self.best.z + np.where(np.arange(self.best.z.size) < len(self.best.evaluation.base), 0.0, BESIDE)
+        known = [candidate.evaluation for candidate in self.candidates[:SHOWN]]
+        known += [] if self.initial is None else [self.initial]
+        if not all(unreached(e.scale)[weighed].all() for e in known):
+            return ""
+        if not unreached(problem.quantities.evaluated(beside).scale)[weighed].all():
+            return ""
+        return (
+            f"in none of these does the end-point move in what {problem.name} weighs, which is 0 wherever the machine "
+            "stands: another objective tells places apart"
+        )
+
+    @property
     def constraints_told(self) -> tuple[str, ...]:
         """A sentence on those asked for at the best: of each kind that nearest to its bound; none where none was."""
         told = nearest_told(self.problem.asked, [self.best.constraints])
@@ -368,7 +389,7 @@ class Selection(Pictured, Result):
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the choice: what it leaves out, by what it was decided, what it gains."""
         unverified = unverified_told(self.problem.objective.name, self.unverified)
-        said = (unverified, *self.edges, self.decided_by, self.left_out, self.nothing_to_gain)
+        said = (unverified, *self.edges, self.decided_by, self.left_out, self.unmoved, self.nothing_to_gain)
         return tuple(sentence for sentence in said if sentence)
 
     @property

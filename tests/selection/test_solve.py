@@ -13,9 +13,11 @@ import flexopt
 from flexopt.cli import analysis
 from flexopt.errors import InputError
 from flexopt.model.problem import SelectionKeywords, SharedKeywords, StandKeywords
+from flexopt.model.tree import tree_from_dict
 from flexopt.selection.check import prove
 from flexopt.selection.objective import Objective
 from flexopt.selection.solve import TIE_TOLERANCE
+from tests.oracles.spatial import in_space
 
 TARGET = (0.0, 1.6)
 
@@ -35,6 +37,23 @@ def three_links(machine):
 @pytest.fixture(scope="module")
 def selection(machine):
     return flexopt.select(machine, TARGET, base=0.0)
+
+
+def test_a_mode_in_which_the_end_point_never_moves_is_told(machine, selection):
+    """A spring across the plane, softer than all others: its mode comes first, and the arm cannot reach it."""
+    data = in_space(machine.model_dump(by_alias=True))
+    aside = {"name": "aside", "kind": "slide", "axis": [0.0, 1.0, 0.0], "passive": True, "stiffness": 1e4}
+    data["bodies"][0]["parent"] = "aside"
+    data["bodies"].insert(0, {"name": "aside", "parent": None, "joint": aside})
+    tree = tree_from_dict(data)
+    sentence = "in none of these does the end-point move in what w1 weighs"
+    hidden = flexopt.select(tree, TARGET, base=0.0, objective="w1", starts=4)
+    assert sentence in repr(hidden)
+    seen = flexopt.select(tree, TARGET, base=0.0, objective="w2", starts=4)
+    assert not seen.unmoved
+    assert seen.best.objective == pytest.approx(selection.best.objective, abs=1e-9)
+    # Here w1 = 0 is an optimum, not a mode out of reach.
+    assert not selection.unmoved
 
 
 def test_candidates_reach_the_target_and_keep_the_margin(machine, selection):
