@@ -42,7 +42,14 @@ def selection(machine):
 def test_a_mode_in_which_the_end_point_never_moves_is_told(machine, selection):
     """A spring across the plane, softer than all others: its mode comes first, and the arm cannot reach it."""
     data = in_space(machine.model_dump(by_alias=True))
-    aside = {"name": "aside", "kind": "slide", "axis": [0.0, 1.0, 0.0], "passive": True, "stiffness": 1e4}
+    aside = {
+        "name": "aside",
+        "kind": "slide",
+        "axis": [0.0, 1.0, 0.0],
+        "passive": True,
+        "stiffness": 1e4,
+        "damping": 50.0,
+    }
     data["bodies"][0]["parent"] = "aside"
     data["bodies"].insert(0, {"name": "aside", "parent": None, "joint": aside})
     tree = tree_from_dict(data)
