@@ -59,9 +59,7 @@ typedef struct {
   {{ real_type }} lower[{{ P }}_N_Z];     /* m, rad */
   {{ real_type }} upper[{{ P }}_N_Z];
   {{ real_type }} sine_squared_min; /* sin^2 of the margin from singular postures, in (0, 1) */
-#if {{ P }}_WEIGHTS_AT_RUN_TIME
   {{ real_type }} weights[{{ P }}_N_MODES]; /* alpha_i >= 0 */
-#endif
 #if {{ P }}_PARAMETERS_AT_RUN_TIME
   {{ real_type }} parameters[{{ P }}_N_PARAMETERS]; /* {% for name in parameter_names %}{{ name | c_text }}{% if not loop.last %}, {% endif %}{% endfor %} */
 #endif
