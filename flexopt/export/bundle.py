@@ -20,7 +20,7 @@ from flexopt.export.context import LIMIT_ALLOWANCE_DEG, LIMIT_ALLOWANCE_M, build
 from flexopt.export.kernels import Real, Unsupported
 from flexopt.export.operations import TOLERANCES, Field
 from flexopt.export.parts import LOOP, PARTS
-from flexopt.export.project import project_files
+from flexopt.export.project import Project
 from flexopt.export.sources import STATUSES, WITH_OUTPUT, Library
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, Document, PostureLike
@@ -298,7 +298,7 @@ def render_bundle(machine: AnyMachine, parts: Sequence[str], **options: Any) -> 
 def render_library(library: Library, options: dict[str, Any]) -> tuple[dict[str, str], dict[str, Any]]:
     """The same of a library that was built with these options."""
     bundle_hash = hashlib.sha256(library.kernel_digest_text().encode()).hexdigest()
-    texts = library.files(bundle_hash) | project_files(library, bundle_hash)
+    texts = library.files(bundle_hash) | Project(library, bundle_hash).files()
     manifest = _manifest(library, bundle_hash, texts, {"parts": list(library.parts)} | options)
     texts[MANIFEST] = json.dumps(manifest, indent=1, allow_nan=False) + "\n"
     return texts, manifest

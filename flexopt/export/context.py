@@ -14,7 +14,7 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from flexopt.export.operations import Field, Guard, Operation, Parameters, Sizes, operation_of
+from flexopt.export.operations import Field, Guard, Operation, Parameters, operation_of
 from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import COORDINATE_MAX, coordinate_max
 from flexopt.loop.settings import LoopSettings
@@ -79,18 +79,44 @@ class Context:
         return self.plant.machine
 
     @cached_property
-    def sizes(self) -> Sizes:
+    def sizes(self) -> dict[str, int]:
         """Array sizes by name."""
         plant = self.plant
-        return Sizes(
-            {
-                "TASK": plant.n_task,
-                "COORDINATES": plant.n_coordinates,
-                "JOINTS": plant.n_actuated,
-                "PLACEMENT": plant.n_base,
-                "CHOICE": plant.n_base + plant.n_actuated,
-                "MODES": plant.n_passive,
-            }
+        return {
+            "TASK": plant.n_task,
+            "COORDINATES": plant.n_coordinates,
+            "JOINTS": plant.n_actuated,
+            "PLACEMENT": plant.n_base,
+            "CHOICE": plant.n_base + plant.n_actuated,
+            "MODES": plant.n_passive,
+        }
+
+    def field(
+        self,
+        name: str,
+        dimensions: str,
+        unit: str,
+        text: str,
+        *,
+        low: float | tuple[float, ...] = 0.0,
+        high: float | tuple[float, ...] = 0.0,
+        sample: tuple[float | tuple[float, ...], float | tuple[float, ...]] | None = None,
+        logarithmic: bool = False,
+        design: tuple[tuple[float, ...], tuple[float, ...]] | None = None,
+        turning: tuple[bool, ...] = (),
+        scale: str = "",
+    ) -> Field:
+        """A field whose dimensions are given by name, `"TASK JOINTS"`; numbers stand for all elements."""
+        names = tuple(dimensions.split())
+        shape = tuple(self.sizes[n] for n in names)
+        length = math.prod(shape)
+
+        def spread(value: float | tuple[float, ...]) -> tuple[float, ...]:
+            return value if isinstance(value, tuple) else (value,) * length
+
+        drawn = None if sample is None else (spread(sample[0]), spread(sample[1]))
+        return Field(
+            name, names, shape, unit, text, spread(low), spread(high), drawn, logarithmic, design, turning, scale
         )
 
     @property
@@ -146,8 +172,8 @@ class Context:
         near = _transposed([_near(unit, *pair) for unit, *pair in zip(units, *design, strict=True)])
         turning = tuple(unit == "rad" and not np.isfinite(pair).any() for unit, pair in zip(units, limits, strict=True))
         text = "actuated joints, each relative to the body before it"
-        return self.sizes.field("joint_angles", "JOINTS", unit_list(units), text, low=low, high=high, sample=near,
-                                design=design, turning=turning)  # fmt: skip
+        return self.field("joint_angles", "JOINTS", unit_list(units), text, low=low, high=high, sample=near,
+                          design=design, turning=turning)  # fmt: skip
 
     def counted_max(self, unit: str) -> float:
         """How far a coordinate in m or rad may be from zero where angles count on from turn to turn."""
@@ -165,8 +191,8 @@ class Context:
         near = _transposed([_near(unit, -high, high) for unit, high in zip(units, limit, strict=True)])
         turning = tuple(unit == "rad" for unit in units)
         text = "where the base stands, inertial frame"
-        return self.sizes.field("placement", "PLACEMENT", unit_list(units), text, low=tuple(-x for x in limit),
-                                high=limit, sample=near, turning=turning)  # fmt: skip
+        return self.field("placement", "PLACEMENT", unit_list(units), text, low=tuple(-x for x in limit),
+                          high=limit, sample=near, turning=turning)  # fmt: skip
 
     def coordinates(self, away: float, *, measured: bool) -> Field:
         """All coordinates q as an input; samples of the passive ones lie up to `away` (m or rad) from rest.
@@ -190,8 +216,8 @@ class Context:
         near = tuple((*(x + side * away for x in passive), *joints.sample[side > 0]) for side in (-1, 1))
         text = f"q = [passive; actuated]: displacements in m, relative angles in rad{self._counted(middle)}"
         sample = (near[0], near[1])
-        return self.sizes.field("coordinates", "COORDINATES", unit_list(units), text, low=low, high=high, sample=sample,
-                                design=design, turning=turning)  # fmt: skip
+        return self.field("coordinates", "COORDINATES", unit_list(units), text, low=low, high=high, sample=sample,
+                          design=design, turning=turning)  # fmt: skip
 
     def _counted(self, posture: Any) -> str:
         """Which coordinates count from where the placement does, and so hold it."""

@@ -55,7 +55,7 @@ def task_space_torque(plant: Plant, control: Control) -> ca.Function:
 
 def kinematics(at: Context) -> tuple[Operation, ...]:
     """End-point and Jacobians."""
-    plant, g, field = at.plant, at.plant.graph, at.sizes.field
+    plant, g, field = at.plant, at.plant.graph, at.field
     arguments = (g.q, g.base, g.p)
     end_point, jacobian, rigid = (f(*arguments) for f in (plant.end_point, plant.jacobian, plant.rigid_jacobian))
     inputs = [(at.coordinates(0.1, measured=True), g.q)]
@@ -84,7 +84,7 @@ def controller(at: Context) -> tuple[Operation, ...]:
 
 
 def _torque(at: Context, control: Control) -> Operation:
-    plant, g, field = at.plant, at.plant.graph, at.sizes.field
+    plant, g, field = at.plant, at.plant.graph, at.field
     law = task_space_torque(plant, control)
     damped_freely = damps_self_motion(plant, control)
     names = ("r", "r_rate", "target", "target_rate", "kp", "kv", *(("rates", "damping") if damped_freely else ()))
@@ -155,14 +155,12 @@ def _by_joint(at: Context, hinges: str, slides: str, word: str) -> str:
 def position(at: Context, name: str, text: str) -> Field:
     """A point as an input."""
     limit = COORDINATE_MAX
-    return at.sizes.field(name, "TASK", "m", f"{text}, inertial frame", low=-limit, high=limit, sample=(-3.0, 3.0))
+    return at.field(name, "TASK", "m", f"{text}, inertial frame", low=-limit, high=limit, sample=(-3.0, 3.0))
 
 
 def speed(at: Context, name: str, text: str) -> Field:
     """Its rate."""
-    return at.sizes.field(
-        name, "TASK", "m/s", f"{text}, inertial frame", low=-RATE_MAX, high=RATE_MAX, sample=(-1.0, 1.0)
-    )
+    return at.field(name, "TASK", "m/s", f"{text}, inertial frame", low=-RATE_MAX, high=RATE_MAX, sample=(-1.0, 1.0))
 
 
 def torque_unit(at: Context) -> str:

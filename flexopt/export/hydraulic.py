@@ -19,7 +19,7 @@ SQUARED_MAX, SQUARED_MAX_SINGLE = 1e8, 1e4
 
 def levers(at: Context) -> tuple[Operation, ...]:
     """Levers from joint rates, as they are and within ±1, and joint rates from levers."""
-    plant, g, field, units = at.plant, at.plant.graph, at.sizes.field, at.machine.joint_units
+    plant, g, field, units = at.plant, at.plant.graph, at.field, at.machine.joint_units
     hydraulics = build_hydraulics(at.machine)
     rates, lever = ca.SX.sym("rates", plant.n_actuated), ca.SX.sym("lever", plant.n_actuated)
     symbol = {"posture": g.posture, "p": g.p}

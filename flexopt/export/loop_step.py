@@ -53,7 +53,7 @@ class _Law:
 
     def inputs(self) -> list[tuple[Field, ca.SX]]:
         """Measurements, target, and the states that the last call gave."""
-        at, r, field = self.at, self.at.plant.n_task, self.at.sizes.field
+        at, r, field = self.at, self.at.plant.n_task, self.at.field
         found = [(at.joint_angles, at.plant.graph.posture)]
         found += [(position(at, "measured_point", "end-point r, measured"), ca.SX.sym("r", r)),
                   (speed(at, "measured_rate", "its rate, measured"), ca.SX.sym("r_rate", r)),
@@ -77,7 +77,7 @@ class _Law:
 
     def outputs(self, of: Mapping[str, ca.SX]) -> list[tuple[Field, ca.SX, ca.SX]]:
         """What joints are asked for, and the states of the next call, each with a bound of its terms."""
-        at, loop, field, units = self.at, self.loop, self.at.sizes.field, self.at.machine.joint_units
+        at, loop, field, units = self.at, self.loop, self.at.field, self.at.machine.joint_units
         plant, g, period = at.plant, at.plant.graph, 1 / loop.rate
         point, rate, found = of["measured_point"], of["measured_rate"], list[tuple[Field, ca.SX, ca.SX]]()
         if loop.filter_hz is not None:

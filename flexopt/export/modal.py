@@ -39,7 +39,7 @@ FAST_DOUBLINGS = 6
 
 def measures(at: Context) -> tuple[Operation, ...]:
     """The w_i, their weighted sum V and its gradient."""
-    field, choice = at.sizes.field, unit_list(at.choice_units)
+    field, choice = at.field, unit_list(at.choice_units)
     about = _Weighted(at)
     graph, alpha, size = about.graph, about.alpha, about.size
     frequency = ca.sqrt(graph.omega_squared)
@@ -71,7 +71,7 @@ def measures(at: Context) -> tuple[Operation, ...]:
 
 def nullspace(at: Context) -> tuple[Operation, ...]:
     """The step of placement and joints along the self-motion."""
-    plant, g, field = at.plant, at.plant.graph, at.sizes.field
+    plant, g, field = at.plant, at.plant.graph, at.field
     about = _Weighted(at)
     slope, factor = ca.SX.sym("slope", plant.n_base + plant.n_actuated), ca.SX.sym("factor")
     jacobian = plant.base_jacobian(g.base, g.posture, g.p)
@@ -99,7 +99,7 @@ def nullspace(at: Context) -> tuple[Operation, ...]:
 
 def margin(at: Context) -> tuple[Operation, ...]:
     """The robust stability margin."""
-    plant, g, field = at.plant, at.plant.graph, at.sizes.field
+    plant, g, field = at.plant, at.plant.graph, at.field
     margin = build_margin(at.machine, at.control, compact=True)
     posture, kr, p = ca.MX.sym("posture", plant.n_actuated), ca.MX.sym("servo_gain"), ca.MX.sym("p", g.p.shape[0])
     base = ca.MX.sym("base", plant.n_base) if at.placement_matters else ca.MX.zeros(plant.n_base, 1)
@@ -169,8 +169,8 @@ class _Weighted:
 
     def __init__(self, at: Context) -> None:
         plant = at.plant
-        weights = at.sizes.field("weights", "MODES", "", "alpha_i of V, one for each mode", high=WEIGHT.high,
-                                 sample=(0.0, 1.0))  # fmt: skip
+        weights = at.field("weights", "MODES", "", "alpha_i of V, one for each mode", high=WEIGHT.high,
+                           sample=(0.0, 1.0))  # fmt: skip
         self.at, self.kernels, self.share = at, ModalKernels(at), TERMS_SHARE[at.single]
         self.meaning = (
             f"|a_i||b_i|, or {self.share:g} of the terms it is summed from where that is more; over gap_i, the "

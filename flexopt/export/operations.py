@@ -38,7 +38,7 @@ class Field:
 
     Attributes:
         name: as in C.
-        dimensions: names of the sizes (`Sizes`), none for a single number.
+        dimensions: names of sizes (`Context.sizes`), none for a single number.
         shape: their values.
         unit: SI.
         text: what it is, and its frame.
@@ -370,38 +370,3 @@ def _mapped(function: ca.Function, arguments: list[ca.DM], count: int) -> list[A
         chunk = [argument[:, start : min(start + 250, count)] for argument in arguments]
         parts.append([result.full().T for result in function.call(chunk)])
     return [np.vstack(columns) for columns in zip(*parts, strict=True)]
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """Named array sizes of a bundle: `JOINTS` -> n and the like."""
-
-    values: Mapping[str, int]
-
-    def field(
-        self,
-        name: str,
-        dimensions: str,
-        unit: str,
-        text: str,
-        *,
-        low: float | tuple[float, ...] = 0.0,
-        high: float | tuple[float, ...] = 0.0,
-        sample: tuple[float | tuple[float, ...], float | tuple[float, ...]] | None = None,
-        logarithmic: bool = False,
-        design: tuple[tuple[float, ...], tuple[float, ...]] | None = None,
-        turning: tuple[bool, ...] = (),
-        scale: str = "",
-    ) -> Field:
-        """A field whose dimensions are given by name, `"TASK JOINTS"`; numbers stand for all elements."""
-        names = tuple(dimensions.split())
-        shape = tuple(self.values[n] for n in names)
-        length = math.prod(shape)
-
-        def spread(value: float | tuple[float, ...]) -> tuple[float, ...]:
-            return value if isinstance(value, tuple) else (value,) * length
-
-        drawn = None if sample is None else (spread(sample[0]), spread(sample[1]))
-        return Field(
-            name, names, shape, unit, text, spread(low), spread(high), drawn, logarithmic, design, turning, scale
-        )

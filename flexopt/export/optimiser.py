@@ -17,22 +17,18 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.errors import Fault
-from flexopt.export.context import Context, build_context
+from flexopt.export.context import Context
 from flexopt.export.kernels import Kernel, Real, kernel_text
 from flexopt.export.naming import CWriter, constants
 from flexopt.export.optimiser_kernels import OptimiserKernels, build_optimiser_kernels
-from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Array
-from flexopt.foundation.boundary import anything, by, public, words
-from flexopt.foundation.control import Control
-from flexopt.foundation.quantities import COORDINATE_MAX, whole_number
+from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import AnyMachine
-from flexopt.model.choices import SINGULARITY_MARGIN_DEG
 from flexopt.model.parameter_ranges import parameter_range
+from flexopt.plant import Plant
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reach import path_to_end_point
-from flexopt.robustness.measures import Measures, build_measures
+from flexopt.robustness.measures import Measures
 
 # The search, and those of its functions that are given memory to work on.
 SEARCH = tuple(
@@ -99,8 +95,8 @@ class OptimiserSources:
             header.
         workspace_size: name of the macro with the workspace's size in bytes, `sizeof` of the type of the workspace.
         kernels: the Functions behind it.
-        model_cost: cost of one step's derivatives in units of the budget, one evaluation of V.
-        budget: default budget of a call.
+        budget: default budget of a call, in evaluations of V: what an emulated Cortex-M7 does within five million
+            instructions.
         status_texts: name, without prefix -> value and meaning.
     """
 
@@ -108,7 +104,6 @@ class OptimiserSources:
     configuration: str
     workspace_size: str
     kernels: OptimiserKernels
-    model_cost: int
     budget: int
     status_texts: Mapping[str, tuple[int, str]]
 
@@ -123,90 +118,30 @@ class OptimiserSources:
         chosen = dict(re.findall(r'#define (\w+) "(\w+\.h)"', self.configuration))
         return f"{self.configuration}\n{_amalgamated('optimiser.c', chosen, set())}"
 
-    def files(self) -> dict[str, str]:
-        """Name -> text of separate files, of which `optimiser.c` is to be compiled: for tools that read C."""
-        config = '#ifndef OPTIMISER_CONFIG_H\n#define OPTIMISER_CONFIG_H\n\n#include "optimiser.h"\n'
-        texts = {"optimiser.h": self.header, "optimiser_config.h": f"{config}{self.configuration}\n#endif\n"}
-        return texts | {name: _search(name) for name in SEARCH}
 
-
-def _check_prefix(value: Any) -> str:
-    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,40}", value):
-        raise ValueError("must be a C identifier of at most 41 letters, digits and underscores")
-    return value
-
-
-def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
-    refusal = "" if arguments.faults else optimiser_refusal(given["machine"])
-    arguments.faults += [Fault("machine", refusal, given["machine"].name)] * bool(refusal)
-
-
-@public(
-    prefix=by(_check_prefix),
-    real=words("double", "float"),
-    real_type=anything,  # of a name that the bundle makes
-    budget=by(whole_number(1, BUDGET_MAX, what=", in evaluations of V")),
-    together=_together,
-)
-def build_optimiser(
-    machine: AnyMachine,
-    *,
-    control: Control = "inverse",
-    gravity: bool = False,
-    weights: Sequence[float] | None = None,
-    baked: bool = False,
-    singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
-    prefix: str = "flexopt",
-    real: Real = "double",
-    real_type: str | None = None,
-    budget: int | None = None,
-) -> OptimiserSources:
+def build_optimiser(at: Context, prefix: str, real: Real) -> OptimiserSources:
     """Write the optimiser of V(z) = Σ α_i w_i(z) subject to r(z) = target, bounds and the singularity margin.
 
-    Target, bounds and margin are inputs of every call; so are α and p unless they are baked. It knows no further
-    constraints: of what `flexopt.select` assumes (`flexopt.selection.assumed`) the joint limits alone.
+    Target, bounds, margin and α are inputs of every call; so is p unless it is baked. It knows no further constraints:
+    of what `flexopt.select` assumes (`flexopt.selection.assumed`) the joint limits alone.
 
     Args:
-        machine: from `flexopt.load`.
-        control, gravity, singularity_margin_deg: as in `flexopt.build_selection`; the margin is the default of the
-            generated problem.
-        weights: α (m,) as constants; inputs by default.
-        baked: the machine's own p as constants; inputs by default.
-        prefix: of every public name, before `_optimiser_`.
+        at: the machine, its controller, whether its own p become constants, the margin of the default problem.
+        prefix: of every public name, before `_optimiser_`; that of the bundle, whose header declares `real`'s type.
         real: precision.
-        real_type: name of the C type, `real` itself by default.
-        budget: default budget of a call, in evaluations of V; by default what an emulated Cortex-M7 does within five
-            million instructions.
-
-    Raises:
-        InputError: an argument is of the wrong kind or out of range, all in one message.
     """
-    margin = singularity_margin_deg
-    at = build_context(
-        machine, control=control, gain=1.0, single=real == "float", baked=baked, singularity_margin_deg=margin
-    )
-    measures = build_measures(machine, control, gravity)
-    arguments = Arguments("build_optimiser")
-    if gravity and not measures.plant.closed_form:
-        sentence = "the optimiser takes the static deflection into account for planar machines only"
-        arguments.faults.append(Fault("gravity", sentence, "True"))
-    if weights is not None and len(weights) != measures.plant.n_passive:
-        sentence = f"{machine.name} has {measures.plant.n_passive} modes, so as many weights are needed"
-        arguments.faults.append(Fault("weights", sentence, str(tuple(weights))))
-    arguments.done()
-    kernels = build_optimiser_kernels(at, measures, weights=weights)
-    text = kernel_text(kernels.functions, real, real_type or real)
-    budget = budget or default_budget(kernels, real)
+    kernels, real_type = build_optimiser_kernels(at), f"{prefix}_real"
+    text = kernel_text(kernels.functions, real, real_type)
+    budget = default_budget(kernels, real)
+    margin_deg = math.degrees(math.asin(at.singularity_margin))
     writer = CWriter(prefix, real)
-    values = _values(at, measures, kernels, text.kernels) | {
+    values = _values(at, kernels, text.kernels) | {
         "p": f"{prefix}_optimiser",
         "P": f"{prefix}_optimiser".upper(),
-        "real_type": real_type or real,
-        "in_bundle": real_type is not None,
-        "weights_at_run_time": weights is None,
+        "real_type": real_type,
         "budget": budget,
-        "margin_deg": margin,
-        "sine_squared_min": math.sin(math.radians(margin)) ** 2,
+        "margin_deg": margin_deg,
+        "sine_squared_min": math.sin(math.radians(margin_deg)) ** 2,
     }
     enough = f"{TOLERANCES[real][1]:g}"
     statuses = {name: (value, text.format(enough=enough)) for name, (value, text) in STATUSES.items()}
@@ -215,7 +150,6 @@ def build_optimiser(
         configuration=writer.render("optimiser_config.h", statuses=statuses, kernels=text.text, **values),
         workspace_size=f"{values['P']}_WORKSPACE_SIZE",
         kernels=kernels,
-        model_cost=kernels.model_cost,
         budget=budget,
         status_texts=statuses,
     )
@@ -265,13 +199,13 @@ def _amalgamated(name: str, chosen: Mapping[str, str], seen: set[str]) -> str:
     return re.sub(r"(?m)^#include (.*)\n", included, text)
 
 
-def _values(at: Context, measures: Measures, kernels: OptimiserKernels, texts: Mapping[str, Kernel]) -> dict[str, Any]:
+def _values(at: Context, kernels: OptimiserKernels, texts: Mapping[str, Kernel]) -> dict[str, Any]:
     """What header and configuration ask for."""
     real: Real = "float" if at.single else "double"
-    plant, machine = measures.plant, measures.plant.machine
+    plant, machine = at.plant, at.machine
     bounds = bounds_of(machine)
     ranges = [parameter_range(parameter) for parameter in machine.parameters]
-    idle = _idle(measures)
+    idle = _idle(at.measures)
     tolerance, enough, tie = TOLERANCES[real]
     exact, many_rows = kernels.exact_second, plant.n_task > 3
     still = [0] * plant.n_actuated
@@ -279,12 +213,11 @@ def _values(at: Context, measures: Measures, kernels: OptimiserKernels, texts: M
     if not with_work <= WITH_WORK or any("iw" in kernel.parameters for kernel in texts.values()):
         raise ValueError(f"{', '.join(sorted(with_work))}: memory that the search does not give")
     return (
-        _sampling(measures, kernels)
-        | _placing(measures)
+        _sampling(plant, kernels)
+        | _placing(plant)
         | {
             "machine": machine,
-            "control": measures.control,
-            "gravity": measures.gravity,
+            "control": at.control,
             "variables": at.choice,
             "indices": constants(at.choice),
             "n_base": plant.n_base,
@@ -322,7 +255,7 @@ def _values(at: Context, measures: Measures, kernels: OptimiserKernels, texts: M
             "target_tolerance": TARGET_TOLERANCES[real] * EPSILON[real],
             "margin_tolerance": 4 * (MARGIN_EDGE[real] if many_rows else EDGE * EPSILON[real]),
             "angles": [int(unit == "rad") for unit in at.choice_units],
-            "spare": [*_spare(measures, idle), *still],
+            "spare": [*_spare(plant, idle), *still],
             "base_idle": kernels.posture is None and all(idle),
         }
     )
@@ -341,12 +274,11 @@ def _idle(measures: Measures) -> list[bool]:
     return [bool(np.all(np.abs(there - here) <= 1e-9 * size)) for there in moved]
 
 
-def _spare(measures: Measures, idle: Sequence[bool]) -> list[int]:
+def _spare(plant: Plant, idle: Sequence[bool]) -> list[int]:
     """1 for each idle variable of the base that other idle ones make up for as far as the end-point goes, else 0.
 
     A turn that the task does not follow changes every w_i: where only such a one makes up for a shift, both are needed.
     """
-    plant = measures.plant
     at = [np.linspace(0.3, 0.4, count) for count in (plant.n_base, plant.n_actuated)]
     jacobian = plant.base_jacobian.call([*at, plant.parameter_values])[0].full()[:, : plant.n_base]
     kept = [i for i in range(plant.n_base) if idle[i]]
@@ -357,14 +289,14 @@ def _spare(measures: Measures, idle: Sequence[bool]) -> list[int]:
     return [int(idle[i] and i not in kept) for i in range(plant.n_base)]
 
 
-def _placing(measures: Measures) -> dict[str, Any]:
+def _placing(plant: Plant) -> dict[str, Any]:
     """How the placement carries the machine along the task's rows: where the search tells what is out of reach.
 
-    None of the rows where slides or a deflection lengthen the arm.
+    None of the rows where slides lengthen the arm.
     """
-    plant, machine = measures.plant, measures.plant.machine
+    machine = plant.machine
     rows, names = machine.task_rows, machine.base_coordinates
-    lengthens = measures.gravity or (not plant.closed_form and bool(path_to_end_point(machine)[1]))
+    lengthens = not plant.closed_form and bool(path_to_end_point(machine)[1])
     turns = "yaw" in names and {"x", "y"} <= set(rows)
     carried = [not lengthens and row in ("x", "y", "z") and (turns or "yaw" not in names or row == "z") for row in rows]
     shifts = [names.index(row) if row in names and row in ("x", "y", "z") else -1 for row in rows]
@@ -398,9 +330,9 @@ def _placing(measures: Measures) -> dict[str, Any]:
     }
 
 
-def _sampling(measures: Measures, kernels: OptimiserKernels) -> dict[str, Any]:
+def _sampling(plant: Plant, kernels: OptimiserKernels) -> dict[str, Any]:
     """How the redundancy is sampled: in closed form placements and `units`, else all variables in their ranges."""
-    plant, machine = measures.plant, measures.plant.machine
+    machine = plant.machine
     if kernels.posture is not None:
         units = plant.n_actuated - 2
         dimensions, samples = units + 1, SURFACE_SAMPLES if units else CURVE_SAMPLES

@@ -8,7 +8,6 @@ are left to differences, and eigenvectors start from those nearby.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -16,13 +15,12 @@ import casadi as ca
 from flexopt.export.context import Context
 from flexopt.plant.reach import path_to_end_point, slide_reach
 from flexopt.robustness.expansion import Expansion
-from flexopt.robustness.measures import Measures
 from flexopt.robustness.modes import called_modes
 
 
 @dataclass(frozen=True)
 class OptimiserKernels:
-    """Functions of z = [base, posture], p and weights α (constants where they are baked: the inputs stay, unread).
+    """Functions of z = [base, posture], p (constants where they are baked: the inputs stay, unread) and weights α.
 
     Attributes:
         hold: (base, posture, p) -> held; without closed form (base, posture, p, near) -> held and z, `near` of the
@@ -94,15 +92,9 @@ def operations(function: ca.Function) -> int:
     return sum(operations(function.instruction_MX(k).which_function()) for k in calls)
 
 
-def build_optimiser_kernels(at: Context, measures: Measures, *, weights: Sequence[float] | None) -> OptimiserKernels:
-    """The Functions of one machine.
-
-    Args:
-        at: the machine, its controller, whether its own p become constants.
-        measures: of the machine under its controller.
-        weights: α (m,) as constants, or None where they are an input.
-    """
-    plant, g = measures.plant, measures.plant.graph
+def build_optimiser_kernels(at: Context) -> OptimiserKernels:
+    """The Functions of a machine under its controller; its own p become constants where they are baked."""
+    plant, g, point = at.plant, at.plant.graph, at.measures.expansion.point
     z = ca.vertcat(g.base, g.posture)
     sine = ca.substitute(g.singularity_sine_squared, g.q, g.rest)
 
@@ -113,7 +105,7 @@ def build_optimiser_kernels(at: Context, measures: Measures, *, weights: Sequenc
         return ca.Function(name, list(inputs.values()), dense, list(inputs), list(outputs), {"cse": True})
 
     inputs = {"base": g.base, "posture": g.posture, "p": g.p}
-    position = function("position", inputs, _position(measures, z))
+    position = function("position", inputs, {"r": point.end_point, "r_z": ca.jacobian(point.end_point, z)})
     distance = function("distance", inputs, {"sine_squared": sine})
     margin = function("margin", inputs, {"sine_squared_z": ca.gradient(sine, z)})
     if not plant.closed_form:
@@ -129,12 +121,11 @@ def build_optimiser_kernels(at: Context, measures: Measures, *, weights: Sequenc
         at_origin = ca.vertcat(reaching.first_joint_point, ca.sum1(reaching.segment_lengths))
         at_origin = ca.substitute(at_origin, g.base, 0)
         reach = function("reach", {"p": g.p}, {"first_joint": at_origin[:-1], "length": at_origin[-1]})
-        end_point = measures.expansion.point.end_point
-        end_point_hessians = [ca.hessian(end_point[k], z)[0] for k in range(plant.n_task)]
+        end_point_hessians = [ca.hessian(point.end_point[k], z)[0] for k in range(plant.n_task)]
         outputs = {"r_zz": ca.horzcat(*end_point_hessians), "sine_squared_zz": ca.hessian(sine, z)[0]}
-        second = function("bent_rows", inputs | {"held": measures.expansion.held}, outputs)
+        second = function("bent_rows", inputs | {"held": at.measures.expansion.held}, outputs)
     return OptimiserKernels(
-        **_of_modes(at, measures, weights, second),
+        **_of_modes(at, second),
         position=position,
         distance=distance,
         margin=margin,
@@ -143,12 +134,10 @@ def build_optimiser_kernels(at: Context, measures: Measures, *, weights: Sequenc
     )
 
 
-def _of_modes(
-    at: Context, measures: Measures, weights: Sequence[float] | None, second: ca.Function | None
-) -> dict[str, ca.Function]:
+def _of_modes(at: Context, second: ca.Function | None) -> dict[str, ca.Function]:
     """`hold`, `value` and the derivatives; second ones where `second` gives those of the rows."""
     plant, g = at.plant, at.plant.graph
-    expansion = Expansion(plant, at.control, measures.gravity, at.placement_matters, at.baked, compact=True)
+    expansion = Expansion(plant, at.control, gravity=False, placed=at.placement_matters, baked=at.baked, compact=True)
     names = ["base", "posture", "p", "held", "weights"]
     symbols = [ca.MX.sym(name, x.shape[0]) for name, x in zip(names, (g.base, g.posture, g.p), strict=False)]
     given = [symbol for name, symbol in zip(names, symbols, strict=False) if name in expansion.inputs]
@@ -159,14 +148,13 @@ def _of_modes(
     else:
         near, (solved, z) = [], expansion.hold(given, called_modes(plant.n_passive))
     found: list[ca.MX] = [ca.veccat(*list[ca.MX](solved.values())), *z]
-    inputs, weight = [*symbols, held, alpha], alpha if weights is None else ca.MX(list(weights))
-    parts = expansion.parts(held)
-    w, by_f = expansion.slopes(parts, weight)
-    value = [ca.dot(weight, w), ca.dot(weight, expansion.sizes(parts))]
+    inputs, parts = [*symbols, held, alpha], expansion.parts(held)
+    w, by_f = expansion.slopes(parts, alpha)
+    value = [ca.dot(alpha, w), ca.dot(alpha, expansion.sizes(parts))]
     if second is None:
         slope = ca.Function("slope", inputs, [expansion.gradient(given, parts, by_f)], names, ["V_z"])
     else:
-        outputs = [*expansion.hessian(given, parts, by_f, weight), *second.call([*symbols, held])]
+        outputs = [*expansion.hessian(given, parts, by_f, alpha), *second.call([*symbols, held])]
         slope = ca.Function("model", inputs, outputs, names, ["V_z", "V_zz", "r_zz", "sine_squared_zz"])
     hold_names = [*names[:3], "near"][: 3 + len(near)]
     return {
@@ -174,13 +162,3 @@ def _of_modes(
         "value": ca.Function("value", inputs, value, names, ["V", "size"]),
         "derivatives": slope,
     }
-
-
-def _position(measures: Measures, z: ca.SX) -> dict[str, ca.SX]:
-    """The end-point; under gravity at the deflection."""
-    expansion, at = measures.expansion, measures.inputs
-    outputs = [expansion.point.end_point, ca.jacobian(expansion.point.end_point, z)]
-    if measures.gravity:
-        inner = ca.Function("inner", list(expansion.inputs.values()), [ca.densify(each) for each in outputs])
-        outputs = list(inner.call([*at, *expansion.deflection(at)]))
-    return {"r": outputs[0], "r_z": outputs[1]}

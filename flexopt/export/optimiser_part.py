@@ -163,7 +163,7 @@ class OptimiserPart:
         return self.writer.render(
             "optimiser_readme.md",
             budget=self.sources.budget,
-            model_cost=self.sources.model_cost,
+            model_cost=self.sources.kernels.model_cost,
             control=self.at.control,
             variables=list(zip(self.at.choice, self.at.choice_units, strict=True)),
             rows=self.at.machine.task_rows,
@@ -211,7 +211,7 @@ class OptimiserPart:
             "statuses": self.sources.statuses,
             "workspace": self.sources.workspace_size,
             "budget": {"unit": "evaluations of V", "default": self.sources.budget, "most": BUDGET_MAX,
-                       "derivatives_cost": self.sources.model_cost},
+                       "derivatives_cost": self.sources.kernels.model_cost},
             "limits": {"starts": STARTS, "unbounded": COORDINATE_MAX, "loss": LOSS[self.real],
                        "target_error": self.on_target},
         }  # fmt: skip
@@ -219,24 +219,7 @@ class OptimiserPart:
 
 def optimiser(at: Context, prefix: str, real: Real) -> OptimiserPart:
     """The posture optimiser of a bundle."""
-    margin_deg = math.degrees(math.asin(at.singularity_margin))
-    sources = _sources(at.machine, at.control, at.baked, margin_deg, prefix, real)
-    return OptimiserPart(at, prefix, real, sources)
-
-
-@lru_cache(maxsize=8)
-def _sources(
-    machine: AnyMachine, control: Control, baked: bool, margin_deg: float, prefix: str, real: Real
-) -> OptimiserSources:
-    return build_optimiser(
-        machine,
-        control=control,
-        baked=baked,
-        singularity_margin_deg=margin_deg,
-        prefix=prefix,
-        real=real,
-        real_type=f"{prefix}_real",
-    )
+    return OptimiserPart(at, prefix, real, build_optimiser(at, prefix, real))
 
 
 @lru_cache(maxsize=16)

@@ -22,12 +22,7 @@ VECTOR_COUNT = 12
 VECTOR_SEED = 1
 
 
-def project_files(library: Library, bundle_hash: str) -> dict[str, str]:
-    """Path -> text of everything around a library."""
-    return _Project(library, bundle_hash).files()
-
-
-class _Project:
+class Project:
     """The texts around one library."""
 
     def __init__(self, library: Library, bundle_hash: str) -> None:

@@ -20,7 +20,7 @@ RATE_MAX, TORQUE_MAX, STEP_MAX = 1e4, 1e12, 0.1
 
 def simulator(at: Context) -> tuple[Operation, ...]:
     """One step of classical RK4 with held joint torques."""
-    plant, g, field = at.plant, at.plant.graph, at.sizes.field
+    plant, g, field = at.plant, at.plant.graph, at.field
     v, torque, h = ca.SX.sym("v", plant.n_coordinates), ca.SX.sym("torque", plant.n_actuated), ca.SX.sym("h")
     result = machine_step(at.machine)(q=g.q, v=v, torque=torque, base=g.base, p=g.p, h=h)
     size_q, size_v = _sizes(plant, v, torque, h)

@@ -96,7 +96,7 @@ class Library:
     @cached_property
     def sizes(self) -> dict[str, int]:
         """Array sizes by name."""
-        sizes = dict(self.context.sizes.values)
+        sizes = self.context.sizes
         return sizes if self.baked else sizes | {"PARAMETERS": len(self.context.parameters.names)}
 
     @cached_property

@@ -15,7 +15,10 @@ import numpy as np
 import pytest
 
 from benchmarks.optimiser import value_of
+from flexopt.export.context import build_context
+from flexopt.export.kernels import Real
 from flexopt.export.optimiser import OptimiserSources, build_optimiser
+from flexopt.foundation.control import Control
 from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import AnyMachine
 
@@ -58,8 +61,9 @@ class Library:
         self.n_z = kernels.position.numel_in(0) + kernels.position.numel_in(1)
         self.n_task, self.n_modes = kernels.position.numel_out(0), kernels.value.numel_in(4)
         macros = dict(re.findall(r"#define \w+?_(WEIGHTS|PARAMETERS)_AT_RUN_TIME +([01])", sources.header))
-        self.weights_at_run_time, self.parameters_at_run_time = macros["WEIGHTS"] == "1", macros["PARAMETERS"] == "1"
-        text = f"{INCLUDES}{sources.header}\n{sources.source}\n"
+        assert macros["WEIGHTS"] == "1"
+        self.parameters_at_run_time = macros["PARAMETERS"] == "1"
+        text = c_text(sources, real)
         text += f"size_t {PREFIX}_workspace_bytes(void);\n"
         text += f"size_t {PREFIX}_workspace_bytes(void) {{ return {sources.workspace_size}; }}\n"
         (folder / "optimiser.c").write_text(text)
@@ -76,8 +80,7 @@ class Library:
     def _types(self, n_parameters: int) -> tuple[Any, Any, Any]:
         real, vector = self.real, self.real * self.n_z
         problem = [("target", real * self.n_task), ("lower", vector), ("upper", vector), ("sine_squared_min", real)]
-        if self.weights_at_run_time:
-            problem.append(("weights", real * self.n_modes))
+        problem.append(("weights", real * self.n_modes))
         if self.parameters_at_run_time:
             problem.append(("parameters", real * n_parameters))
         options = [("budget", ctypes.c_int), ("starts", ctypes.c_int), ("tolerance", real)]
@@ -136,22 +139,39 @@ class Library:
 
 
 @lru_cache(maxsize=16)
-def _sources(machine: AnyMachine, options: tuple[tuple[str, Any], ...]) -> OptimiserSources:
-    return build_optimiser(machine, prefix="case", **dict(options))
+def sources_of(
+    machine: AnyMachine, *, control: Control = "inverse", real: Real = "double", baked: bool = False
+) -> OptimiserSources:
+    """The optimiser of a machine."""
+    at = build_context(
+        machine, control=control, gain=1.0, single=real == "float", baked=baked, singularity_margin_deg=10.0
+    )
+    return build_optimiser(at, "case", real)
+
+
+def header_of(sources: OptimiserSources, real: str) -> str:
+    """The header, with what it takes from the bundle's own."""
+    included = '#include "case_control.h"\n'
+    assert sources.header.count(included) == 1
+    return sources.header.replace(included, f"typedef {real} case_real;\n")
+
+
+def c_text(sources: OptimiserSources, real: str) -> str:
+    """All in one C file."""
+    return f"{INCLUDES}{header_of(sources, real)}\n{sources.source}\n"
 
 
 def library(machine: AnyMachine, folder: Path, flags: tuple[str, ...] = ("-O0",), **options: Any) -> Library:
     """Compiled with all warnings as errors."""
-    sources = _sources(machine, tuple(sorted(options.items())))
+    sources = sources_of(machine, **options)
     return Library(sources, machine, folder, list(flags), options.get("real", "double"))
 
 
 def problem_of(lib: Library, selection: Any) -> Any:
     """A selection problem as the library takes it."""
     bounds = [b.clip(-COORDINATE_MAX, COORDINATE_MAX) for b in (selection.lower, selection.upper)]
-    weights = {"weights": selection.objective.alpha} if lib.weights_at_run_time else {}
-    margin = math.sin(selection.singularity_margin) ** 2
-    return lib.problem(selection.target, lower=bounds[0], upper=bounds[1], sine_squared_min=margin, **weights)
+    margin, weights = math.sin(selection.singularity_margin) ** 2, selection.objective.alpha
+    return lib.problem(selection.target, lower=bounds[0], upper=bounds[1], sine_squared_min=margin, weights=weights)
 
 
 def assert_feasible(selection: Any, answer: Answer, tolerance: float = 1e-12) -> None:

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.export.optimiser import build_optimiser
 from flexopt.model import AnyMachine
-from tests.export.optimiser_library import INCLUDES, WARNINGS
+from tests.export.optimiser_library import WARNINGS, c_text, sources_of
 from tests.export.programs import GCC
 from tests.oracles.machines import random_machine
 
@@ -138,10 +137,9 @@ int main(void)
 
 def fuzzed(machine: AnyMachine, folder, calls: int, span: float = 3.0) -> list[int]:
     """How often each status came; fails where the program did. Targets are drawn from a box of half the width `span`."""
-    sources = build_optimiser(machine, prefix="case")
     in_m = [str(k) for k, parameter in enumerate(machine.parameters) if parameter.unit == "m"]
     lengths = f"static const int lengths[] = {{{', '.join(in_m)}}};\n"
-    (folder / "fuzz.c").write_text(f"{INCLUDES}{sources.header}\n{sources.source}\n{lengths}{DRIVER}")
+    (folder / "fuzz.c").write_text(f"{c_text(sources_of(machine), 'double')}{lengths}{DRIVER}")
     flags = [flag for flag in WARNINGS if flag not in {"-Wconversion", "-Wshadow"}]
     build = ["gcc", *flags, *SANITIZERS, f"-DCALLS={calls}", f"-DSPAN={span!r}", "fuzz.c", "-o", "fuzz", "-lm"]
     done = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=False)
@@ -154,7 +152,7 @@ def fuzzed(machine: AnyMachine, folder, calls: int, span: float = 3.0) -> list[i
 @pytest.mark.long
 def test_excavator(tmp_path):
     counts = fuzzed(flexopt.load("excavator"), tmp_path, 10_000)
-    statuses = build_optimiser(flexopt.load("excavator"), prefix="case").statuses
+    statuses = sources_of(flexopt.load("excavator")).statuses
     never = {name for name, value in statuses.items() if counts[value] == 0}
     assert never <= {"STALLED"}, "a fuzzer that does not reach every status proves little"
 
@@ -170,7 +168,7 @@ def test_a_random_machine(tmp_path):
 def test_machines_in_space(name: str, span: float, tmp_path):
     machine = flexopt.load(name)
     counts = fuzzed(machine, tmp_path, 1_000, span)
-    statuses = build_optimiser(machine, prefix="case").statuses
+    statuses = sources_of(machine).statuses
     assert sum(counts) == 1_000
     for status in (
         "CONVERGED",

@@ -18,7 +18,7 @@ from flexopt.export.bundle import build_library
 from flexopt.export.closing import settling_start, steady_hold
 from flexopt.export.context import build_context
 from flexopt.export.control import controller, kinematics
-from flexopt.export.project import project_files
+from flexopt.export.project import Project
 from flexopt.export.simulator import simulator
 from flexopt.model import AnyMachine, shipped_names, tree_from_dict
 from tests.export.programs import GCC, MAKE
@@ -107,7 +107,7 @@ def test_the_example_holds_the_machine_as_the_ros2_node_does(name: str) -> None:
 def around(machine: AnyMachine, parts: list[str]) -> dict[str, str]:
     """The texts around a library, by their paths."""
     options = {"control": "inverse", "gain": 1.0, "baked": False, "singularity_margin_deg": 1.0}
-    return project_files(build_library(machine, parts, real="double", prefix="case", **options), "0" * 64)
+    return Project(build_library(machine, parts, real="double", prefix="case", **options), "0" * 64).files()
 
 
 @pytest.mark.parametrize("name", shipped_names("models"))

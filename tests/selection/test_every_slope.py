@@ -75,7 +75,6 @@ TAKEN = {
     ("selection/own/graphs.py", "_outer_slope"): "test_own_ones",
     ("selection/own/graphs.py", "_outer_curvature"): "test_own_ones",
     ("export/optimiser_kernels.py", "build_optimiser_kernels"): "test_the_optimiser_in_c",
-    ("export/optimiser_kernels.py", "_position"): "test_the_optimiser_in_c",
 }
 ROOMS = (
     "selection",
@@ -491,8 +490,8 @@ def test_the_optimiser_in_c(name):
     """V, r and the margin as its C climbs them: slopes, and second derivatives where it has exact ones."""
     machine, _ = machine_of(name)
     options = {"gain": 5e5, "single": False, "baked": False, "singularity_margin_deg": 10.0}
-    at, measures = build_context(machine, control="inverse", **options), flexopt.build_measures(machine)
-    kernels, plant = build_optimiser_kernels(at, measures, weights=None), measures.plant
+    at = build_context(machine, control="inverse", **options)
+    kernels, plant = build_optimiser_kernels(at), at.plant
     m, p, rng = plant.n_passive, plant.parameter_values, np.random.default_rng(4)
     n_b, near = plant.n_base, [] if plant.closed_form else [np.eye(m)]
     alpha = rng.uniform(0.5, 1.5, m)

@@ -80,6 +80,7 @@ static bool in_range(const problem_t *problem, const options_t *options)
   bool ok = (options->budget >= 1) && (options->budget <= BUDGET_MAX) && (options->starts >= 0) &&
            (options->starts <= STARTS_MAX) && (options->tolerance > R(0.0)) && (options->tolerance < R(1.0)) &&
            (problem->sine_squared_min > R(0.0)) && (problem->sine_squared_min < R(1.0));
+  real_t sum = R(0.0);
   for (int i = 0; i < NZ; i++) {
     ok = ok && (problem->lower[i] <= problem->upper[i]) && (fabs(problem->lower[i]) <= UNBOUNDED) &&
          (fabs(problem->upper[i]) <= UNBOUNDED);
@@ -96,26 +97,18 @@ static bool in_range(const problem_t *problem, const options_t *options)
     }
   }
 #endif
-#if WEIGHTS_AT_RUN_TIME
-  {
-    real_t sum = R(0.0);
-    for (int i = 0; i < N_MODES; i++) {
-      ok = ok && (problem->weights[i] >= R(0.0)) && (problem->weights[i] <= R(1e6));
-      sum += problem->weights[i];
-    }
-    ok = ok && (sum > R(0.0));
+  for (int i = 0; i < N_MODES; i++) {
+    ok = ok && (problem->weights[i] >= R(0.0)) && (problem->weights[i] <= R(1e6));
+    sum += problem->weights[i];
   }
-#endif
-  return ok;
+  return ok && (sum > R(0.0));
 }
 
 static bool inputs_finite(const problem_t *problem, const real_t *start, const options_t *options)
 {
   bool ok = all_finite(NT, problem->target) && all_finite(NZ, problem->lower) && all_finite(NZ, problem->upper) &&
-           is_finite(problem->sine_squared_min) && is_finite(options->tolerance);
-#if WEIGHTS_AT_RUN_TIME
-  ok = ok && all_finite(N_MODES, problem->weights);
-#endif
+           all_finite(N_MODES, problem->weights) && is_finite(problem->sine_squared_min) &&
+           is_finite(options->tolerance);
 #if PARAMETERS_AT_RUN_TIME
   ok = ok && all_finite(N_PARAMETERS, problem->parameters);
 #endif
@@ -253,11 +246,9 @@ status_t default_problem(problem_t *problem)
     problem->upper[i] = upper[i];
   }
   problem->sine_squared_min = SINE_SQUARED_MIN;
-#if WEIGHTS_AT_RUN_TIME
   for (int i = 0; i < N_MODES; i++) {
     problem->weights[i] = R(1.0);
   }
-#endif
 #if PARAMETERS_AT_RUN_TIME
   for (int i = 0; i < N_PARAMETERS; i++) {
     problem->parameters[i] = parameters[i];

@@ -11,7 +11,7 @@
 /* Slope of V/scale in x at a point whose evaluation was the last one. */
 static bool slope_at(const problem_t *problem, workspace_t *s, const point_t *x, real_t scale, real_t *slope)
 {
-  const real_t *arg[ARG_slope] = {x->z, &x->z[N_B], parameters_of(problem), s->memory.held, weights_of(problem)};
+  const real_t *arg[ARG_slope] = {x->z, &x->z[N_B], parameters_of(problem), s->memory.held, problem->weights};
   real_t *res[RES_slope] = {slope};
   call_slope(arg, res, s->memory.work);
   for (int i = 0; i < NZ; i++) {

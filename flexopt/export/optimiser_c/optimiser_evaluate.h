@@ -52,16 +52,6 @@ static const real_t *parameters_of(const problem_t *problem)
 #endif
 }
 
-static const real_t *weights_of(const problem_t *problem)
-{
-#if WEIGHTS_AT_RUN_TIME
-  return problem->weights;
-#else
-  (void)problem;
-  return NULL;
-#endif
-}
-
 /* End-point and its Jacobian. */
 static bool locate(const problem_t *problem, point_t *x)
 {
@@ -111,7 +101,7 @@ static bool evaluate(const problem_t *problem, workspace_t *s, point_t *x)
   const real_t *at[ARG_hold] = {x->z, &x->z[N_B], parameters_of(problem)};
   real_t *held[RES_hold] = {s->memory.held};
 #endif
-  const real_t *arg[ARG_value] = {x->z, &x->z[N_B], parameters_of(problem), s->memory.held, weights_of(problem)};
+  const real_t *arg[ARG_value] = {x->z, &x->z[N_B], parameters_of(problem), s->memory.held, problem->weights};
   real_t *res[RES_value] = {&x->value, &x->scale};
   call_hold(at, held, s->memory.work);
 #if WARM_STARTED

@@ -7,7 +7,7 @@
 /* Derivatives at x, whose evaluation was the last one; in x and V/scale. */
 static bool differentiate(const problem_t *problem, workspace_t *s, point_t *x)
 {
-  const real_t *arg[ARG_model] = {x->z, &x->z[N_B], parameters_of(problem), s->memory.held, weights_of(problem)};
+  const real_t *arg[ARG_model] = {x->z, &x->z[N_B], parameters_of(problem), s->memory.held, problem->weights};
   real_t *res[RES_model] = {s->memory.gradient, s->hessian, s->memory.end_point_hessian, s->memory.sine_squared_hessian};
   call_model(arg, res, s->memory.work);
   for (int i = 0; i < NZ; i++) {

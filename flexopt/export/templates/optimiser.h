@@ -1,21 +1,17 @@
-{% if in_bundle %}
 /* The posture optimiser of the bundle; {{ prefix }}_control.h has the rest. Made for the machine and the bundle whose hashes
  * stand there. */
-{% endif %}
 #ifndef {{ PREFIX }}_OPTIMISER_H
 #define {{ PREFIX }}_OPTIMISER_H
 
 #include <stdbool.h>
-{% if in_bundle %}
 
 #include "{{ prefix }}_control.h"
-{% endif %}
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-/* Configuration optimiser of {{ machine.name | c_text }}, Jacobian {{ control }} control{% if gravity %}, under static deflection{% endif %}.
+/* Configuration optimiser of {{ machine.name | c_text }}, Jacobian {{ control }} control.
  *
  * Climbs to a local maximum of V(z) = sum_i alpha_i w_i(z) over z = [{% for z in variables %}{{ z | c_text }}{% if not loop.last %}, {% endif %}{% endfor %}]
  * (m, rad) subject to r(z) = target, lower <= z <= upper, and a distance from singular postures.
@@ -30,7 +26,7 @@ extern "C" {
 #define {{ P }}_N_TASK                 {{ n_task }}  /* coordinates of the target */
 #define {{ P }}_N_MODES                {{ n_modes }} /* measures w_1, w_2, ... */
 #define {{ P }}_N_PARAMETERS           {{ parameter_names | length }}     /* machine parameters */
-#define {{ P }}_WEIGHTS_AT_RUN_TIME    {{ weights_at_run_time | int }}
+#define {{ P }}_WEIGHTS_AT_RUN_TIME    1
 #define {{ P }}_PARAMETERS_AT_RUN_TIME {{ parameters_at_run_time | int }}
 #define {{ P }}_UNBOUNDED              {{ number(unbounded) }}     /* a bound of this size or more counts as absent */
 /* Tolerances of an answer. target_error is at most the first times the arm's reach, and times the largest of |z_i|, m over
@@ -63,9 +59,7 @@ typedef struct {
   {{ real_type }} lower[{{ P }}_N_Z];     /* m, rad */
   {{ real_type }} upper[{{ P }}_N_Z];
   {{ real_type }} sine_squared_min; /* sin^2 of the margin from singular postures, in (0, 1) */
-#if {{ P }}_WEIGHTS_AT_RUN_TIME
   {{ real_type }} weights[{{ P }}_N_MODES]; /* alpha_i >= 0 */
-#endif
 #if {{ P }}_PARAMETERS_AT_RUN_TIME
   {{ real_type }} parameters[{{ P }}_N_PARAMETERS]; /* {% for name in parameter_names %}{{ name | c_text }}{% if not loop.last %}, {% endif %}{% endfor %} */
 #endif

@@ -20,7 +20,7 @@ typedef {{ p }}_{{ name }} {{ name }}_t;
 {% for name in ("default_problem", "default_options", "solve") %}
 #define {{ name }} {{ p }}_{{ name }}
 {% endfor %}
-{% for name in statuses | list + ["N_MODES", "N_PARAMETERS", "WEIGHTS_AT_RUN_TIME", "PARAMETERS_AT_RUN_TIME", "UNBOUNDED", "TARGET_TOLERANCE", "MARGIN_TOLERANCE", "STARTS_MAX", "BUDGET", "BUDGET_MAX", "ROWS"] %}
+{% for name in statuses | list + ["N_MODES", "N_PARAMETERS", "PARAMETERS_AT_RUN_TIME", "UNBOUNDED", "TARGET_TOLERANCE", "MARGIN_TOLERANCE", "STARTS_MAX", "BUDGET", "BUDGET_MAX", "ROWS"] %}
 #define {{ name }} {{ P }}_{{ name }}
 {% endfor %}
 #define NZ {{ P }}_N_Z

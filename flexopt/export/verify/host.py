@@ -124,11 +124,9 @@ def agreement(bench: Bench, blocks: list[replay.Block], answers: list[replay.Ans
     rows: list[tuple[object, ...]] = []
     faults: list[str] = []
     for b, a in zip(blocks, answers, strict=True):
-        found = replay.compare(b.operation, bench.samples[b.operation.name], a, bench.tolerance)
-        faults += found.faults
-        rows += [
-            (b.operation.name, name, scale, worst, found.computed, found.refused) for name, worst, scale in found.rows
-        ]
+        of_function, wrong = replay.compare(b.operation, bench.samples[b.operation.name], a, bench.tolerance)
+        rows += of_function
+        faults += wrong
     worst = max(float(row[3]) for row in rows)  # type: ignore[arg-type]
     header = ("function", "output", "scale", "largest error / scale", "calls compared", "not accurate")
     table = FindingTable(f"Against Python, {bench.inputs} random inputs with random parameters", header, tuple(rows))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 from pathlib import Path
 
@@ -41,27 +42,11 @@ class CallGraph:
 
     def cycle(self) -> list[str]:
         """Functions that call themselves, directly or not; empty where there is no recursion."""
-        done: set[str] = set()
-        path: list[str] = []
-
-        def visit(name: str) -> list[str]:
-            if name in path:
-                return path[path.index(name) :]
-            if name in done:
-                return []
-            path.append(name)
-            for callee in sorted(self.calls.get(name, ())):
-                found = visit(callee)
-                if found:
-                    return found
-            path.pop()
-            done.add(name)
-            return []
-
-        for name in sorted(self.calls):
-            found = visit(name)
-            if found:
-                return found
+        try:
+            TopologicalSorter({name: sorted(self.calls[name]) for name in sorted(self.calls)}).prepare()
+        except CycleError as error:
+            # From callee to caller, the first one again in the end.
+            return error.args[1][:0:-1]
         return []
 
     def stack_from(self, name: str) -> int:

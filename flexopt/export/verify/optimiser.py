@@ -95,8 +95,8 @@ def of(bench: Bench) -> OptimiserPart:
     return bench.library.standalone[PART]
 
 
-def agreement(bench: Bench, runner: Runner, *, counts: bool = False) -> Finding:
-    """Random problems and starts; with `counts` instructions and stack, too."""
+def agreement(bench: Bench, runner: Runner, *, counts: bool = False, bar: float = math.inf) -> Finding:
+    """Random problems and starts; with `counts` instructions and stack, too, and no more instructions than `bar`."""
     part = of(bench)
     count = min(PROBLEMS, bench.inputs)
     vectors = part.vectors(count, SEED)
@@ -123,13 +123,14 @@ def agreement(bench: Bench, runner: Runner, *, counts: bool = False) -> Finding:
     ]
     sentence = f"{good} of {count} answers as good as IPOPT's best or better, none off its target"
     if counts:
-        instructions = solved.instructions
+        most = int(solved.instructions.max())
         rows += [
-            ("instructions, most", int(instructions.max())),
-            ("instructions, median", int(np.median(instructions))),
+            ("instructions, most", most),
+            ("instructions, median", int(np.median(solved.instructions))),
             ("stack of a call, bytes (painted)", int(solved.stack.max())),
         ]
-        sentence += f"; {int(instructions.max()):,} instructions at most"
+        sentence += f"; {most:,} instructions at most"
+        faults += [f"{most:,} instructions, allowed {bar:,}"] if most > bar else []
     return Finding(sentence, faults, [FindingTable("Posture optimiser", ("what", "number"), tuple(rows))])
 
 
@@ -149,15 +150,6 @@ def _compared(
         if error > part.on_target or sine < part.at.singularity_margin**2 - _rounding(bench):
             faults.append(f"{name} {k}: {names[int(solved.status[k])]}, but {error:.2g} m off the target")
     return lost, faults
-
-
-def within_bar(found: Finding) -> Finding:
-    """The finding, with a fault where a call took more instructions than allowed."""
-    rows: dict[str, int] = dict(found.tables[0].rows)
-    if rows["instructions, most"] <= INSTRUCTIONS:
-        return found
-    excess = f"{rows['instructions, most']:,} instructions, allowed {INSTRUCTIONS:,}"
-    return Finding(found.sentence, [*found.faults, excess], found.tables)
 
 
 def host_runner(bench: Bench, compiler: str, objects: list[Path], flags: Sequence[str] = ("-O2",)) -> Runner:

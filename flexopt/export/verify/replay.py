@@ -107,24 +107,14 @@ def read_answers(path: Path, blocks: Sequence[Block], *, single: bool) -> tuple[
     return calibration, answers
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """C against Python for one function.
+def compare(
+    operation: Operation, samples: Samples, answers: Answers, tolerance: float
+) -> tuple[list[tuple[object, ...]], list[str]]:
+    """Errors of each output against the samples', where C did not say NOT_ACCURATE; what is wrong, in sentences.
 
-    Attributes:
-        rows: (output, largest error as a share of its scale, its scale in words), one for each output.
-        computed, refused: how many calls succeeded, and how many ended as not accurate.
-        faults: what is wrong, in sentences.
+    Of each output: function, output, its scale in words, largest error as a share of its scale, how many calls
+    succeeded, and how many ended as not accurate.
     """
-
-    rows: tuple[tuple[str, float, str], ...]
-    computed: int
-    refused: int
-    faults: tuple[str, ...]
-
-
-def compare(operation: Operation, samples: Samples, answers: Answers, tolerance: float) -> Agreement:
-    """Errors of each output against the samples', where C did not say NOT_ACCURATE."""
     name, faults = operation.name, list[str]()
     good = np.isin(answers.status, WRITTEN)
     refused = answers.status == CODES["NOT_ACCURATE"]
@@ -142,15 +132,15 @@ def compare(operation: Operation, samples: Samples, answers: Answers, tolerance:
         share = np.abs(answers.outputs - samples.outputs)[good] / samples.scales[good]
     # Outputs that are exactly equal agree even where the scale is 0.
     share[(answers.outputs == samples.outputs)[good]] = 0.0
-    rows: list[tuple[str, float, str]] = []
+    rows: list[tuple[object, ...]] = []
     offset = 0
     for field in operation.outputs:
         part = share[:, offset : offset + field.length]
         worst = float(part.max()) if part.size else 0.0
-        rows.append((field.name, worst, field.scale))
+        rows.append((name, field.name, field.scale, worst, int(good.sum()), int(refused.sum())))
         if not worst <= tolerance:
             faults.append(
                 f"{name}.{field.name}: off by {worst:.2g} of its scale ({field.scale}), allowed {tolerance:g}"
             )
         offset += field.length
-    return Agreement(tuple(rows), int(good.sum()), int(refused.sum()), tuple(faults))
+    return rows, faults
