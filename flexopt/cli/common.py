@@ -202,7 +202,7 @@ def warnings_to_stderr(as_json: bool) -> Generator[None]:
 
 @contextmanager
 def clock() -> Generator[None]:
-    """Seconds on standard error, where nothing else tells that the command works; seldom where that is a log."""
+    """Seconds on standard error, and how far the command is where that is known; seldom where that is a log."""
     if VOICE.quiet:
         yield
         return
@@ -212,9 +212,12 @@ def clock() -> Generator[None]:
     def tick() -> None:
         begun = time.monotonic()
         while not done.wait(TICK if live else SELDOM):
-            if not live and not VOICE.telling:
-                click.echo(f"{word}: {time.monotonic() - begun:.0f} s", err=True)
-            elif not VOICE.telling:
+            passed = time.monotonic() - begun
+            if VOICE.progress is not None:
+                VOICE.progress(passed)
+            elif not live:
+                click.echo(f"{word}: {passed:.0f} s", err=True)
+            else:
                 shown.append(f"\r{word}: {len(shown) + 1} s")
                 click.echo(shown[-1], nl=False, err=True)
 
@@ -236,49 +239,63 @@ def read(load: Callable[[str], T], name: str) -> T:
 
 
 class _Lines:
-    """How far something is, for a log: no more often than every `SELDOM` s, and at the end."""
+    """How far something is, for a log: with the clock's seconds, and at the end what was not said yet."""
 
     def __init__(self, what: str) -> None:
-        self.what, self.at, self.said, self.last = what, "", "", time.monotonic()
+        self.what, self.at, self.said = what, "", ""
 
     def show(self, done: int, total: int) -> None:
-        """Note it, and say it where nothing was said for long."""
+        """Note it."""
         self.at = f"{self.what} {done}/{total}"
-        if time.monotonic() - self.last >= SELDOM:
-            self.end()
+
+    def tick(self, passed: float) -> None:
+        """Say it, after so many seconds."""
+        self.said = self.at
+        click.echo(f"{self.at or self.what}, {passed:.0f} s", err=True)
 
     def end(self) -> None:
         """Say what was not said yet."""
         if self.at != self.said:
             click.echo(self.at, err=True)
-        self.said, self.last = self.at, time.monotonic()
 
 
 @contextmanager
 def progress_bar(of: str) -> Generator[Callable[[int, int], None]]:
-    """A bar on standard error where that is a terminal, else a line now and then and at the end.
+    """A bar on standard error where that is a terminal, else lines; both with seconds while a `clock` runs.
 
     None with --quiet, and where nothing says of what.
     """
     if VOICE.quiet or not of:
         yield lambda _done, _total: None
         return
-    VOICE.telling = True
     try:
         if not sys.stderr.isatty():
             lines = _Lines(of)
+            VOICE.progress = lines.tick
             yield lines.show
             lines.end()
             return
         with click.progressbar(length=1, label=of, file=sys.stderr, show_pos=True) as bar:
+            # The clock is a thread of its own.
+            drawing = threading.Lock()
 
             def show(done: int, total: int) -> None:
-                bar.length = total
-                bar.update(done - bar.pos)
+                with drawing:
+                    bar.length = total
+                    bar.update(done - bar.pos)
 
+            def tick(passed: float) -> None:
+                with drawing:
+                    if VOICE.progress is not None:
+                        bar.label = f"{of}, {passed:.0f} s"
+                        bar.render_progress()
+
+            VOICE.progress = tick
             yield show
+            with drawing:
+                VOICE.progress = None
     finally:
-        VOICE.telling = False
+        VOICE.progress = None
 
 
 @contextmanager

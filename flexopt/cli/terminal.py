@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 import textwrap
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, TextIO
 
@@ -22,12 +23,12 @@ INDENT = re.compile(r"\s*")
 
 @dataclass
 class Voice:
-    """What of the group's options concerns all output, and whether a bar tells how far the command is."""
+    """What of the group's options concerns all output, and what tells, of seconds so far, how far the command is."""
 
     quiet: bool = False
     verbose: bool = False
     colour: bool = True
-    telling: bool = False
+    progress: Callable[[float], None] | None = None
 
 
 VOICE = Voice()
