@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from statistics import NormalDist
 from typing import Any
@@ -117,20 +117,7 @@ class Candidate(Tabled):
             >>> best.to_dict()["base_coordinates"]
             ['x']
         """
-        own = {
-            "objective": self.objective,
-            "active": list(self.active),
-            "constraints": {name: vars(value) for name, value in self.constraints.items()},
-            "target_error": self.target_error,
-            "stationarity": self.stationarity,
-            "iterations": self.iterations,
-            "kinks": self.kinks,
-            "unsurpassed": self.unsurpassed,
-            "continuum": self.continuum,
-            "dimension": self.dimension,
-            "extent": self.extent,
-            "representatives": self.representatives,
-        }
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("z", "w", "evaluate")}
         return self.evaluation.to_dict() | json_ready(own)
 
 
