@@ -28,7 +28,7 @@ from flexopt.selection.ascent_model import (
     halves,
 )
 from flexopt.selection.cones import SHARED, TINY, mode_cones
-from flexopt.selection.coupling import own_directions
+from flexopt.selection.coupling import own_directions, widened
 from flexopt.selection.programs import Bounds
 
 # Distances, in scaled variables: of the first step, the greatest, and the one below which nothing is found.
@@ -133,9 +133,7 @@ class Ascent:
 
     def _wide(self, member: AscentMember, slopes: Vector) -> Vector:
         """Slopes (…, n) by x of those by a configuration's own entries."""
-        wide = np.zeros((*slopes.shape[:-1], self.bounds.x_lower.size))
-        wide[..., list(member.place)] = slopes
-        return wide
+        return widened(slopes, member.place, self.bounds.x_lower.size)
 
     def rows(self, x: Vector) -> tuple[Vector, Vector]:
         """All rows at x, and their slopes."""

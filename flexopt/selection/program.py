@@ -20,7 +20,7 @@ from flexopt.selection.ascent import STUCK, Ascent
 from flexopt.selection.ascent_member import AscentMember
 from flexopt.selection.cones import Parallel
 from flexopt.selection.configuration import ConstraintRows
-from flexopt.selection.coupling import Coupling, alone
+from flexopt.selection.coupling import Coupling, alone, widened
 from flexopt.selection.member_graph import parameters_of
 from flexopt.selection.nlp import Goal, build_branched, build_solver, told_branches
 from flexopt.selection.objective import Objective
@@ -336,22 +336,17 @@ class Program:
 
         Of V's branches the smallest one.
         """
-        n_x = self.coupling.n_x
+        n_x, places = self.coupling.n_x, self.coupling.places
         steps = self.coupling.steps(n_x)
-
-        def wide(k: int, slopes: Vector) -> Vector:
-            out = np.zeros((len(slopes), n_x))
-            out[:, list(self.coupling.places[k])] = slopes
-            return out
-
         kept: list[tuple[Vector, Vector]] = []
         last: list[tuple[Vector, Vector]] = []
         for j in range(len(members[0].values)):
-            for k, member in enumerate(members):
+            for member, place in zip(members, places, strict=True):
                 ours = kept if j < len(members[0].values) - 1 else last
-                ours.append((member.values[j][:1], wide(k, member.slopes[j][:1])))
+                ours.append((member.values[j][:1], widened(member.slopes[j][:1], place, n_x)))
         g = [*(member.rows for member in members), steps @ (x / self.scale), *(values for values, _ in kept)]
-        jacobian = [*(wide(k, m.row_slopes) for k, m in enumerate(members)), steps, *(slopes for _, slopes in kept)]
+        of_rows = (widened(m.row_slopes, place, n_x) for m, place in zip(members, places, strict=True))
+        jacobian = [*of_rows, steps, *(slopes for _, slopes in kept)]
         values, slopes = (np.concatenate(part) for part in zip(*last, strict=True))
         if self.goal == "weighted":
             return Local(-float(self.share @ values), -self.share @ slopes, np.concatenate(g), np.vstack(jacobian))
