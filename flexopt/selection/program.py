@@ -175,8 +175,8 @@ class Program:
             lower, upper = np.append(lower, -np.inf), np.append(upper, np.inf)
         rows = self.constraints()
         bounds = Bounds(lower, upper, np.array([row.lower for row in rows]), np.array([row.upper for row in rows]))
-        reached = run(solver, self._stated, x0, self.parameters(), bounds)
-        return self.told(reached.x[: self.coupling.n_x]), reached.iterations, reached.status
+        x, iterations, status = run(solver, self._stated, x0, self.parameters(), bounds)
+        return self.told(x[: self.coupling.n_x]), iterations, status
 
     def build(self) -> None:
         """Build the graphs that solves from many starts use: processes that are forked then inherit them."""
