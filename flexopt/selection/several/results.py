@@ -419,8 +419,8 @@ class BasePlan(Pictured, ConfigurationSet):
 
     @property
     def worth(self) -> float:
-        """The smallest V."""
-        return float(self.V.min())
+        """What the worst target has."""
+        return float(self.V[self.worst])
 
     @property
     def standing(self) -> float:
