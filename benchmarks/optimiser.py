@@ -47,7 +47,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.choices import SINGULARITY_MARGIN_DEG
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import arm_length, reach, sampled_ranges
-from flexopt.selection.optima import run_solver
+from flexopt.selection.program import single
 
 SAME = 1e-8
 # Share of the scale that V may lose against IPOPT; how far from the target still counts as on it, m; by how much inputs
@@ -130,7 +130,7 @@ def draw_pairs(machine: AnyMachine, control: Control, count: int, seed: int) -> 
         if rng.random() < 0.5:
             k = rng.integers(problem.scan.size)
             start = np.concatenate([problem.scan.base[:, k], problem.scan.posture[:, k]])
-        z, _, status = run_solver(problem, start)
+        z, _, status = single(problem).solve(start)
         v, error = value_of(problem, z)
         pairs.append(Pair(problem, start, v if status == "Solve_Succeeded" and error < 1e-8 else -math.inf))
     return pairs

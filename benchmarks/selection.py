@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 import flexopt
 from benchmarks.timing import fresh_process, median_seconds, table
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.optima import run_solver
+from flexopt.selection.program import single
 from flexopt.selection.scan import peaks
 
 COLD_SELECT = """
@@ -95,7 +95,7 @@ def main() -> None:
     for control in ("inverse", "transpose"):
         problem = flexopt.build_selection(machine, (0.0, 1.6), control=control, base=0.0)
         starts = [np.concatenate([problem.scan.base[:, k], problem.scan.posture[:, k]]) for k in peaks(problem.scan)]
-        ours = [median_seconds(partial(run_solver, problem, start)) for start in starts]
+        ours = [median_seconds(partial(single(problem).solve, start)) for start in starts]
         theirs = [median_seconds(partial(_slsqp, problem, start)) for start in starts]
         median, peer = float(np.median(ours)), float(np.median(theirs))
         rows.append(

@@ -6,7 +6,6 @@ In: two plants with the same inputs, outputs and sampling. Out: a number between
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from flexopt.coprime.scaling import balance, compose, hamiltonian, riccati_matri
 from flexopt.coprime.symbols import Symbols, graph_symbols, inverse_root
 from flexopt.coprime.system import PAIR, Matrix, StateSpace, SystemLike, system_pair
 from flexopt.foundation.boundary import public
+from flexopt.foundation.roots import root
 
 RESOLUTION = 1e-10
 NEAR = 1e-9
@@ -133,7 +133,8 @@ def _directed_gap(one: Symbols, two: Symbols, bounds: tuple[float, float]) -> fl
     """inf_{Q ∈ H∞} ‖G1 − G2 Q‖∞, by a search over γ between the bounds."""
 
     def excess(gamma: float) -> float:
-        return _hankel_norm(one.right, two, gamma) - 1.0
+        # From −1 to 1, where the norm is infinite.
+        return 1.0 - 2.0 / (1.0 + _hankel_norm(one.right, two, gamma))
 
     lowest, highest = bounds
     low, high = max(lowest * (1 + NEAR), NEAR), min(highest * (1 + NEAR), 1.0 - NEAR)
@@ -141,7 +142,8 @@ def _directed_gap(one: Symbols, two: Symbols, bounds: tuple[float, float]) -> fl
         return lowest
     if excess(high) >= 0.0:
         return highest
-    found, unsolved = _root(excess, low, high)
+    found = root(excess, low, high, xtol=RESOLUTION * low, rtol=RESOLUTION)
+    unsolved = excess(found * (1 - 4 * RESOLUTION)) == 1.0
     # Where Φ has no numerical solution that close to ‖W‖∞, the answer lies in between: ‖W‖∞ itself, nearly always.
     return lowest if unsolved and found - lowest < UNSOLVED else found
 
@@ -160,8 +162,8 @@ def _hankel_norm(G1: StateSpace, two: Symbols, gamma: float) -> float:
     if Y is None:
         return math.inf
     K = np.linalg.solve(R, B.T @ Y + Dw.T @ Cw)
-    root = inverse_root(R)
-    Av, Bv, Cv, Dv = A + B @ K, B @ root, (C1 + G1.D @ K) / gamma, G1.D @ root / gamma
+    half = inverse_root(R)
+    Av, Bv, Cv, Dv = A + B @ K, B @ half, (C1 + G1.D @ K) / gamma, G1.D @ half / gamma
     cross = _sylvester(G2.A.T, Av, G2.C.T @ Cv)
     enters = cross @ Bv + G2.C.T @ Dv
     reach = riccati.lyapunov(G2.A.T, enters @ enters.T)
@@ -194,24 +196,3 @@ def _sylvester(A: Matrix, B: Matrix, Q: Matrix) -> Matrix:
     import scipy.linalg as sla  # noqa: PLC0415  # slow to import
 
     return np.asarray(sla.solve_sylvester(A, B, -Q), dtype=float) if Q.size else np.zeros(Q.shape)
-
-
-def _root(f: Callable[[float], float], low: float, high: float) -> tuple[float, bool]:
-    """Zero of a decreasing f between low (f > 0, perhaps infinite) and high (f < 0), and whether f(low) is infinite.
-
-    Illinois steps, and a bisection every fourth.
-    """
-    f_low, f_high, side = f(low), f(high), 0
-    for step in range(200):
-        if high - low <= RESOLUTION * high:
-            break
-        usable = math.isfinite(f_low) and step % 4 != 3
-        middle = (low * f_high - high * f_low) / (f_high - f_low) if usable else math.sqrt(low * high)
-        margin = 0.4 * RESOLUTION * high
-        middle = min(max(middle, low + margin), high - margin)
-        value = f(middle)
-        if value > 0.0:
-            low, f_low, f_high, side = middle, value, f_high / (2 if side > 0 else 1), 1
-        else:
-            high, f_high, f_low, side = middle, value, f_low / (2 if side < 0 else 1), -1
-    return high, math.isinf(f_low)

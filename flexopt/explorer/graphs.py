@@ -32,7 +32,7 @@ def explorer_functions(measures: Measures, motions: SmallMotions, *, frames: boo
         "rest": {"q": point.q},
         "reach": {"r": point.end_point, "J": ca.jacobian(point.end_point, ca.vertcat(g.base, g.posture))},
         "reduced": {"K": stiffness, "M": mass, "F": factors, "screen": screened(plant)["screen"],
-                    "left_over": left_over(plant, point) if measures.gravity else ca.SX(0)},
+                    "left_over": left_over(plant, point.q, point.static_residual) if measures.gravity else ca.SX(0)},
         "more": {"follow": expansion.pencil.follow, "D": point.damping},
         "own": {"M": point.mass, "Jv": point.rigid_jacobian},
     }  # fmt: skip

@@ -28,8 +28,7 @@ from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import arm_length, outer_reach, reach, sampled_ranges
 from flexopt.selection import Selection, build_selection
 from flexopt.selection.check import prove
-from flexopt.selection.optima import run_solver
-from flexopt.selection.program import SOLVED
+from flexopt.selection.program import SOLVED, single
 from flexopt.selection.solve import solved
 from flexopt.selection.starts import onto_target
 
@@ -296,7 +295,7 @@ def _found_again(found: Selection, start: Array, scale: float) -> bool:
     problem = found.problem
     if not prove(problem, onto_target(problem, start[:, None])[0][:, 0]).stationarity <= STEEP:
         return False
-    z, _, status = run_solver(problem, start)
+    z, _, status = single(problem).solve(start)
     value = problem.branches(problem.objective, z)[0].min()
     return status in SOLVED and bool(value >= found.best.objective - CLEARLY * scale)
 

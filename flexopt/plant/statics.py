@@ -7,16 +7,16 @@ import numpy as np
 
 from flexopt.errors import InputError, NoSolutionFound
 from flexopt.foundation.arrays import Vector
-from flexopt.plant.plant import OperatingPoint, Plant
+from flexopt.plant.plant import Plant
 
 # Of what the static deflection may leave over, relative to the weight.
 STATIC_TOLERANCE = 1e-8
 
 
-def left_over(plant: Plant, at: OperatingPoint) -> ca.SX:
-    """Force that the deflection of an operating point leaves over, relative to the weight; a graph of base and p."""
-    weight = ca.norm_inf(plant.gravity(at.q, plant.graph.base, plant.graph.p)[: plant.n_passive])
-    return ca.norm_inf(at.static_residual) / (1 + weight)
+def left_over(plant: Plant, q: ca.SX, residual: ca.SX) -> ca.SX:
+    """Force that the deflection at q (n_q,) leaves over, `residual`, relative to the weight; a graph of base and p."""
+    weight = ca.norm_inf(plant.gravity(q, plant.graph.base, plant.graph.p)[: plant.n_passive])
+    return ca.norm_inf(residual) / (1 + weight)
 
 
 def check_settled(plant: Plant, q: Vector, base: Vector) -> None:

@@ -189,7 +189,7 @@ class Measures:
         if self.gravity:
             m = plant.n_passive
             at = plant.operating_point(g.base, g.posture, g.p, plant.deflected(g.base, g.posture, g.p))
-            outputs["left_over"] = left_over(plant, at)
+            outputs["left_over"] = left_over(plant, at.q, at.static_residual)
             outputs["least_pivot"] = ca.mmin(ca.ldl(ca.densify(at.stiffness[:m, :m]))[0])
         return _function("sound", self.inputs, outputs)
 

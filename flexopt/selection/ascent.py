@@ -9,8 +9,9 @@ does not, and is moved back onto the constraints: points stay feasible, so that 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ from flexopt.selection.ascent_model import (
     halves,
 )
 from flexopt.selection.cones import SHARED, TINY, mode_cones
-from flexopt.selection.coupling import own_directions
+from flexopt.selection.coupling import own_directions, widened
 from flexopt.selection.programs import Bounds
 
 # Distances, in scaled variables: of the first step, the greatest, and the one below which nothing is found.
@@ -133,9 +134,7 @@ class Ascent:
 
     def _wide(self, member: AscentMember, slopes: Vector) -> Vector:
         """Slopes (…, n) by x of those by a configuration's own entries."""
-        wide = np.zeros((*slopes.shape[:-1], self.bounds.x_lower.size))
-        wide[..., list(member.place)] = slopes
-        return wide
+        return widened(slopes, member.place, self.bounds.x_lower.size)
 
     def rows(self, x: Vector) -> tuple[Vector, Vector]:
         """All rows at x, and their slopes."""
@@ -243,17 +242,9 @@ class Ascent:
             moving[down | up] = 0.0
         return step
 
-    def _step(
-        self,
-        here: Point,
-        bend: Vector,
-        distance: float,
-        cones: tuple[int, ...],
-        before: Step | None,
-        *,
-        coupled: bool,
-    ) -> Step | None:
-        return best_step(here, bend, self.bounds, self.least, distance, cones, before, coupled=coupled)
+    @property
+    def _step(self) -> Callable[..., Step | None]:
+        return partial(best_step, self.bounds, self.least)
 
     def _model(self, second: SecondOrder, distance: float) -> Step | None:
         """The step by ε_max's branches of their own, where it is too short to mix them; else by coupled ones."""

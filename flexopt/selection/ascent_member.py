@@ -14,6 +14,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.cones import Parallel, smooth_slope, split_factors
+from flexopt.selection.coupling import widened
 from flexopt.selection.nlp import Branched
 
 # Step of the differences of what the cones leave of w_i, in scaled variables.
@@ -119,8 +120,7 @@ class AscentMember:
 
     def _bend_of(self, slope: Callable[[Vector, Vector], Vector], x: Vector, basis: Vector) -> Vector:
         """Second derivatives along a basis, (d, d), of what has a slope (n_z,) that a_i and b_i and theirs tell."""
-        ways = np.zeros((len(basis), x.size))
-        ways[:, list(self.place)] = BESIDE * basis
+        ways = widened(BESIDE * basis, self.place, x.size)
         beside = [slope(*self.factors(x + way)[:2]) - slope(*self.factors(x - way)[:2]) for way in ways]
         change = np.array(beside).reshape(basis.shape) @ basis.T / (2 * BESIDE)
         return (change + change.T) / 2

@@ -188,10 +188,10 @@ class Step:
 
 
 def best_step(
-    here: Point,
-    bend: Vector,
     bounds: Bounds,
     least: Vector,
+    here: Point,
+    bend: Vector,
     distance: float,
     cones: Sequence[int],
     before: Step | None,
@@ -201,10 +201,10 @@ def best_step(
     """The step that maximises V − dᵀ bend d / 2 within a distance, the rows and what is kept; None without a solution.
 
     Args:
-        here: where it begins.
-        bend: positive definite, (n, n).
         bounds: of x and of the rows.
         least: V / size that is kept, of each objective before those that are sought.
+        here: where it begins.
+        bend: positive definite, (n, n).
         distance: of any entry.
         cones: numbers of those that are looked at; of all others the slopes are.
         before: a step whose multipliers are tried first.

@@ -25,6 +25,7 @@ from flexopt.plant.singularity import unmoved_told
 from flexopt.plant.statics import not_held
 from flexopt.selection.assumed import assumed, standing
 from flexopt.selection.constraints import build_constraints, constraint_faults
+from flexopt.selection.constraints.kind import ScaledConstraint
 from flexopt.selection.objective import (
     MARGIN,
     Objective,
@@ -33,7 +34,7 @@ from flexopt.selection.objective import (
     quantities,
     read_objectives,
 )
-from flexopt.selection.problem import DecisionVariable, ScaledConstraint, SelectionProblem, StartRegion, TravelCost
+from flexopt.selection.problem import DecisionVariable, SelectionProblem, StartRegion, TravelCost
 from flexopt.selection.scan import Scan, empty_scan, scan_redundancy
 from flexopt.selection.starts import STARTS, sample_configurations, with_kept
 
@@ -156,12 +157,7 @@ def build_one(
         for row, value in zip(machine.task_rows, target.tolist(), strict=True)
     ]
     bounds.append(ScaledConstraint(MARGIN, "sin²", math.sin(margin) ** 2, math.inf, 1.0))
-    bounds += [
-        ScaledConstraint(label, unit, float(low), float(high), float(scale))
-        for label, unit, low, high, scale in zip(
-            rows.labels, rows.units, rows.lower, rows.upper, rows.scales, strict=True
-        )
-    ]
+    bounds += rows.rows
     problem = SelectionProblem(
         machine=machine,
         target=target,

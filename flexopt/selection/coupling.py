@@ -5,7 +5,7 @@ Data: indices and matrices; knows nothing of machines.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -53,6 +53,13 @@ def own_directions(free: Vector, place: Sequence[int]) -> tuple[Vector, Vector]:
     _, reach, basis = np.linalg.svd(own, full_matrices=False)
     basis = basis[reach > APART]
     return own @ basis.T, basis
+
+
+def widened(slopes: Vector, place: Iterable[int], n_x: int) -> Vector:
+    """Slopes (…, n_x) by all x of those (…, n_z) by the entries at a place."""
+    wide = np.zeros((*slopes.shape[:-1], n_x))
+    wide[..., list(place)] = slopes
+    return wide
 
 
 def alone(n_z: int) -> Coupling:

@@ -12,6 +12,7 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.ascent_model import Cone, halves
 from flexopt.selection.cones import SHARED, mode_cones, name_of
+from flexopt.selection.coupling import widened
 from flexopt.selection.multipliers import FirstOrderModel, Kink
 from flexopt.selection.objective import KINK
 from flexopt.selection.problem import value_at
@@ -48,8 +49,7 @@ def linearised(program: Program, x: Vector) -> FirstOrderModel:
     wanted = [(k, tip) for k, member in enumerate(members) for tip in _tips(program, k, x, member)]
     for k, (j, name, cone, number, alpha) in wanted:
         first, share = None, 1.0
-        place, wide = list(program.coupling.places[k]), np.zeros((len(cone.slopes), local.gradient.size))
-        wide[:, place] = cone.slopes
+        wide = widened(cone.slopes, program.coupling.places[k], local.gradient.size)
         if j < n_objectives - 1 or program.goal != "weighted":
             row_number = held + j * program.coupling.count + k
             first = next((row for row, (active_number, _) in enumerate(active) if active_number == row_number), None)

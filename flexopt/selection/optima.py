@@ -305,7 +305,7 @@ def _solve_start(problem: SelectionProblem, starts: list[Vector], number: int) -
         found = single(problem).climbed(start, ASCENT_QUICK)
         if found is not None:
             return _proved(single(problem), *found)
-    z, proof, iterations, status = _proved(single(problem), *run_solver(problem, start, quick=True))
+    z, proof, iterations, status = _proved(single(problem), *single(problem).solve(start, quick=True))
     if proof is not None and not proof.holds and status in SOLVED:
         return climbed_from(single(problem), z, iterations)
     return z, proof, iterations, status
@@ -379,7 +379,7 @@ def _climbed(within: float, problem: SelectionProblem, starts: list[Vector], num
     z, total, status = starts[number], 0, CUT_SHORT
     proof: Proof | None = None
     for _ in range(ONWARD if np.isfinite(within) else 1):
-        there, iterations, status = run_solver(problem, z, within=within)
+        there, iterations, status = single(problem).solve(z, within=within)
         total += iterations
         if not np.all(np.isfinite(there)):
             break
@@ -433,16 +433,6 @@ def next_stage(
     kept = Kept(problem.objective.name, best, best - problem.given_up(best), unverified=unverified, unit=unit)
     found[:] = [item for item, value in zip(found, values, strict=True) if value >= kept.at_least]
     return replace(problem, kept=(*problem.kept, kept.at_least)), kept
-
-
-def run_solver(
-    problem: SelectionProblem, start: Vector, *, quick: bool = False, within: float = np.inf
-) -> tuple[Vector, int, str]:
-    """One solve from z = start: the point reached, iterations, and the solver's own status.
-
-    `within` limits how far it leads, in scaled variables.
-    """
-    return single(problem).solve(start, quick=quick, within=within)
 
 
 def _is_new(problem: SelectionProblem, z: Vector, found: list[Found]) -> bool:

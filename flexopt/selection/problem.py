@@ -25,6 +25,7 @@ from flexopt.selection.cones import split_factors
 from flexopt.selection.configuration import Configuration, build_configuration
 from flexopt.selection.constraints import ConstraintSet
 from flexopt.selection.constraints.ground import NAME as GROUND
+from flexopt.selection.constraints.kind import ScaledConstraint
 from flexopt.selection.coupling import Coupling, alone
 from flexopt.selection.member_graph import ObjectiveForm, parameters_of
 from flexopt.selection.nlp import build_solver
@@ -36,17 +37,6 @@ from flexopt.selection.scan import Scan
 @dataclass(frozen=True)
 class DecisionVariable:
     """A decision variable: bounds and the scale that IPOPT sees it in, all in `unit`."""
-
-    name: str
-    unit: str
-    lower: float
-    upper: float
-    scale: float
-
-
-@dataclass(frozen=True)
-class ScaledConstraint:
-    """A constraint lower ≤ c(z) ≤ upper, divided by `scale` before IPOPT sees it."""
 
     name: str
     unit: str

@@ -20,11 +20,12 @@ from flexopt.selection.ascent import STUCK, Ascent
 from flexopt.selection.ascent_member import AscentMember
 from flexopt.selection.cones import Parallel
 from flexopt.selection.configuration import ConstraintRows
-from flexopt.selection.coupling import Coupling, alone
+from flexopt.selection.constraints.kind import ScaledConstraint
+from flexopt.selection.coupling import Coupling, alone, widened
 from flexopt.selection.member_graph import parameters_of
 from flexopt.selection.nlp import Goal, build_branched, build_solver, told_branches
 from flexopt.selection.objective import Objective
-from flexopt.selection.problem import ScaledConstraint, SelectionProblem, packed_parameters
+from flexopt.selection.problem import SelectionProblem, packed_parameters
 from flexopt.selection.programs import Bounds, Local, confirm_once, run
 
 # Steps of an ascent; one that takes longer is taken up again where it is ahead of the best.
@@ -175,8 +176,8 @@ class Program:
             lower, upper = np.append(lower, -np.inf), np.append(upper, np.inf)
         rows = self.constraints()
         bounds = Bounds(lower, upper, np.array([row.lower for row in rows]), np.array([row.upper for row in rows]))
-        reached = run(solver, self._stated, x0, self.parameters(), bounds)
-        return self.told(reached.x[: self.coupling.n_x]), reached.iterations, reached.status
+        x, iterations, status = run(solver, self._stated, x0, self.parameters(), bounds)
+        return self.told(x[: self.coupling.n_x]), iterations, status
 
     def build(self) -> None:
         """Build the graphs that solves from many starts use: processes that are forked then inherit them."""
@@ -336,22 +337,17 @@ class Program:
 
         Of V's branches the smallest one.
         """
-        n_x = self.coupling.n_x
+        n_x, places = self.coupling.n_x, self.coupling.places
         steps = self.coupling.steps(n_x)
-
-        def wide(k: int, slopes: Vector) -> Vector:
-            out = np.zeros((len(slopes), n_x))
-            out[:, list(self.coupling.places[k])] = slopes
-            return out
-
         kept: list[tuple[Vector, Vector]] = []
         last: list[tuple[Vector, Vector]] = []
         for j in range(len(members[0].values)):
-            for k, member in enumerate(members):
+            for member, place in zip(members, places, strict=True):
                 ours = kept if j < len(members[0].values) - 1 else last
-                ours.append((member.values[j][:1], wide(k, member.slopes[j][:1])))
+                ours.append((member.values[j][:1], widened(member.slopes[j][:1], place, n_x)))
         g = [*(member.rows for member in members), steps @ (x / self.scale), *(values for values, _ in kept)]
-        jacobian = [*(wide(k, m.row_slopes) for k, m in enumerate(members)), steps, *(slopes for _, slopes in kept)]
+        of_rows = (widened(m.row_slopes, place, n_x) for m, place in zip(members, places, strict=True))
+        jacobian = [*of_rows, steps, *(slopes for _, slopes in kept)]
         values, slopes = (np.concatenate(part) for part in zip(*last, strict=True))
         if self.goal == "weighted":
             return Local(-float(self.share @ values), -self.share @ slopes, np.concatenate(g), np.vstack(jacobian))

@@ -52,15 +52,6 @@ class Bounds:
     g_upper: Vector
 
 
-@dataclass(frozen=True)
-class SolverResult:
-    """Where a solver stopped: x, iterations, its own status."""
-
-    x: Vector
-    iterations: int
-    status: str
-
-
 def make_solver(name: str, program: dict[str, ca.MX], options: dict[str, Any]) -> ca.Function:
     """IPOPT on min f(x, p) with bounds on x and g(x, p); derivatives are given among the options."""
     return ca.nlpsol(name, "ipopt", program, options)
@@ -79,8 +70,8 @@ _confirmed: OrderedDict[tuple[ca.Function, bytes], None] = OrderedDict()
 
 def run(
     solver: ca.Function, independent: Callable[[Vector], Local], start: Vector, parameters: Vector, bounds: Bounds
-) -> SolverResult:
-    """Where the solver stops from a start.
+) -> tuple[Vector, int, str]:
+    """Where the solver stops from a start: x, iterations, its own status.
 
     Args:
         solver: from `make_solver`.
@@ -97,7 +88,7 @@ def run(
         x0=start, p=parameters, lbx=bounds.x_lower, ubx=bounds.x_upper, lbg=bounds.g_lower, ubg=bounds.g_upper
     )
     statistics: dict[str, Any] = solver.stats()
-    return SolverResult(result["x"].full().ravel(), int(statistics["iter_count"]), str(statistics["return_status"]))
+    return result["x"].full().ravel(), int(statistics["iter_count"]), str(statistics["return_status"])
 
 
 def confirm_once(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from statistics import NormalDist
 from typing import Any
@@ -119,20 +119,7 @@ class Candidate(Tabled):
             >>> best.to_dict()["base_coordinates"]
             ['x']
         """
-        own = {
-            "objective": self.objective,
-            "active": list(self.active),
-            "constraints": {name: vars(value) for name, value in self.constraints.items()},
-            "target_error": self.target_error,
-            "stationarity": self.stationarity,
-            "iterations": self.iterations,
-            "kinks": self.kinks,
-            "unsurpassed": self.unsurpassed,
-            "continuum": self.continuum,
-            "dimension": self.dimension,
-            "extent": self.extent,
-            "representatives": self.representatives,
-        }
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("z", "w", "evaluate")}
         return self.evaluation.to_dict() | json_ready(own)
 
 
@@ -253,10 +240,11 @@ class Selection(Pictured, Result):
         Of n starts that ended at an optimum, as many values as were found once, divided by n (Good and Turing; I. J.
         Good, Biometrika 40, 1953): what another draw would show that those before did not. Starts are spread, and those
         of further rounds lie about what was found; they are not drawn independently, and what is missed may be worse.
-        So it tells whether more starts are worth their time, and no more. None where no start ended at an optimum, and
-        of one degree of redundancy that was seen whole: there `flexopt.certify` proves what is best.
+        So it tells whether more starts are worth their time, and no more. None where no start ended at an optimum, of a
+        choice by the loop, whose climbs to the end are chosen among others, and of one degree of redundancy that was
+        seen whole: there `flexopt.certify` proves what is best.
         """
-        return missed_chance(self.problem, self.attempts)
+        return chance(self._found_how_often)
 
     @property
     def missed_chance_at_most(self) -> float | None:
@@ -268,7 +256,11 @@ class Selection(Pictured, Result):
         whose mean it is: so it holds for few starts, too, where that error may come out as 0. Eight starts that found
         four values twice each leave 78 % open.
         """
-        return chance_at_most(_found_how_often(self.problem, self.attempts))
+        return chance_at_most(self._found_how_often)
+
+    @property
+    def _found_how_often(self) -> NDArray[np.integer[Any]]:
+        return _found_how_often(self.problem, self.attempts)
 
     @property
     def edges(self) -> tuple[str, ...]:
@@ -435,7 +427,7 @@ class Selection(Pictured, Result):
         lines += [f"  {sentence}" for sentence in (*self.constraints_told, *map(str, self.kept))]
         if self.best.unsurpassed and not self.kept:
             lines.append(f"  no configuration has a larger {problem.name}: 0 is the most there is")
-        counts = _found_how_often(problem, self.attempts)
+        counts = self._found_how_often
         if counts.size and not self.best.unsurpassed:
             lines.append(f"  {chance_told(counts, len(self.attempts))}")
         lines += [f"  {sentence}" for sentence in self.remarks]

@@ -188,7 +188,8 @@ def _violation(constraint_set: ConstraintSet | None, bases: Vector, postures: Ve
     if constraint_set is None or not count:
         return np.zeros(count)
     rows = constraint_set.function.call([bases, postures, p, constraint_set.constants])[0].full().T
-    beyond = np.maximum(constraint_set.lower - rows, rows - constraint_set.upper) / constraint_set.scales
+    lower, upper, scale = np.array([(row.lower, row.upper, row.scale) for row in constraint_set.rows]).T
+    beyond = np.maximum(lower - rows, rows - upper) / scale
     return cast(Vector, np.maximum(beyond, 0.0).max(axis=1))
 
 

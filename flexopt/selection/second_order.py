@@ -11,7 +11,7 @@ from flexopt.algebra.feasible import shortest_steps
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.ascent_model import halves, turn
 from flexopt.selection.cones import SHARED, Parallel, smooth_slope
-from flexopt.selection.coupling import own_directions
+from flexopt.selection.coupling import own_directions, widened
 from flexopt.selection.first_order import TIP
 from flexopt.selection.multipliers import FirstOrderModel, HeldCones, HeldMargins
 from flexopt.selection.problem import SelectionProblem
@@ -185,9 +185,7 @@ def _rises(
             own = halves(members[kink.member].slopes[kink.objective])
             size = float(np.linalg.norm(own))
             values.append(np.array([(branches[0] - branches[1]) / 2, 0.0]) / size)
-            wide = np.zeros((2, y.size))
-            wide[:, list(program.coupling.places[kink.member])] = own / size
-            slopes.append(wide)
+            slopes.append(widened(own / size, program.coupling.places[kink.member], y.size))
         z = [program.of(y[:n_x] * program.scale, k) for k in range(program.coupling.count)]
         factors = {k: program.problems[k].factors(z[k]) for k in {kink.member for kink in tips}}
         for kink in tips:
@@ -195,9 +193,7 @@ def _rises(
             own = f_z[i, side] * program.first.scale
             size = float(np.linalg.norm(own, 2))
             values.append(kink.axes @ f[i, side] / size)
-            wide = np.zeros((kink.rows.stop - kink.rows.start, y.size))
-            wide[:, list(program.coupling.places[kink.member])] = kink.axes @ own / size
-            slopes.append(wide)
+            slopes.append(widened(kink.axes @ own / size, program.coupling.places[kink.member], y.size))
         return np.concatenate(values), np.vstack(slopes)
 
     landed, start = False, np.append(x / program.scale, local.level)[: local.gradient.size]

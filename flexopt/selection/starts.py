@@ -325,7 +325,7 @@ def climbed(
         for k, (problem, z) in enumerate(sets)
         for first in range(0, z.shape[1], BLOCK)
     ]
-    task = partial(_block, [problem for problem, _ in sets], blocks, values_at, steps)
+    task = partial(_climbing, [problem for problem, _ in sets], blocks, values_at, steps)
     ends = in_parallel(task, len(blocks), workers, at_once=True)
     found: list[Vector] = []
     for k, (_, z) in enumerate(sets):
@@ -335,28 +335,23 @@ def climbed(
     return found
 
 
-def _block(
+def _climbing(
     problems: list[SelectionProblem],
     blocks: list[tuple[int, Vector, SeedNumbers]],
     values_at: ValuesAt,
     steps: int,
     number: int,
 ) -> tuple[Vector, Vector]:
-    k, z, seed = blocks[number]
-    return _climbing(problems[k], z, values_at, steps, seed)
+    """A block's points after random steps along the target, taken where they keep all constraints and V grows.
 
-
-def _climbing(
-    problem: SelectionProblem, z: Vector, values_at: ValuesAt, steps: int, seed: SeedNumbers
-) -> tuple[Vector, Vector]:
-    """The points (n_z, N) after random steps along the target, taken where they keep all constraints and V grows.
-
-    No slope is asked for, so that kinks and narrow valleys stop it less than a solver. `values_at`: of the problem and
-    points, what grows.
+    No slope is asked for, so that kinks and narrow valleys stop it less than a solver. A block: the number of its
+    problem, points (n_z, N), and a seed. `values_at`: of the problem and points, what grows.
 
     Returns:
         The points, and what grew there (N,).
     """
+    k, z, seed = blocks[number]
+    problem = problems[k]
     rng, none = np.random.default_rng(seed), np.full(z.shape[1], -np.inf)
     lower, upper, free, scale = (x[:, None] for x in bounds(problem))
     values, step = _feasible(problem, z, values_at, none), np.full(z.shape[1], STEP)

@@ -12,8 +12,9 @@ import casadi as ca
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Document
 from flexopt.foundation.documents import package_version, provenance
-from flexopt.model import load, load_experiment, load_problem, shipped_names
+from flexopt.model import shipped_names
 from flexopt.model.files import ShippedKind, read_source
+from flexopt.model.reading import load_file
 from flexopt.model.study_file import load_study
 
 COMPILERS = ("cc", "gcc", "clang", "cl")
@@ -97,18 +98,10 @@ def _shipped(kind: ShippedKind) -> InstallationCheck:
     names = shipped_names(kind)
     try:
         for name in names:
-            _read(kind, name)
+            (load_study if "compute" in read_source(name, (kind,)).data else load_file)(name)
     except FlexoptError as error:
         return InstallationCheck(kind, False, str(error))
     return InstallationCheck(kind, bool(names), ", ".join(names) or "none found")
-
-
-def _read(kind: ShippedKind, name: str) -> None:
-    if kind == "models":
-        load(name)
-        return
-    data = read_source(name, (kind,)).data
-    (load_experiment if "simulation" in data else load_study if "compute" in data else load_problem)(name)
 
 
 def _compiler() -> InstallationCheck:

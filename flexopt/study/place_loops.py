@@ -24,7 +24,7 @@ from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.continua import unwound
 from flexopt.selection.optima import finished
-from flexopt.selection.outcomes.result import OutcomeSelection
+from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import broken, resting, value_at
 from flexopt.selection.program import single
 from flexopt.selection.several import BasePlan, Stand
@@ -110,7 +110,7 @@ def broken_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:
     """Which constraints that were asked for a place breaks, (base, posture) at each target: "breaks …", or nothing."""
     pairs = zip(problems_of(chosen), map(np.concatenate, stand), strict=True)
     found = [broken(problem, z, asked=True) for problem, z in pairs]
-    of_loop = chosen.loops_break(stand) if isinstance(chosen, OutcomeSelection | ByLoop) else [""] * len(found)
+    of_loop = chosen.loops_break(stand) if isinstance(chosen, ChosenByLoop) else [""] * len(found)
     each = ["; ".join(filter(None, both)) for both in zip(found, of_loop, strict=True)]
     if len(each) == 1:
         return each[0]
@@ -121,7 +121,7 @@ def resting_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> list[t
     """Which bounds and constraints a place holds with equality, (base, posture) at each target."""
     pairs = zip(problems_of(chosen), map(np.concatenate, stand), strict=True)
     found = [tuple(resting(problem, z)) for problem, z in pairs]
-    of_loop = chosen.loops_rest(stand) if isinstance(chosen, OutcomeSelection | ByLoop) else [()] * len(found)
+    of_loop = chosen.loops_rest(stand) if isinstance(chosen, ChosenByLoop) else [()] * len(found)
     return [(*own, *more) for own, more in zip(found, of_loop, strict=True)]
 
 

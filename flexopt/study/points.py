@@ -18,7 +18,8 @@ from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.control import Control
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
-from flexopt.plant.singularity import CONDITION_MAX, conditions, inverse_condition
+from flexopt.plant.singularity import CONDITION_MAX, conditions, inverse_condition, screened
+from flexopt.plant.statics import left_over
 from flexopt.robustness import build_measures
 from flexopt.robustness.margin import Margin, build_margin
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures
@@ -135,16 +136,7 @@ def _measure_function(measures: Measures) -> ca.Function:
     v = dict(zip(measures.values.name_out(), measures.values.call(inputs), strict=True))
     diagonals = (v["a"] * v["b"]) @ v["same"].T
     rigid, _ = symmetric_eigen(v["rigid"] + v["rigid"].T)
-    rest = plant.rest(*inputs)
-    jv = plant.rigid_jacobian(rest, g.base, g.p)
-    position = ca.SX(0)
-    if plant.n_task == 1:
-        by_joints = ca.jacobian(g.skeleton[:, -1], g.q)[:, plant.n_passive :]
-        position = ca.Function("position_jacobian", [g.q, g.base, g.p], [by_joints])(rest, g.base, g.p)
-    left_over, force = ca.SX(0), ca.SX(0)
-    if measures.gravity:
-        left_over = ca.norm_inf(v["static_residual"])
-        force = ca.norm_inf(plant.gravity(v["q"], g.base, g.p)[: plant.n_passive])
+    told = screened(plant)
     outputs = {
         "frequency_hz": ca.sqrt(v["omega_squared"]) / (2 * math.pi),
         "w": v["w"],
@@ -152,9 +144,9 @@ def _measure_function(measures: Measures) -> ca.Function:
         "trace": ca.sum1(diagonals).T,
         "least_diagonal": ca.vertcat(*(ca.mmin(diagonals[:, i]) for i in range(plant.n_passive))),
         "rigid": rigid[0],
-        "jv": ca.vec(jv),
-        "position": ca.vec(position),
-        "left_over": left_over / (1 + force),
+        "jv": told["jv"],
+        "position": told["position"],
+        "left_over": left_over(plant, v["q"], v["static_residual"]) if measures.gravity else ca.SX(0),
     }
     dense = [ca.densify(output) for output in outputs.values()]
     return ca.Function("map_measures", inputs, dense, ["base", "posture", "p"], list(outputs), {"cse": True})
@@ -166,9 +158,7 @@ def _measured(
     """The fields of `PointValues` up to `condition`."""
     plant = batches.measures.plant
     p = np.array(plant.parameter_values).ravel() if parameters is None else parameters
-    frequency, w, scale, trace, least, rigid, jv, position, left_over = batches.values(
-        bases, postures, p, threads=threads
-    )
+    frequency, w, scale, trace, least, rigid, jv, position, left = batches.values(bases, postures, p, threads=threads)
     condition, largest = conditions(jv, plant.n_actuated)
     if plant.n_task == 1:
         of_position = conditions(position, plant.n_actuated)[1]
@@ -176,7 +166,7 @@ def _measured(
             condition = np.maximum(largest, of_position) / largest
         largest = np.maximum(largest, of_position)
     inverted = inverse_condition(condition, largest, batches.measures.control)
-    sound = (inverted <= CONDITION_MAX) & (left_over[0] <= SOLVE_TOLERANCE) & np.all(np.isfinite(w), axis=0)
+    sound = (inverted <= CONDITION_MAX) & (left[0] <= SOLVE_TOLERANCE) & np.all(np.isfinite(w), axis=0)
     sound &= np.all(np.isfinite(frequency), axis=0)
     fields = (frequency, w, scale, trace, least, rigid[0])
     return (*(np.where(sound, field, np.nan) for field in fields), condition)

@@ -19,9 +19,8 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
-from flexopt.selection.outcomes.result import OutcomeSelection
+from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import broken, elsewhere, reached
-from flexopt.selection.several.by_loop import ByLoop
 from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.confirmation import Runs
 from flexopt.study.decision import FASTER, RULE, Word, gains_in_words, spoken
@@ -311,7 +310,7 @@ class Verdict(Pictured, Printed, Result):
     @property
     def sought_by(self) -> str:
         """By what places were sought, where that knows no controller, a sentence; empty where it does."""
-        if isinstance(self.selection, OutcomeSelection | ByLoop):
+        if isinstance(self.selection, ChosenByLoop):
             return ""
         objective = self.selection.objective
         return (

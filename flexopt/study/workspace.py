@@ -22,8 +22,8 @@ from flexopt.model.choices import Elbow
 from flexopt.model.loop import Loop, LoopLike
 from flexopt.plant import build_plant
 from flexopt.robustness import evaluate
-from flexopt.study.grid import Grid, Over
-from flexopt.study.planes import Plane, read_plane, two_counts
+from flexopt.study.grid import Over
+from flexopt.study.planes import read_plane, two_counts
 from flexopt.study.points import evaluate_points, expect_points
 from flexopt.study.workspace_map import WorkspaceMap, finished_map, workspace_dataset
 
@@ -143,54 +143,28 @@ def map_workspace(
     # Postures that are followed count twice: there, and where they are computed.
     ahead = size[0] * size[1] if plane.followed else 0
     grid = plane.grid(machine, size, elbow, lambda done: None if progress is None else progress(done, 2 * ahead))
-    return _computed(
-        machine,
-        plane,
-        grid,
-        options,
-        measures=measures,
-        margins=epsilon_max,
-        loop=own,
-        threads=threads,
-        progress=None if progress is None else lambda done, count: progress(ahead + done, ahead + count),
-    )
-
-
-def _computed(
-    machine: AnyMachine,
-    plane: Plane,
-    grid: Grid,
-    options: dict[str, Any],
-    *,
-    measures: bool,
-    margins: bool,
-    loop: Loop | None,
-    threads: int | None,
-    progress: Progress | None,
-) -> WorkspaceMap:
     where = grid.reachable
     values = evaluate_points(
-        machine, grid.posture[:, where], bases=grid.base[:, where], control=options["control"], gain=options["gain"],
-        gravity=options["gravity"], epsilon_max=margins, threads=threads, progress=progress,
+        machine, grid.posture[:, where], bases=grid.base[:, where], control=control, gain=gain, gravity=gravity,
+        epsilon_max=epsilon_max, threads=threads,
+        progress=None if progress is None else lambda done, count: progress(ahead + done, ahead + count),
     )  # fmt: skip
     found, real = None, dict[str, str]()
     regular = np.isfinite(values.rigid)
-    if loop is not None and regular.any():
+    if own is not None and regular.any():
         bases, postures = grid.base[:, where][:, regular], grid.posture[:, where][:, regular]
-        settings = _settings(machine, loop, bases, postures, control=options["control"], gravity=options["gravity"])
+        settings = _settings(machine, own, bases, postures, control=control, gravity=gravity)
         options["loop"] = settings.to_dict()
         real = {"loop": repr(settings).splitlines()[0]}
         found = Decays(*np.full((2, regular.size), np.nan))
-        there = decays(
-            machine, settings, {"base": bases, "posture": postures}, gravity=options["gravity"], threads=threads
-        )
+        there = decays(machine, settings, {"base": bases, "posture": postures}, gravity=gravity, threads=threads)
         found.decay[regular], found.frequency_hz[regular] = there
     dataset = workspace_dataset(
-        grid, values, machine, measures=measures, margins=margins, control=options["control"], loop=found
+        grid, values, machine, measures=measures, margins=epsilon_max, control=control, loop=found
     )
     what = {"end_point": "end-point", "posture": "posture", "base": "placement"}[plane.over]
-    title = f"{machine.name}: Jacobian {options['control']} control over its {what}"
-    told = {"gain": options["gain"], "gain_unit": gain_units(options["control"], machine.joint_units)[0]}
+    title = f"{machine.name}: Jacobian {control} control over its {what}"
+    told = {"gain": gain, "gain_unit": gain_units(control, machine.joint_units)[0]}
     told |= {"elbow": options.get("elbow", "")}
     return finished_map(machine, options, dataset, title, plane.frame, plane.marks, told | real)
 

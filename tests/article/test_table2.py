@@ -8,6 +8,7 @@ from scipy.optimize import minimize_scalar
 
 import flexopt
 from flexopt.article import curve, reproduce_table2
+from flexopt.model import shipped_names
 from flexopt.plant import build_plant
 from flexopt.plant.reach import reach
 from flexopt.study.doctor import examine
@@ -64,6 +65,8 @@ def test_doctor_finds_this_installation_healthy():
     # Problems and experiments share a folder.
     problems = next(c for c in report.checks if c.name == "problems")
     assert {"article", "article-a"} <= set(problems.finding.split(", "))
+    # It loads files by name alone.
+    assert not set(shipped_names("models")) & set(shipped_names("problems"))
 
 
 def test_doctor_names_a_broken_experiment(monkeypatch, tmp_path):

@@ -21,7 +21,7 @@ from flexopt.selection.constraints import build_constraints
 from flexopt.selection.constraints.ground import _joints
 from tests.oracles.cylinders import digger
 from tests.oracles.spatial import grounded, random_tree
-from tests.selection.constraints.scenes import at_rest, mujoco_scene, random_capsules
+from tests.selection.constraints.scenes import at_rest, listed, mujoco_scene, random_capsules
 
 ROBOTS = Path(__file__).parents[2] / "models" / "robots"
 # An excavator as others publish one: where its bodies are, and nothing of what they fill or stand on.
@@ -92,7 +92,7 @@ def test_the_ground_against_points_of_capsules(seed):
         lowest = min((each[key] for key in kept), default=math.inf) - height
         assert values.min(initial=math.inf) == pytest.approx(lowest, abs=1e-12)
     assert rows.placed is False
-    assert all("assumed ground" in label for label in rows.labels)
+    assert all("assumed ground" in label for label in listed(rows).labels)
 
 
 def test_where_the_ground_is_known():
@@ -173,7 +173,7 @@ def test_joints_that_nothing_is_known_to_hold_are_named_where_holding_is_asked_f
     if not without or len(without) == 3:
         assert named == []
         return
-    labels = build_constraints(build_plant(machine), kept).labels
+    labels = listed(build_constraints(build_plant(machine), kept)).labels
     missing = [joint for joint in machine.joints if not any(joint in label.split() for label in labels)]
     assert missing == list(without)
     assert named[0].sentence.endswith(f"alone, so not {', '.join(missing)}")

@@ -274,7 +274,8 @@ def _function(machine: AnyMachine, control: Control, gravity: bool) -> Economica
     held, _ = expansion.hold(at, modes_function(m))
     point = expansion.point
     divisor = ca.det(expansion.multiplied[0]) if isinstance(expansion, _Smooth) else ca.SX(1)
-    jv, residual = ca.vec(ca.densify(point.rigid_jacobian)), left_over(plant, point) if gravity else ca.SX(0)
+    jv = ca.vec(ca.densify(point.rigid_jacobian))
+    residual = left_over(plant, point.q, point.static_residual) if gravity else ca.SX(0)
     outputs = [divisor, jv, ca.jacobian(jv, plant.graph.posture), point.end_point, residual]
     geometry = expansion.of_machine("atlas_geometry", [], outputs)
     found = geometry.call([*at, held["deflection"]] if gravity else at)

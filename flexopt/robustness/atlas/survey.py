@@ -71,16 +71,6 @@ class _Cut:
     kind: str
 
 
-@dataclass(frozen=True)
-class _Arc:
-    """A robust part of a curve on which a_i × b_i = 0, i from 0."""
-
-    mode: int
-    points: Vector
-    closed: bool
-    ends: tuple[str, ...]
-
-
 class _Survey:
     """What the curves of a slice say of the machine."""
 
@@ -151,7 +141,7 @@ class _Survey:
 
     # Curves.
 
-    def _arcs(self, curve: ZeroCurve) -> list[_Arc]:
+    def _arcs(self, curve: ZeroCurve) -> list[ZeroCurve]:
         """The parts of a curve a × b = 0 on which a·b > 0."""
         mode, points = curve.function, self._denser(curve)
         dot, edge = self._signs(mode, points)
@@ -160,7 +150,7 @@ class _Survey:
         ends = [_Cut(-0.5, points[:, 0], self._end(curve, 0)), _Cut(size - 0.5, points[:, -1], self._end(curve, -1))]
         if curve.closed:
             if not cuts:
-                return [_Arc(mode, points, True, ())] if robust[size // 2] else []
+                return [ZeroCurve(mode, points, True, ())] if robust[size // 2] else []
             # Begin and end at the first of them.
             size, turn = size - 1, math.floor(cuts[0].place) + 1
             points, robust = np.roll(points[:, :size], -turn, axis=1), np.roll(robust[:size], -turn)
@@ -168,7 +158,7 @@ class _Survey:
             cuts = [replace(c, place=c.place + size * (c.place < cuts[0].place)) for c in cuts]
             ends = [cuts[0], replace(cuts[0], place=cuts[0].place + size)]
             cuts = cuts[1:]
-        arcs: list[_Arc] = []
+        arcs: list[ZeroCurve] = []
         number, so = np.arange(size, dtype=np.int64), False
         stops = [ends[0], *cuts, ends[1]]
         for start, stop in pairwise(stops):
@@ -179,7 +169,7 @@ class _Survey:
                 first = [] if start.place == -0.5 and not curve.closed else [start.point]
                 last = [] if stop.place == size - 0.5 and not curve.closed else [stop.point]
                 whole = np.column_stack([*first, *points[:, inside].T, *last])
-                arcs.append(_Arc(mode, whole, False, (start.kind, stop.kind)))
+                arcs.append(ZeroCurve(mode, whole, False, (start.kind, stop.kind)))
                 turning = [cut for cut in (start, stop) if cut.kind in ("a = 0", "b = 0")]
                 self.vanishing += [(mode, cut.kind[0], cut.point) for cut in turning]
         return arcs
@@ -286,12 +276,12 @@ class _Survey:
             return "equal frequencies"
         return "singular" if at.condition[0] > NEARLY_SINGULAR else "undefined"
 
-    def _curve(self, arc: _Arc) -> RobustCurve:
+    def _curve(self, arc: ZeroCurve) -> RobustCurve:
         at = self.over.values(arc.points)
-        scale = np.where(at.condition <= CONDITION_MAX, at.scale[arc.mode], np.nan)
+        scale = np.where(at.condition <= CONDITION_MAX, at.scale[arc.function], np.nan)
         length = float(np.sum(np.linalg.norm(self.rectangle.steps(arc.points), axis=0)))
-        frequency = at.frequency_hz[arc.mode]
-        return RobustCurve(arc.mode + 1, arc.closed, arc.ends, length, arc.points, at.end_point, frequency, scale)
+        frequency = at.frequency_hz[arc.function]
+        return RobustCurve(arc.function + 1, arc.closed, arc.ends, length, arc.points, at.end_point, frequency, scale)
 
     def _all_edges(self) -> list[EdgeCurve]:
         """Where the two joints cannot move the end-point to all sides."""
@@ -321,9 +311,9 @@ class _Survey:
         found: dict[tuple[int, int], list[Vector]] = {}
         for arc in self.arcs:
             values = self.over(arc.points)[0]
-            for other in {each.mode for each in self.arcs} - {arc.mode}:
-                pair = min(arc.mode, other), max(arc.mode, other)
-                starts = self._near_zeros(arc.mode, other, arc.points, values[other])
+            for other in {each.function for each in self.arcs} - {arc.function}:
+                pair = min(arc.function, other), max(arc.function, other)
+                starts = self._near_zeros(arc.function, other, arc.points, values[other])
                 self._add_zeros(pair, starts, found.setdefault(pair, []))
         robust = [(pair, z) for pair, zeros in found.items() for z in zeros if self._robust(pair, z, largest)]
         points = [self._point(pair, "", zero) for pair, zero in robust]

@@ -37,6 +37,7 @@ class ZeroCurve:
         points: (2, K) in order along it, inside the rectangle; of a closed one the last is the first.
         closed: whether it returns to where it began.
         ends: why it ends: "edge" of the rectangle, or "lost" where the function has no value or jumps; empty if closed.
+            Of a robust part, why it is robust no further.
     """
 
     function: int

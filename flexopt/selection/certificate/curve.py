@@ -132,9 +132,10 @@ class RedundancyCurve:
         """Mark the cells that break a constraint throughout."""
         extra = self.problem.constraint_set
         assert extra is not None  # there are rows
-        for row, least, most, scale in zip(rows, extra.lower, extra.upper, extra.scales, strict=True):
+        for row, asked in zip(rows, extra.rows, strict=True):
             low, high = row.bounds
-            broken = np.broadcast_to((high < least - EDGE * scale) | (low > most + EDGE * scale), outside.shape)
+            beyond = (high < asked.lower - EDGE * asked.scale) | (low > asked.upper + EDGE * asked.scale)
+            broken = np.broadcast_to(beyond, outside.shape)
             outside[broken & (outside == "")] = CONSTRAINT
 
     def _travel(

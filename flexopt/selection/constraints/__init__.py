@@ -1,6 +1,6 @@
 """What a configuration must keep besides the target: rows of a nonlinear program as graphs, a module for each kind.
 
-In: a plant and validated `Constraints`. Out: a `ConstraintSet`: labels, units, bounds, scales and one Function.
+In: a plant and validated `Constraints`. Out: a `ConstraintSet`: names, units, bounds, scales and one Function.
 """
 
 from flexopt.selection.constraints.building import KINDS as KINDS

@@ -25,7 +25,7 @@ from flexopt.model.constraints import Area, Constraints
 from flexopt.model.polygons import Corners
 from flexopt.plant import Plant
 from flexopt.selection.constraints.convex_pieces import convex_pieces, hull, pockets
-from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene, lacks_support
+from flexopt.selection.constraints.kind import ConstraintKind, Group, ScaledConstraint, Scene, lacks_support
 from flexopt.selection.constraints.polygon_distance import (
     NUMBERS,
     corners_of,
@@ -180,7 +180,7 @@ def _region_groups(plant: Plant, constraints: Constraints) -> list[Group]:
         labels = [INSIDE] * (1 if shape == "interval" else FEW)
     sizes = tuple(tuple(len(part) for part in area) for area in areas)
     numbers = tuple(number for area in areas for part in area for number in part)
-    return [Group("region", (shape, sizes), numbers, tuple(ConstraintRow(x, "m", 0.0, math.inf) for x in labels))]
+    return [Group("region", (shape, sizes), numbers, tuple(ScaledConstraint(x, "m", 0.0, math.inf) for x in labels))]
 
 
 def _inside(scene: Scene, kind: str, parts: list[ca.SX]) -> list[ValueAndRows]:
@@ -241,7 +241,7 @@ def _keep_out_groups(plant: Plant, constraints: Constraints) -> list[Group]:
             # Of a point off one piece alone its distance is one row.
             count = 2 * len(pieces) if whole else 1 + len(pieces) * (len(pieces) > 1)
             parts = [polygon_constants(part) for part in (*([] if whole else [cast(Corners, area)]), *pieces)]
-        row = ConstraintRow(f"distance from keep_out[{index}]", "m", 0.0, math.inf)
+        row = ScaledConstraint(f"distance from keep_out[{index}]", "m", 0.0, math.inf)
         numbers = tuple(number for part in parts for number in part)
         groups.append(Group("keep_out", (shape, tuple(map(len, parts))), numbers, (row,) * min(FEW, count)))
     return groups

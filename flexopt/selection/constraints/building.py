@@ -7,10 +7,8 @@ from functools import lru_cache
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant, build_plant
@@ -24,7 +22,7 @@ from flexopt.selection.constraints import (
     tip_over,
     tool_angle,
 )
-from flexopt.selection.constraints.kind import ConstraintKind, Group, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, Group, ScaledConstraint, Scene
 
 # A further kind is a module with a `ConstraintKind`, a field of `Constraints`, and a line here; rows are in this order.
 KINDS: dict[str, ConstraintKind] = {
@@ -48,27 +46,21 @@ class ConstraintSet:
     """Rows lower ≤ g(base, posture, p, c) ≤ upper, (k,), with the passive coordinates at rest.
 
     Attributes:
-        labels, units: of each row.
-        lower, upper: bounds, (k,), in the row's unit; infinite where there is none.
-        scales: (k,), in the row's unit: rows are divided by them before a solver sees them.
+        rows: what each is called, and its unit, bounds and scale.
         constants: the numbers c of the problem, such as places of obstacles.
         function: base, posture, p, c -> g (k,), in a form that suits a solver.
         report: base, posture, p, c -> value (k,): the same rows as quantities with the same units and bounds.
         structure: what decides `function` besides the machine; sets with equal ones have the same two Functions.
     """
 
-    labels: tuple[str, ...]
-    units: tuple[str, ...]
-    lower: Vector
-    upper: Vector
-    scales: Vector
+    rows: tuple[ScaledConstraint, ...]
     constants: ca.DM
     function: ca.Function = field(repr=False)
     report: ca.Function = field(repr=False)
     structure: Structure = field(repr=False)
 
     def __len__(self) -> int:
-        return len(self.labels)
+        return len(self.rows)
 
     @property
     def placed(self) -> bool:
@@ -86,7 +78,7 @@ def constraint_faults(plant: Plant, constraints: Constraints) -> list[Fault]:
 
 def constraint_labels(plant: Plant, constraints: Constraints) -> list[str]:
     """What the rows of constraints without faults are called."""
-    return [row.label for kind in KINDS.values() for group in kind.groups(plant, constraints) for row in group.rows]
+    return [row.name for kind in KINDS.values() for group in kind.groups(plant, constraints) for row in group.rows]
 
 
 def build_constraints(plant: Plant, constraints: Constraints, assumed_ground: float | None = None) -> ConstraintSet:
@@ -108,16 +100,12 @@ def build_constraints(plant: Plant, constraints: Constraints, assumed_ground: fl
         groups += kind.groups(plant, constraints)
     if assumed_ground is not None:
         groups += ground.ground_groups(plant, assumed_ground)
-    rows = [row for group in groups for row in group.rows]
+    rows = tuple(row for group in groups for row in group.rows)
     structure = tuple(group.structure for group in groups)
     function, report = _functions(plant.machine, structure)
     assert function.size1_out(0) == len(rows)
     return ConstraintSet(
-        labels=tuple(row.label for row in rows),
-        units=tuple(row.unit for row in rows),
-        lower=np.array([row.lower for row in rows]),
-        upper=np.array([row.upper for row in rows]),
-        scales=np.array([row.scale for row in rows]),
+        rows=rows,
         constants=ca.DM([number for group in groups for number in group.constants]),
         function=function,
         report=report,

@@ -18,7 +18,7 @@ from flexopt.foundation.nearest import hint
 from flexopt.model.constraints import Box, Clearance, Constraints, Obstacle, Sphere
 from flexopt.model.tables import Capsule
 from flexopt.plant import Plant
-from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, Group, ScaledConstraint, Scene
 from flexopt.selection.constraints.segment_distance import from_box, from_sphere, point_from_box
 
 # Capsules shorter than this are balls, m.
@@ -130,13 +130,13 @@ def group(
     capsules: tuple[Capsule, ...], kind: str, chosen: list[int], numbers: tuple[float, ...], name: str, distance: float
 ) -> Group:
     """Rows of the chosen capsules for an obstacle of that kind with these constants."""
-    rows: list[ConstraintRow] = []
+    rows: list[ScaledConstraint] = []
     names = capsule_names(capsules)
     for k in chosen:
         who = names[k]
         by_end = kind in ("ground", "half_plane") and not _is_ball(capsules[k])
         whose = [f"{who} (start)", f"{who} (end)"] if by_end else [who]
-        rows += [ConstraintRow(f"clearance of {part} from {name}", "m", distance, math.inf) for part in whose]
+        rows += [ScaledConstraint(f"clearance of {part} from {name}", "m", distance, math.inf) for part in whose]
     return Group("clearance", (kind, tuple(chosen)), numbers, tuple(rows))
 
 

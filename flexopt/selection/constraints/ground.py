@@ -18,7 +18,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant, build_plant
 from flexopt.selection.constraints import clearance
-from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, Group, ScaledConstraint, Scene
 
 NAME = "the assumed ground"
 # What differs by less than this in height, m, over so many postures, no joint raises.
@@ -35,7 +35,7 @@ def ground_groups(plant: Plant, height: float) -> list[Group]:
     capsules, carried = _above(plant.machine)
     groups = [clearance.group(plant.machine.capsules, "ground", list(capsules), (height,), NAME, 0.0)]
     labels = [f"height of the joint {joint} above {NAME}" for joint in _joints(plant, carried)]
-    groups.append(Group("ground", carried, (height,), tuple(ConstraintRow(x, "m", 0.0, math.inf) for x in labels)))
+    groups.append(Group("ground", carried, (height,), tuple(ScaledConstraint(x, "m", 0.0, math.inf) for x in labels)))
     return [group for group in groups if group.rows]
 
 

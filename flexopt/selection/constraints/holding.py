@@ -16,7 +16,7 @@ from flexopt.errors import Fault
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant, build_hydraulics
-from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, Group, ScaledConstraint, Scene
 
 EFFORT_UNIT = {"rad": "N m", "m": "N"}
 
@@ -48,13 +48,13 @@ def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
     if constraints.holding is None:
         return []
     machine, share = plant.machine, constraints.holding
-    held, rows = _held(machine), list[ConstraintRow]()
+    held, rows = _held(machine), list[ScaledConstraint]()
     for k, i in held.items():
         force = None if i is None else machine.cylinders[i].force
         pull, push = force or (machine.efforts[k],) * 2
         unit = EFFORT_UNIT[machine.joint_units[k]] if force is None else "N"
         label = f"holding of {machine.joints[k]}" + ("" if i is None else f" by {machine.cylinders[i].name}")
-        rows.append(ConstraintRow(label, unit, -share * pull, share * push, max(pull, push)))
+        rows.append(ScaledConstraint(label, unit, -share * pull, share * push, max(pull, push)))
     return [Group("holding", tuple(held.items()), (), tuple(rows))]
 
 

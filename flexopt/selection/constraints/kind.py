@@ -18,10 +18,10 @@ from flexopt.plant import Plant
 
 
 @dataclass(frozen=True)
-class ConstraintRow:
-    """One constraint lower ≤ g ≤ upper, in `unit`; g is divided by `scale` before a solver sees it."""
+class ScaledConstraint:
+    """A constraint lower ≤ c(z) ≤ upper, in `unit`; c is divided by `scale` before a solver sees it."""
 
-    label: str
+    name: str
     unit: str
     lower: float
     upper: float
@@ -42,7 +42,7 @@ class Group:
     kind: str
     shape: Any
     constants: tuple[float, ...]
-    rows: tuple[ConstraintRow, ...]
+    rows: tuple[ScaledConstraint, ...]
 
     @property
     def structure(self) -> tuple[str, Any, int]:

@@ -13,7 +13,7 @@ import casadi as ca
 from flexopt.algebra import determinant
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
-from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, Group, ScaledConstraint, Scene
 
 
 def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
@@ -22,7 +22,8 @@ def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
         return []
     # Columns of hinges are in m; those of slides have no unit, and the product of both has none worth a name.
     unit = f"m^{plant.n_task}" if all(unit == "rad" for unit in plant.machine.joint_units) else ""
-    return [Group("manipulability", None, (value,), (ConstraintRow("manipulability", unit, value, math.inf, value),))]
+    row = ScaledConstraint("manipulability", unit, value, math.inf, value)
+    return [Group("manipulability", None, (value,), (row,))]
 
 
 def _graph(scene: Scene, _: Any, c: ca.SX) -> list[ca.SX]:

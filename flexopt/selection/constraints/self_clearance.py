@@ -22,7 +22,7 @@ from flexopt.plant import Plant, build_plant
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reach import arm_length, sampled_ranges
 from flexopt.selection.constraints.clearance import axis_ends, axis_length, capsule_names, without_volumes
-from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, Group, ScaledConstraint, Scene
 from flexopt.selection.constraints.segment_distance import from_segment
 
 # Postures in which a pair must overlap to have no row.
@@ -112,7 +112,7 @@ def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
         return []
     names, pairs = capsule_names(plant.machine.capsules), _kept_apart(plant.machine)
     labels = [f"self-clearance of {names[j]} from {names[i]}" for i, j in pairs]
-    rows = tuple(ConstraintRow(label, "m", least, math.inf) for label in labels)
+    rows = tuple(ScaledConstraint(label, "m", least, math.inf) for label in labels)
     return [Group("self_clearance", pairs, (), rows)]
 
 

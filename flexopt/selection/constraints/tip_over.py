@@ -15,7 +15,7 @@ import casadi as ca
 from flexopt.errors import Fault
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
-from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene, lacks_support
+from flexopt.selection.constraints.kind import ConstraintKind, Group, ScaledConstraint, Scene, lacks_support
 
 
 def _faults(plant: Plant, constraints: Constraints) -> list[Fault]:
@@ -40,7 +40,7 @@ def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
             n = ((y - v) / length, (u - x) / length)
             lines.append((*n, n[0] * x + n[1] * y))
             names.append(f"tip-over margin from edge ({x:g}, {y:g})–({u:g}, {v:g})")
-    rows = tuple(ConstraintRow(name, "m", constraints.tip_over_margin, math.inf) for name in names)
+    rows = tuple(ScaledConstraint(name, "m", constraints.tip_over_margin, math.inf) for name in names)
     return [Group("tip_over_margin", None, tuple(number for line in lines for number in line), rows)]
 
 

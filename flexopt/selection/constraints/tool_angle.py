@@ -19,7 +19,7 @@ import casadi as ca
 
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
-from flexopt.selection.constraints.kind import ConstraintKind, ConstraintRow, Group, Scene
+from flexopt.selection.constraints.kind import ConstraintKind, Group, ScaledConstraint, Scene
 
 # Square of the sine of the angle between the second axis and the vertical below which α is not defined.
 UPRIGHT = 1e-24
@@ -35,7 +35,7 @@ def _groups(_: Plant, constraints: Constraints) -> list[Group]:
             "tool_angle",
             None,
             (middle, math.cos(middle), math.sin(middle)),
-            (ConstraintRow("tool angle", "rad", low, high),),
+            (ScaledConstraint("tool angle", "rad", low, high),),
         )
     ]
 

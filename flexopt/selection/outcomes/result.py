@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.plain import counted
@@ -34,7 +36,7 @@ def asked_of_loop(document: Document, objective: str) -> Document:
 
 
 @dataclass(frozen=True, repr=False)
-class ChosenByLoop:
+class ChosenByLoop(ABC):
     """What choices by a measure of the loop have in common, of one target and of several.
 
     Attributes:
@@ -67,17 +69,20 @@ class ChosenByLoop:
         """Gains that were chosen with the configuration."""
         return {name: float(getattr(settings, name)[0]) for name in gain_ranges(self.loop)}
 
-    def _breaks(
-        self, problems: Sequence[SelectionProblem], settings: LoopSettings, stand: Sequence[tuple[Vector, Vector]]
-    ) -> list[str]:
+    @property
+    @abstractmethod
+    def _judged(self) -> tuple[Sequence[SelectionProblem], LoopSettings]:
+        """The problem of each target, and the loop with the gains of the best candidate."""
+
+    def loops_break(self, stand: Sequence[tuple[Vector, Vector]]) -> list[str]:
         """At each target what the loop does not do of what it must at least, base and posture there: "breaks …"."""
+        problems, settings = self._judged
         pairs = zip(problems, stand, strict=True)
         return [broken_told(self.asked.broken(problem, settings, *there)) for problem, there in pairs]
 
-    def _rests(
-        self, problems: Sequence[SelectionProblem], settings: LoopSettings, stand: Sequence[tuple[Vector, Vector]]
-    ) -> list[tuple[str, ...]]:
-        """At each target what the loop does just so of what it must at least."""
+    def loops_rest(self, stand: Sequence[tuple[Vector, Vector]]) -> list[tuple[str, ...]]:
+        """At each target what the loop does just so of what it must at least, base and posture there."""
+        problems, settings = self._judged
         return [self.asked.resting(problem, settings, *there) for problem, there in zip(problems, stand, strict=True)]
 
 
@@ -128,13 +133,9 @@ class OutcomeSelection(ChosenByLoop, Selection):
             return None
         return self.criterion.sign * np.where(np.isfinite(found), found, np.nan)
 
-    def loops_break(self, stand: Sequence[tuple[Vector, Vector]]) -> list[str]:
-        """As of `ByLoop`, with the gains of the best candidate."""
-        return self._breaks((self.problem,), self.settings[0], stand)
-
-    def loops_rest(self, stand: Sequence[tuple[Vector, Vector]]) -> list[tuple[str, ...]]:
-        """As of `ByLoop`, with the gains of the best candidate."""
-        return self._rests((self.problem,), self.settings[0], stand)
+    @property
+    def _judged(self) -> tuple[Sequence[SelectionProblem], LoopSettings]:
+        return (self.problem,), self.settings[0]
 
     @property
     def objective_unit(self) -> str:
@@ -156,14 +157,9 @@ class OutcomeSelection(ChosenByLoop, Selection):
         )
 
     @property
-    def missed_chance(self) -> None:
-        """None: climbs that go to the end are chosen among others, not drawn."""
-        return
-
-    @property
-    def missed_chance_at_most(self) -> None:
-        """None, as the estimate."""
-        return
+    def _found_how_often(self) -> NDArray[np.integer[Any]]:
+        # Climbs that go to the end are chosen among others, not drawn.
+        return np.zeros(0, dtype=np.int64)
 
     @property
     def edges(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.uncertain import UncertainLoop
-from flexopt.selection.coupling import Coupling, alone
+from flexopt.selection.coupling import Coupling, alone, widened
 from flexopt.selection.outcomes.branches import Branches
 from flexopt.selection.outcomes.program import SHORT, Met, OutcomeProgram, ProgramPoint
 from flexopt.selection.problem import SelectionProblem
@@ -161,7 +161,7 @@ class SharedProgram(OutcomeProgram):
 
     def row_slopes(self, y: Vector) -> Vector:
         """See `OutcomeProgram`."""
-        each = [self._wide(target.row_slopes(y[place]), place) for target, place in self._each]
+        each = [widened(target.row_slopes(y[place]), place, y.size) for target, place in self._each]
         return np.vstack([*each, self.differences])
 
     def meeting(self, y: Vector, level: float) -> SharedProgram | None:
@@ -169,16 +169,11 @@ class SharedProgram(OutcomeProgram):
         found = tuple(target.met_near(own, level) for target, own in self.parts(y))
         return replace(self, met_at=found) if any(found) else None
 
-    def _wide(self, slopes: Vector, place: NDArray[np.int64]) -> Vector:
-        """Slopes by a target's y as those by all."""
-        found = np.zeros((len(slopes), self.n_z + len(self.ranges)))
-        found[:, place] = slopes
-        return found
-
     def joint(self, each: list[Branches]) -> Branches:
         """The branches of every target, the smallest first."""
         values, by_level = (np.concatenate([getattr(b, name) for b in each]) for name in ("values", "by_level"))
-        slopes = np.vstack([self._wide(b.slopes, place) for b, place in zip(each, self.places, strict=True)])
+        n_y = self.n_z + len(self.ranges)
+        slopes = np.vstack([widened(b.slopes, place, n_y) for b, place in zip(each, self.places, strict=True)])
         return Branches(values, slopes, by_level).in_order
 
 

@@ -17,6 +17,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
 from flexopt.model.own import OwnFunction
+from flexopt.plant.statics import left_over
 from flexopt.robustness.expansion import NO_DERIVATIVES
 from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
 from flexopt.selection.own.quantities import KnownQuantity, Sight, known_quantities
@@ -82,10 +83,9 @@ class OwnGraphs:
         if self._own_static:
             m, found = plant.n_passive, plant.deflected(base, posture, p)
             point = plant.operating_point(base, posture, p, found)
-            weight = ca.norm_inf(plant.gravity(point.q, base, p)[:m])
             pivots = ca.ldl(ca.densify(point.stiffness[:m, :m]))[0]
-            left_over = ca.norm_inf(point.static_residual)
-            stands = ca.logic_and(left_over <= SOLVE_TOLERANCE * (1 + weight), ca.mmin(pivots) > 0)
+            settled = left_over(plant, point.q, point.static_residual) <= SOLVE_TOLERANCE
+            stands = ca.logic_and(settled, ca.mmin(pivots) > 0)
             found = ca.if_else(stands, found, ca.SX.nan(m, 1))
         options = {"is_diff_out": [False], "never_inline": True}
         return ca.Function("static", at, [found], list(INPUTS[:3]), ["static"], options)

@@ -55,13 +55,9 @@ class ByLoop(ChosenByLoop, ConfigurationSet):
         """Index of the target that has the worst of it."""
         return int((self.criterion.sign * self.V).argmin())
 
-    def loops_break(self, stand: Sequence[tuple[Vector, Vector]]) -> list[str]:
-        """At each target what the loop does not do of what it must at least, base and posture there: "breaks …"."""
-        return self._breaks(self.problems, self.settings, stand)
-
-    def loops_rest(self, stand: Sequence[tuple[Vector, Vector]]) -> list[tuple[str, ...]]:
-        """At each target what the loop does just so of what it must at least, base and posture there."""
-        return self._rests(self.problems, self.settings, stand)
+    @property
+    def _judged(self) -> tuple[Sequence[SelectionProblem], LoopSettings]:
+        return self.problems, self.settings
 
     def _document(self, status: str, own: dict[str, Any], targets: str) -> dict[str, Any]:
         more = {"measure": self.measure, "gains": self.gains, "settings": self.settings.to_dict()}

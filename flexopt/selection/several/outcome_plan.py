@@ -40,11 +40,6 @@ class OutcomePlan(ByLoop, BasePlan):
     """A motion of the base along a path by what the loop does; see `BasePlan` and `ByLoop`."""
 
     @property
-    def worth(self) -> float:
-        """What the worst target has of the measure."""
-        return float(self.V[self.worst])
-
-    @property
     def standing(self) -> float:
         """The worst of the base that stands still, NaN where none reaches all targets at the joints' rates."""
         sign = self.criterion.sign

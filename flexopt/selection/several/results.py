@@ -62,8 +62,7 @@ class TargetConfiguration(Tabled):
 
     def to_dict(self) -> Document:
         """The evaluation's dictionary with the place's own keys."""
-        constraints = {label: vars(value) for label, value in self.constraints.items()}
-        own = {"target": self.target, "objective": self.objective, "constraints": constraints}
+        own = {"target": self.target, "objective": self.objective, "constraints": self.constraints}
         return self.evaluation.to_dict() | json_ready(own)
 
 
@@ -420,8 +419,8 @@ class BasePlan(Pictured, ConfigurationSet):
 
     @property
     def worth(self) -> float:
-        """The smallest V."""
-        return float(self.V.min())
+        """What the worst target has."""
+        return float(self.V[self.worst])
 
     @property
     def standing(self) -> float:

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from flexopt.plant.plant import Plant
+from flexopt.selection.constraints import ConstraintSet
 from tests.oracles.spatial import MujocoTree, mujoco_tree, pin_quaternion
 
 Data = dict[str, Any]
 GEOM = mujoco.mjtGeom
+
+
+def listed(rows: ConstraintSet) -> SimpleNamespace:
+    """What the rows are called, their units, bounds and scales, each in a row of its own."""
+    told = [(row.name, row.unit, row.lower, row.upper, row.scale) for row in rows.rows]
+    labels, units, *numbers = zip(*told, strict=True)
+    lower, upper, scales = map(np.array, numbers)
+    return SimpleNamespace(labels=labels, units=units, lower=lower, upper=upper, scales=scales)
 
 
 def random_capsules(rng: np.random.Generator, bodies: list[str], d: int) -> list[Data]:

@@ -14,7 +14,14 @@ from flexopt.selection.constraints import build_constraints
 from tests.model.robots.files import URDF, URDF_MACHINE, changed_text, read
 from tests.oracles.machines import NumpySource, Structure, draw_machine
 from tests.oracles.spatial import in_space, random_tree
-from tests.selection.constraints.scenes import at_rest, distance, mujoco_scene, random_capsules, random_obstacles
+from tests.selection.constraints.scenes import (
+    at_rest,
+    distance,
+    listed,
+    mujoco_scene,
+    random_capsules,
+    random_obstacles,
+)
 
 # Of capsules from boxes, whose distance MuJoCo finds iteratively; the others come to rounding.
 TOLERANCE = {"box": 1e-10, "sphere": 1e-12, "half_plane": 1e-12, "ground": 1e-12}
@@ -23,7 +30,7 @@ TOLERANCE = {"box": 1e-10, "sphere": 1e-12, "half_plane": 1e-12, "ground": 1e-12
 def values_by_row(plant, rows, base, posture) -> dict[str, float]:
     values = rows.function(base, posture, plant.parameter_values, rows.constants).full().ravel()
     assert len(values) == len(rows)
-    return dict(zip(rows.labels, values, strict=True))
+    return dict(zip(listed(rows).labels, values, strict=True))
 
 
 def least(values: dict[str, float], who: str, name: str) -> float:
@@ -90,7 +97,7 @@ def test_chains_among_obstacles():
         ground = float(rng.uniform(-1, 1))
         asked = {"distance": 0.1, "obstacles": flat, "ground": ground}
         rows = build_constraints(plant, read_constraints({"clearance": asked}))
-        assert not any("base" in label and "ground" in label for label in rows.labels)
+        assert not any("base" in label and "ground" in label for label in listed(rows).labels)
         base, posture = rng.uniform(-1, 1, 1), rng.uniform(-3, 3, plant.n_actuated)
         tree = in_space(data)
         capsules = [standing(one, "start", "end") for one in data["capsules"]]
@@ -167,7 +174,7 @@ def test_an_optimiser_leaves_an_obstacle():
     for at in ([1.4, -0.3], [0.0, 0.5], [-0.5, 0.0], [-0.6, -0.5]):
         before = rows.function(0.0, at, plant.parameter_values, rows.constants).full().ravel()
         crossing += before.min() < -0.2
-        found = solver(x0=at, p=at, lbg=rows.lower, ubg=rows.upper)
+        found = solver(x0=at, p=at, lbg=listed(rows).lower, ubg=listed(rows).upper)
         assert solver.stats()["success"]
         assert found["g"].full().min() >= 0.1 - 1e-7
     assert crossing >= 2
@@ -182,15 +189,15 @@ def test_labels_bounds_and_constants():
         "obstacles": [{"kind": "sphere", "center": [2, 1], "radius": 1}],
     }
     rows = build_constraints(plant, read_constraints({"clearance": asked}))
-    assert rows.labels == (
+    assert listed(rows).labels == (
         "clearance of stick (start) from ground",
         "clearance of stick (end) from ground",
         "clearance of stick from obstacle 1",
     )
-    assert rows.units == ("m",) * 3
-    assert (rows.lower == 0.2).all()
-    assert np.isinf(rows.upper).all()
-    assert (rows.scales == 1.0).all()
+    assert listed(rows).units == ("m",) * 3
+    assert (listed(rows).lower == 0.2).all()
+    assert np.isinf(listed(rows).upper).all()
+    assert (listed(rows).scales == 1.0).all()
     assert rows.constants.full().ravel().tolist() == [-0.5, 2.0, 1.0, 1.0]
 
 
@@ -204,7 +211,7 @@ def test_a_capsule_of_a_welded_link_is_called_as_that_link(tmp_path):
     names = [f"bracket capsule {k}" for k in (1, 2)]
 
     def rows(**asked):
-        return build_constraints(build_plant(tree), read_constraints(asked)).labels
+        return listed(build_constraints(build_plant(tree), read_constraints(asked))).labels
 
     clear = {"distance": 0.1, "ground": 0.0}
     of = {

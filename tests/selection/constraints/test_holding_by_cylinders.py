@@ -10,6 +10,7 @@ from flexopt.model.constraints import read_constraints
 from flexopt.plant import build_plant
 from flexopt.selection.constraints import build_constraints
 from tests.oracles.cylinders import DIGGER, digger, length_in_plane
+from tests.selection.constraints.scenes import listed
 
 
 def test_holding_is_that_of_the_cylinders() -> None:
@@ -18,15 +19,15 @@ def test_holding_is_that_of_the_cylinders() -> None:
     data["cylinders"][1]["force"] = [4e4, 0.0]
     plant = build_plant(flexopt.machine_from_dict(data))
     rows = build_constraints(plant, read_constraints({"holding": 0.8}))
-    assert rows.labels == (
+    assert listed(rows).labels == (
         "holding of boom by boom cylinder",
         "holding of stick by stick cylinder",
         "holding of bucket",
     )
-    assert rows.units == ("N", "N", "N m")
-    np.testing.assert_allclose(rows.lower, [-4e4, -3.2e4, -1.6e3], rtol=1e-15)
-    np.testing.assert_allclose(rows.upper, [7.2e4, 0.0, 1.6e3], rtol=1e-15)
-    assert rows.scales.tolist() == [9e4, 4e4, 2e3]
+    assert listed(rows).units == ("N", "N", "N m")
+    np.testing.assert_allclose(listed(rows).lower, [-4e4, -3.2e4, -1.6e3], rtol=1e-15)
+    np.testing.assert_allclose(listed(rows).upper, [7.2e4, 0.0, 1.6e3], rtol=1e-15)
+    assert listed(rows).scales.tolist() == [9e4, 4e4, 2e3]
     posture, p = np.array([-0.3, -1.3, -0.4]), plant.parameter_values
     values = rows.function(0.0, posture, p, rows.constants).full().ravel()
     torque = plant.gravity(plant.rest(0.0, posture, p), 0.0, p).full().ravel()[plant.n_passive :]

@@ -22,7 +22,7 @@ from flexopt.selection.constraints.convex_pieces import convex_pieces, pockets
 from tests.oracles.machines import random_machine
 from tests.oracles.mujoco_chain import mujoco_chain
 from tests.oracles.spatial import grounded, mujoco_tree, pinocchio_tree, random_tree
-from tests.selection.constraints.scenes import at_rest, random_capsules, random_obstacles
+from tests.selection.constraints.scenes import at_rest, listed, random_capsules, random_obstacles
 from tests.selection.constraints.test_polygon_distance import comb, star
 
 
@@ -58,13 +58,13 @@ def test_manipulability_is_the_product_of_singular_values(seed):
     assert reported[0] == pytest.approx(expected, rel=1e-9)
     # Both forms meet the bound at once.
     assert g[0] == pytest.approx(expected**2 / 0.25, rel=1e-9)
-    assert found.lower.tolist() == [0.25]
+    assert listed(found).lower.tolist() == [0.25]
 
 
 def test_manipulability_at_a_singular_posture():
     plant = excavator()
     rows = build_constraints(plant, read_constraints({"manipulability": 0.5}))
-    assert rows.units == ("m^2",)
+    assert listed(rows).units == ("m^2",)
     q = ca.SX.sym("q", 2)
     g = rows.function(0.0, q, plant.parameter_values, rows.constants)
     function = ca.Function("g", [q], [g, *ca.hessian(g, q)])
@@ -89,7 +89,7 @@ def test_tip_over_margin_in_space(seed):
     centre, outline = shapely.Point(chain.data.subtree_com[0][:2]), shapely.Polygon(polygon)
     rows, g, _ = of(plant, {"tip_over_margin": 0.4}, base, posture)
     assert len(rows) == 5
-    assert (rows.lower == 0.4).all()
+    assert (listed(rows).lower == 0.4).all()
     assert (g.min() > 0) == outline.contains(centre)
     if g.min() > 0:
         assert g.min() == pytest.approx(outline.exterior.distance(centre), abs=1e-12)
@@ -122,14 +122,14 @@ def test_tip_over_margin_and_holding_in_the_plane(seed):
     chain.set(q, np.zeros_like(q), gravity=data["gravity"])
     rows, g, _ = of(plant, {"tip_over_margin": 0.3, "holding": 0.7}, base, posture)
     x = chain.data.subtree_com[0][0] - base
-    assert rows.labels[:2] == ("tip-over margin from x = -2", "tip-over margin from x = 2.5")
+    assert listed(rows).labels[:2] == ("tip-over margin from x = -2", "tip-over margin from x = 2.5")
     assert g[:2] == pytest.approx([x + 2.0, 2.5 - x], abs=1e-12)
     torque = chain.bias()[plant.n_passive :]
     assert g[2:] == pytest.approx(torque, rel=1e-10, abs=1e-10 * np.abs(torque).max())
     efforts = [link["effort"] for link in data["links"] if not link.get("passive")]
-    assert rows.upper[2:] == pytest.approx([0.7 * effort for effort in efforts])
-    assert rows.lower[2:] == pytest.approx([-0.7 * effort for effort in efforts])
-    assert rows.scales[2:].tolist() == efforts
+    assert listed(rows).upper[2:] == pytest.approx([0.7 * effort for effort in efforts])
+    assert listed(rows).lower[2:] == pytest.approx([-0.7 * effort for effort in efforts])
+    assert listed(rows).scales[2:].tolist() == efforts
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -146,8 +146,8 @@ def test_holding_in_space(seed):
     # The joint without an effort gives no row.
     assert g == pytest.approx(weight[plant.n_passive + 1 :], rel=1e-10, abs=1e-9)
     units = {"hinge": "N m", "slide": "N"}
-    assert rows.units == tuple(units[body["joint"]["kind"]] for body in driven[1:])
-    assert rows.labels == tuple(f"holding of {body['joint']['name']}" for body in driven[1:])
+    assert listed(rows).units == tuple(units[body["joint"]["kind"]] for body in driven[1:])
+    assert listed(rows).labels == tuple(f"holding of {body['joint']['name']}" for body in driven[1:])
 
 
 @pytest.mark.parametrize(("low", "high"), [(-2.0, -1.0), (3.0, 3.5), (-0.2, 0.2), (-7.0, -6.0), (0.1, 6.2), (1.0, 1.0)])
@@ -160,8 +160,8 @@ def test_tool_angle_does_not_care_for_turns(low, high):
         turns = [angle + 2 * math.pi * k for k in range(-4, 5)]
         allowed = any(low <= turned <= high for turned in turns)
         if min(abs(turned - end) for turned in turns for end in (low, high)) > 1e-9:
-            assert (rows.lower[0] <= g[0] <= rows.upper[0]) == allowed
-    assert (rows.lower[0], rows.upper[0], rows.units[0]) == (low, high, "rad")
+            assert (listed(rows).lower[0] <= g[0] <= listed(rows).upper[0]) == allowed
+    assert (listed(rows).lower[0], listed(rows).upper[0], listed(rows).units[0]) == (low, high, "rad")
 
 
 def test_tool_angle_is_a_straight_line_in_the_joints():
@@ -212,12 +212,12 @@ def test_areas_in_space():
         rows, g, reported = of(plant, {"region": [first, second], "keep_out": [hole]}, base, np.zeros(3))
         at = shapely.Point(base[:2])
         expected = [max(signed(one, at), signed(other, at)), -signed(out, at)]
-        for name, value in zip(dict.fromkeys(rows.labels), expected, strict=True):
-            of_name = np.array(rows.labels) == name
+        for name, value in zip(dict.fromkeys(listed(rows).labels), expected, strict=True):
+            of_name = np.array(listed(rows).labels) == name
             assert reported[of_name] == pytest.approx(value, abs=1e-12)
             assert (g[of_name].min() >= 0) == (value >= 0)
-    assert set(rows.labels) == {"distance inside region", "distance from keep_out[0]"}
-    assert (rows.lower == 0).all()
+    assert set(listed(rows).labels) == {"distance inside region", "distance from keep_out[0]"}
+    assert (listed(rows).lower == 0).all()
 
 
 def placed(corners, base):
@@ -269,7 +269,7 @@ def test_a_footprint_in_one_of_several_areas():
     two = [[[0, 0], [3, 0], [3, 3], [0, 3]], [[3.1, 0], [9, 0], [9, 3], [3.1, 3]]]
     for base, expected in [((1.5, 1.5, 0.0), 0.5), ((3.05, 1.5, 0.0), -1.05), ((6.0, 1.0, math.pi / 2), 0.0)]:
         rows, g, reported = of(plant, {"region": two}, base, np.zeros(3))
-        assert set(rows.labels) == {"distance inside region"}
+        assert set(listed(rows).labels) == {"distance inside region"}
         assert reported[0] == pytest.approx(expected, abs=1e-12)
         assert g[0] == pytest.approx(expected, abs=1e-12)
 
@@ -354,10 +354,10 @@ def test_the_word_for_a_point():
     for machine, more in ((plant, {"holds": "point"}), (bare, {}), (bare, {"holds": "point"})):
         rows, g, _ = of(machine, table | more, (1.0, 2.0, 0.3), np.zeros(3))
         # Of a region the two nearest edges.
-        assert rows.labels == ("distance inside region",) * 2 + ("distance from keep_out[0]",)
+        assert listed(rows).labels == ("distance inside region",) * 2 + ("distance from keep_out[0]",)
         assert g == pytest.approx([1.0, 2.0, -1.0], abs=1e-15)
     rows, g, _ = of(plant, table, (1.0, 2.0, 0.0), np.zeros(3))
-    assert rows.labels[0] == "distance inside region of corner (-1, -0.5)"
+    assert listed(rows).labels[0] == "distance inside region of corner (-1, -0.5)"
     assert g == pytest.approx([0.0, 1.5, 1.5, 2.0, 1.5, 2.0, 0.0, 1.5, -2.0, -2.0], abs=1e-15)
     with pytest.raises(InputError, match=r"holds = 'footprint': needs what the undercarriage stands on"):
         build_constraints(bare, read_constraints(table | {"holds": "footprint"}))
@@ -378,7 +378,7 @@ def test_the_footprint_in_the_plane():
         rows, g, _ = of(plant, table, x, [0.1, 0.2])
         assert g == pytest.approx([inside, outside], abs=1e-15)
         assert of(plant, table | {"holds": "point"}, x, [0.1, 0.2])[1][0] == pytest.approx(min(x + 2, 4 - x))
-    assert rows.labels == ("distance inside region", "distance from keep_out[0]")
+    assert listed(rows).labels == ("distance inside region", "distance from keep_out[0]")
 
 
 def signed(polygon, point):
@@ -427,7 +427,7 @@ def test_derivatives_of_all_rows_together(d):
     rows = build_constraints(plant, read_constraints(everything(d)))
     z = ca.SX.sym("z", plant.n_base + plant.n_actuated)
     g = rows.function(z[: plant.n_base], z[plant.n_base :], plant.parameter_values, rows.constants)
-    scaled = g / rows.scales
+    scaled = g / listed(rows).scales
     function = ca.Function("g", [z], [scaled, ca.jacobian(scaled, z)])
     hessian = ca.Function("h", [z], [ca.hessian(ca.sum1(scaled), z)[0]])
     rng = np.random.default_rng(0)
@@ -453,7 +453,7 @@ def test_problems_of_one_structure_share_their_functions():
     assert one.report is other.report
     assert one.structure == other.structure
     assert one.constants.full().tolist() != other.constants.full().tolist()
-    assert any("silo" in label for label in other.labels)
+    assert any("silo" in label for label in listed(other).labels)
     less = build_constraints(plant, read_constraints({"manipulability": 0.2}))
     assert less.function is not one.function
     assert hash(less.structure) is not None
@@ -516,4 +516,4 @@ def test_no_two_obstacles_are_called_alike():
             build_constraints(plant, asked)
     apart = {"distance": 0.1, "ground": -1.0, "obstacles": [ball, ball, ball | {"name": "pole"}]}
     rows = build_constraints(plant, read_constraints({"clearance": apart}))
-    assert len(set(rows.labels)) == len(rows.labels)
+    assert len(set(listed(rows).labels)) == len(listed(rows).labels)

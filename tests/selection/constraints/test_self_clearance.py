@@ -14,7 +14,7 @@ from flexopt.selection.constraints import build_constraints
 from flexopt.selection.constraints.clearance import capsule_names
 from flexopt.selection.constraints.self_clearance import meeting_pairs, overlapping_pairs
 from tests.oracles.spatial import grounded, random_tree
-from tests.selection.constraints.scenes import at_rest, mujoco_scene, random_capsules
+from tests.selection.constraints.scenes import at_rest, listed, mujoco_scene, random_capsules
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -29,7 +29,7 @@ def test_distances_are_mujocos(seed):
     assert len(rows) == len(pairs) > 0
     assert rows.placed is False
     names = capsule_names(machine.capsules)
-    assert rows.labels == tuple(f"self-clearance of {names[j]} from {names[i]}" for i, j in pairs)
+    assert listed(rows).labels == tuple(f"self-clearance of {names[j]} from {names[i]}" for i, j in pairs)
     scene = mujoco_scene(data, data["capsules"], [], np.zeros(3))
     parents = {body["name"]: body.get("parent") for body in data["bodies"]}
     for i, j in pairs:
@@ -52,7 +52,7 @@ def test_distances_are_mujocos(seed):
 def test_which_pairs_of_an_excavator():
     """Not those that share a pin, nor the two tracks; what only slews against the tracks comes near them all the same."""
     rows = build_constraints(build_plant(flexopt.load("slewing-excavator")), read_constraints({"self_clearance": 0.1}))
-    said = [label.removeprefix("self-clearance of ").split(" from ") for label in rows.labels]
+    said = [label.removeprefix("self-clearance of ").split(" from ") for label in listed(rows).labels]
     pairs = {frozenset(who.split(" capsule")[0] for who in two) for two in said}
     expected = ["boom undercarriage", "stick undercarriage", "bucket undercarriage", "house stick", "house bucket"]
     assert pairs == {frozenset(two.split()) for two in [*expected, "boom bucket"]}
@@ -110,8 +110,8 @@ def test_what_overlaps_in_every_posture_is_left_out_and_named():
     assert meeting_pairs(machine) == ((0, 1), (0, 2), (1, 2))
     assert (1, 2) in overlapping_pairs(machine)
     rows = build_constraints(build_plant(machine), read_constraints({"self_clearance": 0.001}))
-    assert "self-clearance of arm3 from arm1" not in rows.labels
-    assert "self-clearance of arm3 from chassis" in rows.labels
+    assert "self-clearance of arm3 from arm1" not in listed(rows).labels
+    assert "self-clearance of arm3 from chassis" in listed(rows).labels
     target = flexopt.evaluate(machine, np.full(4, 0.3)).end_point
     problem = flexopt.build_selection(machine, target, constraints={"self_clearance": 0.001})
     [said] = [each for each in problem.assumed if each.name == "self_clearance"]

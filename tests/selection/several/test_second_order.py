@@ -8,8 +8,7 @@ import pytest
 import flexopt
 from flexopt.selection.check import prove, prove_program
 from flexopt.selection.objective import Objective
-from flexopt.selection.optima import run_solver
-from flexopt.selection.program import Program, row_gradients
+from flexopt.selection.program import Program, row_gradients, single
 from flexopt.selection.scan import peaks
 from flexopt.selection.several.plan import _along
 from flexopt.selection.several.standing import one_placement
@@ -24,7 +23,7 @@ def stationary(sense: float) -> tuple[flexopt.SelectionProblem, np.ndarray]:
     wanted = replace(problem, objectives=(objective,))
     for number in peaks(problem.scan, sense * problem.scan.objective):
         start = np.concatenate([problem.scan.base[:, number], problem.scan.posture[:, number]])
-        z, _, _ = run_solver(wanted, start)
+        z, _, _ = single(wanted).solve(start)
         proof = prove(wanted, z)
         if (
             proof.holds
