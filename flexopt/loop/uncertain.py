@@ -30,6 +30,10 @@ from flexopt.plant import build_plant
 
 # Corners are members up to that many intervals; searches start at so many of the slowest, and take so many steps.
 CORNERED, SEARCHES, STEPS = 6, 2, 12
+# So many of a member's slowest motions may come to be the slowest; of the box a step that follows one goes so far.
+MOTIONS, STRIDE = 5, 0.2
+# Rates are no straight lines: where motions come near to each other they fall more steeply than farther away.
+BENT = 3.0
 # From corner to corner towards the worst of a measure.
 WALK = 5
 # Gains at which loops are looked at for one that grows, as far as this share of the least that is known to be allowed.
@@ -202,11 +206,59 @@ class UncertainLoop:
         return decays(self.box.machine, self.settings, varied, gravity=self.gravity).decay
 
     def slowest(self, members: Vector, decays: Vector) -> tuple[float, Vector]:
-        """The least decay found in the box, 1/s, and where: searched from the slowest members with exact gradients."""
+        """The least decay found in the box, 1/s, and where: searched from the slowest members with exact gradients.
+
+        A motion may be the slowest in a narrow part of the box that holds no member: those that may become so by their
+        own gradients, in the middle of the box and of its faces, are followed each by itself.
+        """
+        starts = members[np.argsort(decays, kind="stable")[:SEARCHES]]
         best = float(decays.min()), members[int(np.argmin(decays))]
-        for start in members[np.argsort(decays, kind="stable")[:SEARCHES]]:
+        for start in starts:
             best = min(best, self._least(LoopPoint.decay, start), key=lambda each: each[0])
+        middle = np.full(members.shape[1], 0.5)
+        faces = [np.where(np.arange(len(middle)) == k, end, middle) for k in range(len(middle)) for end in (0.0, 1.0)]
+        for start in (middle, *faces):
+            for motion in self._promising(start, best[0]):
+                found = self._followed(start, motion)
+                if found[0] < best[0]:
+                    best = min(found, self._least(LoopPoint.decay, found[1]), key=lambda each: each[0])
         return best
+
+    def _promising(self, u: Vector, least: float) -> list[complex]:
+        """Of a member's slowest motions, ln μ / T of those whose rates, `BENT` times as steep, fall below `least`."""
+        at, found = self.outcome(u), list[complex]()
+        upper = at.loop.multipliers[at.loop.multipliers.imag >= 0]
+        for k, mu in enumerate(upper[:MOTIONS].tolist()):
+            rate = at.rate(k)
+            slopes = np.nan_to_num(self.slopes(u, at, rate))
+            if rate.value + BENT * float(np.minimum(-slopes * u, slopes * (1.0 - u)).sum()) < least:
+                found.append(complex(np.log(complex(mu))) / at.period)
+        return found
+
+    def _followed(self, u: Vector, motion: complex) -> tuple[float, Vector]:
+        """The least rate of one motion, 1/s, to which steps against its gradient lead, and where.
+
+        Steps are so short that the motion is the one whose ln μ / T is nearest to that of the step before.
+        """
+        stride, best, slopes = STRIDE, math.inf, np.zeros(len(u))
+        there = u
+        for _ in range(STEPS):
+            at = self.outcome(there)
+            upper = at.loop.multipliers[at.loop.multipliers.imag >= 0].astype(complex)
+            poles = np.log(upper) / at.period
+            k = int(np.argmin(np.abs(poles - motion)))
+            rate = at.rate(k)
+            if rate.value < best:
+                u, best, motion, slopes = there, rate.value, complex(poles[k]), self.slopes(there, at, rate)
+            else:
+                stride /= 4
+            # Along the edge of the box where the gradient leads out of it.
+            free = np.where((slopes > 0) & (u <= 0) | (slopes < 0) & (u >= 1), 0.0, np.nan_to_num(slopes))
+            size = float(np.abs(free).max(initial=0.0))
+            if not size or stride < STRIDE / 4**2:
+                break
+            there = np.clip(u - stride * free / size, 0.0, 1.0)
+        return best, u
 
     def _least(self, measure: Callable[[LoopPoint], Measured], start: Vector) -> tuple[float, Vector]:
         """The least of a measure that a search with exact gradients meets from a member, and where."""
