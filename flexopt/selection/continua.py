@@ -151,36 +151,36 @@ def _as_good(problem: SelectionProblem, z: Vector, other: Vector) -> bool:
     )
 
 
+def turned_about(problem: SelectionProblem, z: Vector, angles: Vector) -> Vector:
+    """The configurations (n_z, N) that z becomes when it is turned about its target, where it may be; see `turns`."""
+    names, rows = problem.machine.base_coordinates, problem.machine.task_rows
+    at = [names.index(name) for name in TURNING]
+    target = np.array([problem.target[rows.index(name)] for name in "xy"])
+    way = np.exp(1j * angles) * complex(*(z[at[:2]] - target))
+    places = np.repeat(z[:, None], angles.size, axis=1)
+    places[at] = np.array([target[0] + way.real, target[1] + way.imag, z[at[2]] + angles])
+    # A bounded yaw may be within its bounds after a whole turn.
+    over = np.ceil((problem.lower[at[2]] - places[at[2]]) / math.tau)
+    under = np.floor((problem.upper[at[2]] - places[at[2]]) / math.tau)
+    bounded = np.isfinite(over) & np.isfinite(under) & (over <= under)
+    places[at[2]] += math.tau * np.where(bounded, np.clip(0.0, over, under), 0.0)
+    return problem.wrapped(places.T).T
+
+
 def _turned(problem: SelectionProblem, z: Vector) -> Vector:
     """The configuration turned about its target to where it is nearest."""
     if not turns(problem):
         return z
-    names, rows = problem.machine.base_coordinates, problem.machine.task_rows
-    at = [names.index(name) for name in TURNING]
-    target = np.array([problem.target[rows.index(name)] for name in "xy"])
-    away = complex(*(z[at[:2]] - target))
-
-    def turned(angles: Vector) -> Vector:
-        places = np.repeat(z[:, None], angles.size, axis=1)
-        way = np.exp(1j * angles) * away
-        places[at] = np.array([target[0] + way.real, target[1] + way.imag, z[at[2]] + angles])
-        # A bounded yaw may be within its bounds after a whole turn.
-        over = np.ceil((problem.lower[at[2]] - places[at[2]]) / math.tau)
-        under = np.floor((problem.upper[at[2]] - places[at[2]]) / math.tau)
-        bounded = np.isfinite(over) & np.isfinite(under) & (over <= under)
-        places[at[2]] += math.tau * np.where(bounded, np.clip(0.0, over, under), 0.0)
-        return problem.wrapped(places.T).T
-
     angle, span = 0.0, math.pi
     # A grid, and grids between the neighbours of the best again: the way may end at walls and bounds.
     for count in (TURNS, *(ZOOMED,) * ZOOMS):
         angles = angle + np.linspace(-span, span, count + 1)
-        places = turned(angles)
+        places = turned_about(problem, z, angles)
         inside = np.all((places >= problem.lower[:, None]) & (places <= problem.upper[:, None]), axis=0)
         kept = inside & (violated(problem, places) <= ON_ROWS)
         far = np.where(kept, _travels(problem, places.T), np.inf)
         angle, span = float(angles[int(np.argmin(far))]), 2 * span / count
-    place = turned(np.array([angle]))[:, 0]
+    place = turned_about(problem, z, np.array([angle]))[:, 0]
     nearer = travel(problem, place) < travel(problem, z) - ALIKE
     return place if nearer and _as_good(problem, z, place) else z
 

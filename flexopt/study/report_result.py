@@ -8,15 +8,14 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import instance, public
 from flexopt.foundation.control import gain_units
-from flexopt.foundation.documents import json_ready
 from flexopt.foundation.palette import Theme
 from flexopt.foundation.printing import Printed
-from flexopt.foundation.results import Tabled
+from flexopt.foundation.results import Result, Tabled
 from flexopt.model import AnyMachine
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation, build_measures
@@ -50,7 +49,7 @@ class ReportLoop(Tabled):
 
 
 @dataclass(frozen=True)
-class Report(Printed, Tabled):
+class Report(Printed, Result):
     """Everything that `flexopt report` shows.
 
     Attributes:
@@ -70,10 +69,21 @@ class Report(Printed, Tabled):
         notes: what could not be computed, sentences.
         provenance: machine, versions and options.
 
+    The keys of its document are those names, but `machine` (its `parameters` with units among the rest), `selection`
+    (as of `flexopt.select`: `best`, `candidates`, `initial`, `problem`; or of `flexopt.select_stand`,
+    `flexopt.plan_base`), `constraints` (as given), `mode_shares` (configuration -> coordinates × modes), `map` (as of
+    `flexopt.map_workspace`), `loops` (configuration -> `run`, `linear`), `gains` (as of `flexopt reproduce`) and
+    `verdict` (as of `flexopt.verdict`).
+
     Example:
         >>> report.selection.status
         '8 distinct local optima verified from 8 starts'
     """
+
+    DOCUMENT = (
+        "name description source machine=_machine selection constraints=_constraints mode_shares=_shares map=_map "
+        "loops simulation gains=borders verdict no_verdict notes provenance"
+    )
 
     name: str
     description: str
@@ -136,42 +146,21 @@ class Report(Printed, Tabled):
             found["map"] = self.map.plot(marks=self.marks, theme=theme)
         return found | run_figures({name: loop.run for name, loop in self.loops.items()}, theme=theme)
 
-    def to_dict(self) -> Document:
-        """JSON-ready dictionary.
+    @property
+    def _machine(self) -> Document:
+        return machine_document(self.machine)
 
-        Keys: `name`, `description`, `source`, `machine` (its `parameters` with units among the rest), `selection` (as
-        of `flexopt.select`: `best`, `candidates`, `initial`, `problem`; or of `flexopt.select_stand`,
-        `flexopt.plan_base`), `constraints` (as given), `mode_shares`
-        (configuration -> coordinates × modes), `map` (as of `flexopt.map_workspace`), `loops` (configuration -> `run`,
-        `linear`), `simulation`, `gains` (as of `flexopt reproduce`), `verdict` (as of `flexopt.verdict`), `no_verdict`,
-        `notes`, `provenance`.
+    @property
+    def _constraints(self) -> Document:
+        return self.problem.asked.model_dump(exclude_none=True)
 
-        Example:
-            >>> report.to_dict()["name"]
-            'article'
-        """
-        return cast(
-            dict[str, Any],
-            json_ready(
-                {
-                    "name": self.name,
-                    "description": self.description,
-                    "source": self.source,
-                    "machine": machine_document(self.machine),
-                    "selection": self.selection.to_dict(),
-                    "constraints": self.problem.asked.model_dump(exclude_none=True),
-                    "mode_shares": {name: self.mode_shares(stand) for name, stand in self.stands.items()},
-                    "map": self.map and self.map.to_dict() | {"marks": self.marks},
-                    "loops": {name: loop.to_dict() for name, loop in self.loops.items()},
-                    "simulation": self.simulation,
-                    "gains": [row.to_dict() for row in self.borders],
-                    "verdict": self.verdict and self.verdict.to_dict(),
-                    "no_verdict": self.no_verdict,
-                    "notes": self.notes,
-                    "provenance": self.provenance,
-                }
-            ),
-        )
+    @property
+    def _shares(self) -> dict[str, Vector]:
+        return {name: self.mode_shares(stand) for name, stand in self.stands.items()}
+
+    @property
+    def _map(self) -> Document | None:
+        return self.map and self.map.to_dict() | {"marks": self.marks}
 
     @public()
     def write(self, folder: str | os.PathLike[str]) -> tuple[Path, Path]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Vector
-from flexopt.model import AnyMachine
+from flexopt.selection.continua import turned_about, turns
 from flexopt.selection.optima import first_optima
 from flexopt.selection.problem import SelectionProblem, value_at
 from flexopt.selection.program import Program
@@ -31,19 +31,16 @@ GAIN = 1e-4
 
 def placements_alone(program: Program, best: Vector, workers: int) -> tuple[Vector, Vector]:
     """Placements (n_b, N) at which a target alone is better than in the best so far, and its postures there (n, N)."""
-    machine, values = program.first.machine, program.values(best)
-    n_b = len(machine.base_coordinates)
-    bases, postures = list[Vector](), list[Vector]()
+    values, places = program.values(best), [np.zeros((program.first.scale.size, 0))]
+    angles = math.tau * np.arange(TURNED) / TURNED
     worst: list[int] = np.argsort(values, kind="stable")[:TARGETS].tolist()
     for k in worst:
         problem = program.problems[k]
         for value, z in _optima_alone(problem, workers):
             if value > values[k] + GAIN * program.size:
-                bases.append(_turned_about(machine, problem.target, z[:n_b]))
-                postures.append(np.repeat(z[n_b:, None], bases[-1].shape[1], axis=1))
-    if not bases:
-        return np.zeros((n_b, 0)), np.zeros((len(machine.joints), 0))
-    return np.concatenate(bases, axis=1), np.concatenate(postures, axis=1)
+                places.append(turned_about(problem, z, angles) if turns(problem) else z[:, None])
+    bases, postures = np.split(np.concatenate(places, axis=1), [len(program.first.machine.base_coordinates)])
+    return bases, postures
 
 
 def _optima_alone(problem: SelectionProblem, workers: int) -> list[tuple[float, Vector]]:
@@ -55,19 +52,3 @@ def _optima_alone(problem: SelectionProblem, workers: int) -> list[tuple[float, 
         return []
     ranked = sorted(((value_at(problem, z), z) for z, *_ in found), key=lambda each: -each[0])
     return ranked[:KEPT]
-
-
-def _turned_about(machine: AnyMachine, target: Vector, base: Vector) -> Vector:
-    """Placements (n_b, N) from which the same posture reaches the same target: turned about the vertical through it."""
-    names, rows = machine.base_coordinates, machine.task_rows
-    if not {"x", "y", "yaw"} <= set(names) or not {"x", "y"} <= set(rows):
-        return base[:, None]
-    angles = math.tau * np.arange(TURNED) / TURNED
-    x, y, yaw = (names.index(name) for name in ("x", "y", "yaw"))
-    point = target[[rows.index("x"), rows.index("y")]]
-    away = base[[x, y]] - point
-    found = np.repeat(base[:, None], TURNED, axis=1)
-    found[x] = point[0] + np.cos(angles) * away[0] - np.sin(angles) * away[1]
-    found[y] = point[1] + np.sin(angles) * away[0] + np.cos(angles) * away[1]
-    found[yaw] = base[yaw] + angles
-    return found

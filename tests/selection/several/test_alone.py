@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import flexopt
+from flexopt.selection.continua import turned_about, turns
 from flexopt.selection.result import chance, chance_at_most, how_often
-from flexopt.selection.several.alone import _turned_about, placements_alone
+from flexopt.selection.several.alone import placements_alone
 from flexopt.selection.several.postures import climbed_held, reached_from
 from flexopt.selection.several.standing import one_placement
 
@@ -30,16 +31,24 @@ def test_turned_placements_reach_the_target_with_the_same_posture(
     problem = problems[0]
     machine, z = problem.machine, problem.scan.z[:, 0]
     base, posture = np.split(z, [3])
-    turned = _turned_about(machine, problem.target, base)
-    np.testing.assert_allclose(turned[:, 0], base)
+    assert turns(problem)
+    turned, postures = np.split(turned_about(problem, z, np.linspace(0.0, 6.0, 18)), [3])
+    np.testing.assert_allclose(turned[:2, 0], base[:2])
+    np.testing.assert_allclose(np.mod(postures - posture[:, None] + 1.0, 2 * np.pi), 1.0)
     assert np.ptp(turned[2]) > 5.0
     w = flexopt.evaluate(machine, posture, base=base).w
     for placed in turned[:, ::5].T:
         found = flexopt.evaluate(machine, posture, base=placed)
         np.testing.assert_allclose(found.end_point, problem.target, atol=1e-7)
         np.testing.assert_allclose(found.w, w, rtol=1e-6, atol=1e-9 * np.abs(w).max())
-    slides = flexopt.load("excavator")
-    np.testing.assert_array_equal(_turned_about(slides, np.array([0.0, 1.6]), np.array([0.3])), [[0.3]])
+    # A bounded yaw comes into its bounds.
+    bounded = replace(
+        problem,
+        variables=tuple(replace(v, lower=4.0, upper=11.0) if v.name == "base.yaw" else v for v in problem.variables),
+    )
+    there = turned_about(bounded, z, np.linspace(0.0, 6.0, 18))
+    assert np.all((there[2] >= 4.0) & (there[2] <= 11.0))
+    assert not turns(flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6)))
 
 
 def test_postures_that_climb_stay_on_the_target_and_are_allowed(problems: tuple[flexopt.SelectionProblem, ...]) -> None:
