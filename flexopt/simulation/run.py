@@ -340,8 +340,9 @@ def _warnings(
             sentences.append(
                 f"the arm came close to a singular posture at {at:.4g} s (sine squared {near:.2g} of its start)"
             )
-    if brake and plant.n_actuated > plant.n_task and not s.options.nullspace_damping:
-        sentences.append(f"the arm's self-motion is not damped and may drift; {brake} brakes it")
+    own = np.diag(plant.damping(plant.parameter_values).full())[m:]
+    if brake and plant.n_actuated > plant.n_task and not s.options.nullspace_damping and not own.all():
+        sentences.append(f"the controller does not brake the arm's self-motion, which may drift; {brake} does")
     sentences += feeble_levers(s.machine, s.options, s.posture)
     if s.loop.structure.noisy:
         sentences.append(

@@ -134,7 +134,7 @@ def decide(
     if stay is not None and sound:
         first = max(sound, key=lambda place: place.slowest)
         share = first.better_than(stay)
-        where = f"on {100 * share:.0f} % of the grounds only" if share else "on no ground"
+        where = f"on {100 * share:.0f} % of the grounds only" if share else "on none that was looked at"
         reason = f"{first.name} is stable on every ground, and the present place is not, but {BETTER} {where}"
         if stay.holds:
             reason = "nonlinear runs do not confirm the present place, and "

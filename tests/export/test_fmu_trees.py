@@ -461,7 +461,7 @@ def test_the_command_line(tmp_path: Path) -> None:
     done = CliRunner().invoke(export_command, arguments)
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
-    with pytest.warns(FlexoptWarning, match="self-motion is not damped"):
+    with pytest.warns(FlexoptWarning, match="does not brake the arm's self-motion"):
         made = export(tmp_path, name="twin", base=[1.0, 2.0, 0.5], kp=3e5, kv=2e5, duration=0.1)
     assert made.token == document["token"]
     for wrong, named in ((["--base", "1,2"], "--base"), (["--posture", "0.4,0.9,-0.7,9"], "extend")):

@@ -149,3 +149,23 @@ def test_what_matters_most() -> None:
     members = loop.box.members(32)
     assert matters_most(loop.box, members, (3 * members[:, 1] + 0.1 * members[:, 0]).tolist())[0] == "payload.mass"
     assert matters_most(loop.box, members, [1.0] * 32) == ("", 0.0)
+
+
+def test_a_motion_that_is_the_slowest_in_a_narrow_part_of_the_box_is_found() -> None:
+    """Two motions come near to each other there; none of eight members, nor a search from the slowest, lies in it."""
+    machine = flexopt.load("excavator")
+    loop = flexopt.Loop(drive="torque", kp=(5860.0, 1039.0), kv=(3556.0, 2630.0), dead_time=0.03)
+    evaluation = flexopt.evaluate(machine, [1.194, -1.224])
+    settings = loop_settings(machine, loop, evaluation, gravity=False)
+    ranges = (Uncertainty(of="stiffness", factor=(0.4, 2.5)), Uncertainty(of="dead_time", value=(0.01, 0.1)))
+    box = UncertaintyBox(machine, ranges, settings.dead_time)
+    uncertain = UncertainLoop(settings, evaluation.base, evaluation.posture, gravity=False, box=box)
+    ends = np.linspace(0.0, 1.0, 41)
+    everywhere = np.array([(a, b) for a in ends for b in ends])
+    worst = float(uncertain.decays(everywhere).min())
+    members = box.members(8)
+    decays = uncertain.decays(members)
+    assert decays.min() > worst / 4 > worst
+    slowest, where = uncertain.slowest(members, decays)
+    assert slowest <= worst + 1e-9
+    assert uncertain.outcome(where).decay().value == pytest.approx(slowest)

@@ -269,7 +269,7 @@ def test_an_arm_that_passes_close_to_a_singular_posture():
 
 
 def test_self_motion_that_nobody_damps():
-    with pytest.warns(FlexoptWarning, match="self-motion is not damped"):
+    with pytest.warns(FlexoptWarning, match="does not brake the arm's self-motion"):
         flexopt.simulate(THREE, (0.3, 0.8, -0.7), duration=0.05, kp=1.0, kv=1.0, rate=1e4)
 
 

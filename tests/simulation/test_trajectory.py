@@ -185,7 +185,7 @@ def test_summary(trajectory, other):
     assert f"{trajectory.end_error:.3e} m" in text
     assert "Hz" in text
     assert "rad" in text
-    assert "warning: the arm's self-motion" in repr(other)
+    assert "warning: the controller does not brake the arm's self-motion" in repr(other)
     assert "turns by up to –" in repr(other)
     assert "nan" not in text
     assert "None" not in text

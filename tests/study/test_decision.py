@@ -146,7 +146,7 @@ def test_reasons_say_what_is_so() -> None:
     doubted = decide(STAY, [place("near", GROUNDS)], unconfirmed=["stay"])
     assert doubted.reason == (
         "nonlinear runs do not confirm the present place, and near, which they confirm, decays at least 10 % faster on "
-        "no ground"
+        "none that was looked at"
     )
     assert "gains" not in found.reason
     nowhere = decide(place("stay", -GROUNDS), [place("near", -GROUNDS)])
