@@ -154,8 +154,8 @@ class LoopSettings(Result):
     @property
     def proposed(self) -> list[str]:
         """A line on what nobody gave; none where all was given."""
-        names = ", ".join(self.sources)
-        return [f"  not given of the loop, so proposed from the machine: {names}"] if names else []
+        names = ", ".join(f"drive ({why})" if name == "drive" else name for name, why in self.sources.items())
+        return [f"  not given of the loop, so proposed: {names}"] if names else []
 
     def handed_on(self, where: str) -> str:
         """Which numbers follow from the posture of a place, and how other calls are given them; empty without any."""

@@ -32,6 +32,8 @@ from flexopt.plant import build_plant
 CORNERED, SEARCHES, STEPS = 6, 2, 12
 # So many of a member's slowest motions may come to be the slowest; of the box a step that follows one goes so far.
 MOTIONS, STRIDE = 5, 0.2
+# Members looked at across the box through the slowest one, in each interval.
+ACROSS = 5
 # Rates are no straight lines: where motions come near to each other they fall more steeply than farther away.
 BENT = 3.0
 # From corner to corner towards the worst of a measure.
@@ -107,6 +109,13 @@ class UncertaintyBox:
         more = max(0, count - len(corners))
         drawn = Sobol(k, seed=seed).random(1 << math.ceil(math.log2(max(more, 1))))[:more]
         return np.concatenate([corners, drawn])
+
+    def cross(self, u: Vector, levels: int) -> Vector:
+        """Members that differ from u (k,) in one interval alone, in so many even steps each: (levels k, k)."""
+        found = np.tile(u, (levels * len(u), 1))
+        for k in range(len(u)):
+            found[k * levels : (k + 1) * levels, k] = np.linspace(0.0, 1.0, levels)
+        return found
 
     def numbers(self, u: Vector) -> tuple[Vector, float]:
         """Parameters (n_par,) and dead time of a member."""
@@ -209,15 +218,13 @@ class UncertainLoop:
         """The least decay found in the box, 1/s, and where: searched from the slowest members with exact gradients.
 
         A motion may be the slowest in a narrow part of the box that holds no member: those that may become so by their
-        own gradients, in the middle of the box and of its faces, are followed each by itself.
+        own gradients, in the middle of the box and across it through the slowest, are followed each by itself.
         """
         starts = members[np.argsort(decays, kind="stable")[:SEARCHES]]
         best = float(decays.min()), members[int(np.argmin(decays))]
         for start in starts:
             best = min(best, self._least(LoopPoint.decay, start), key=lambda each: each[0])
-        middle = np.full(members.shape[1], 0.5)
-        faces = [np.where(np.arange(len(middle)) == k, end, middle) for k in range(len(middle)) for end in (0.0, 1.0)]
-        for start in (middle, *faces):
+        for start in (np.full(members.shape[1], 0.5), *self.box.cross(best[1], ACROSS)):
             for motion in self._promising(start, best[0]):
                 found = self._followed(start, motion)
                 if found[0] < best[0]:
@@ -304,14 +311,15 @@ class UncertainLoop:
             worst = found[-1]
         return found
 
-    def lower_gains(self, members: Vector, least: float) -> list[float]:
-        """`LoopPoint.allowed_gain` of members (n, k) that have less of it than `least`, each less than the one before.
+    def lower_gains(self, members: Vector, least: float, slowest: Vector) -> list[float]:
+        """`LoopPoint.allowed_gain` of members (n, k), and of others across the box, each less than the one before.
 
         The loops of all are looked at in stacks, with gains up to the least that is known; of the one that grows first
-        it is computed, and so on; from the last a search goes on. What is stable again between two of LEVELS gains is
-        not seen.
+        it is computed, and so on; from the last, and from the slowest member found, a search goes on. What is stable
+        again between two of LEVELS gains is not seen.
         """
         present, found, u = self.settings.kp[int(np.argmax(self.settings.kp > 0))], list[float](), members[:0]
+        members = np.concatenate([members, self.box.cross(slowest, 2 * ACROSS)])
         while len(members) and present > 0 and least > 0:
             factor = SHORT * min(least / present, 10.0**HIGH)
             factors = cast(Vector, np.geomspace(min(1.0, factor), factor, LEVELS if factor > 1 else 1))
@@ -326,7 +334,8 @@ class UncertainLoop:
                 found.append(value)
                 least, u = value, members[first]
             members = np.delete(members, first, axis=0)
-        return found + ([self._least(LoopPoint.allowed_gain, u)[0]] if found and least > 0 else [])
+        starts = [slowest, u] if found else [slowest]
+        return found + [self._least(LoopPoint.allowed_gain, start)[0] for start in starts if present > 0 and least > 0]
 
 
 def matters_most(box: UncertaintyBox, members: Vector, values: Sequence[float]) -> tuple[str, float]:

@@ -61,7 +61,10 @@ def test_places_can_be_chosen_by_a_weighted_sum_and_what_was_not_given_is_named(
     asked = ("excavator", "--end-point", "0,1.6", "--base", "0", "--objective", "V", "--weights", "1,0.5,0.5")
     words = ("--loop", "kp=1e4", "--members", "2", "--runs", "0")
     shown = command("verdict", *asked, *words).stdout
-    assert "not given of the loop, so proposed from the machine: drive, rate, kv, dead_time" in shown
+    assert (
+        "not given of the loop, so proposed: drive (gains without a drive are those of torques), rate, kv, dead_time"
+        in shown
+    )
     problem = flexopt.build_selection(
         flexopt.load("excavator"), (0.0, 1.6), base=0.0, objective="V", weights=(1.0, 0.5, 0.5)
     )
