@@ -271,9 +271,10 @@ def build_measures(machine: AnyMachine, control: Control = "inverse", gravity: b
         >>> measures.plant.n_passive
         3
     """
-    return _built(machine, control, gravity)
+    return measures_of(build_plant(machine), control, gravity)
 
 
 @lru_cache(maxsize=64)
-def _built(machine: AnyMachine, control: Control, gravity: bool) -> Measures:
-    return Measures(build_plant(machine), control, gravity)
+def measures_of(plant: Plant, control: Control, gravity: bool) -> Measures:
+    """`build_measures` of a plant: their graphs are of its symbols, which a plant built anew does not share."""
+    return Measures(plant, control, gravity)

@@ -184,7 +184,7 @@ def test_a_plant_that_the_cache_has_dropped():
     """Motions keep the plant that they were made of; measures asked for later may be of a plant built anew."""
     evaluation, settings, here = stand("boom-stick-bucket")
     # As where 64 other machines were looked at in between.
-    for cached in (plant_room._built, measures_room._built, lagged_modes):
+    for cached in (plant_room._built, measures_room.measures_of, lagged_modes):
         cached.cache_clear()
     found = lagged_modes(here.motions).at(here.numbers, settings.dead_time)[0]
     again = stand("boom-stick-bucket")[2]
