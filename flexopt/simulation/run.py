@@ -342,7 +342,7 @@ def _warnings(
             )
     own = np.diag(plant.damping(plant.parameter_values).full())[m:]
     if brake and plant.n_actuated > plant.n_task and not s.options.nullspace_damping and not own.all():
-        sentences.append(f"the controller does not brake the arm's self-motion, which may drift; {brake} does")
+        sentences.append(f"the controller does not brake the arm's self-motion, which may drift; {brake} brakes it")
     sentences += feeble_levers(s.machine, s.options, s.posture)
     if s.loop.structure.noisy:
         sentences.append(

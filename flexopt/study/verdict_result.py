@@ -413,7 +413,7 @@ class Verdict(Pictured, Printed, Result):
         where = "in the linear loop"
         if any(place.runs for place in self.places):
             where = "neither in these runs nor in the linear loop"
-        return f"the controller does not brake the arm's self-motion, {where}; loop.nullspace_damping does"
+        return f"the controller does not brake the arm's self-motion, {where}; loop.nullspace_damping brakes it"
 
     @property
     def assumed(self) -> list[str]:
