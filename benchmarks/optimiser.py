@@ -157,7 +157,8 @@ def run(library: Library, pairs: list[Pair], *, own_starts: bool, target: Verify
     calls.words[:, 1:3] = times * part.sources.budget, STARTS if own_starts else 0
     with tempfile.TemporaryDirectory(prefix="flexopt-") as name:
         folder = Path(name)
-        for path, text in (library.files("") | part.driver_files).items():
+        driver = {"test/optimiser_driver.c": part.writer.render("optimiser_driver.c")}
+        for path, text in (library.files("") | driver).items():
             write_file(make_folder((folder / path).parent) / Path(path).name, text)
         bench = Bench(folder, folder, {}, library, len(pairs), 0)
         runner = host_runner(bench, "gcc", bench.sources) if target == "host" else board_runner(bench, target)
