@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from flexopt.export import bundle
+
 
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore")
@@ -13,5 +15,7 @@ import pytest
 def test_the_older_or_the_newer_file_is_there_whole(subject: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from benchmarks import interrupted  # noqa: PLC0415  (not on Windows)
 
-    monkeypatch.setenv("FLEXOPT_CACHE", "")  # changed by the run; put back after it
+    # Changed by the run; put back after it.
+    monkeypatch.setenv("FLEXOPT_CACHE", "")
+    monkeypatch.setattr(bundle, "render_bundle", bundle.render_bundle)
     assert interrupted.main(["--kills", "3", "--only", subject]) == 0
