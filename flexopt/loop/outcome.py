@@ -164,12 +164,16 @@ class LoopPoint:
             refined, y, x = eigenvectors(matrix, value)
         return refined, np.outer(y.conj(), weight(refined) * x).real
 
+    @property
+    def upper(self) -> ComplexArray:
+        """One multiplier of each motion, by size, the slowest first."""
+        return self.loop.multipliers[self.loop.multipliers.imag >= 0].astype(complex)
+
     def rate(self, branch: int = 0) -> Measured:
         """−ln|μ| / T, 1/s, of the multipliers (one of each pair) by size, the slowest first: how fast it decays."""
-        upper = self.loop.multipliers[self.loop.multipliers.imag >= 0]
-        if branch >= len(upper):
+        if branch >= len(self.upper):
             return UNDEFINED
-        mu, by_matrix = self._by_multiplier(upper[branch], lambda mu: -1 / (mu * self.period))
+        mu, by_matrix = self._by_multiplier(self.upper[branch], lambda mu: -1 / (mu * self.period))
         slopes = self.smooth.slopes(by_matrix) if np.all(np.isfinite(by_matrix)) else None
         return Measured(-math.log(abs(mu)) / self.period, slopes)
 

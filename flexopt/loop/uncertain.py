@@ -234,12 +234,11 @@ class UncertainLoop:
     def _promising(self, u: Vector, least: float) -> list[complex]:
         """Of a member's slowest motions, ln μ / T of those whose rates, `BENT` times as steep, fall below `least`."""
         at, found = self.outcome(u), list[complex]()
-        upper = at.loop.multipliers[at.loop.multipliers.imag >= 0]
-        for k, mu in enumerate(upper[:MOTIONS].tolist()):
+        for k, pole in enumerate((np.log(at.upper[:MOTIONS]) / at.period).tolist()):
             rate = at.rate(k)
             slopes = np.nan_to_num(self.slopes(u, at, rate))
             if rate.value + BENT * float(np.minimum(-slopes * u, slopes * (1.0 - u)).sum()) < least:
-                found.append(complex(np.log(complex(mu))) / at.period)
+                found.append(pole)
         return found
 
     def _followed(self, u: Vector, motion: complex) -> tuple[float, Vector]:
@@ -251,8 +250,7 @@ class UncertainLoop:
         there = u
         for _ in range(STEPS):
             at = self.outcome(there)
-            upper = at.loop.multipliers[at.loop.multipliers.imag >= 0].astype(complex)
-            poles = np.log(upper) / at.period
+            poles = np.log(at.upper) / at.period
             k = int(np.argmin(np.abs(poles - motion)))
             rate = at.rate(k)
             if rate.value < best:

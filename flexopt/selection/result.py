@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
@@ -364,7 +365,11 @@ class Selection(Pictured, Result):
         known += [] if self.initial is None else [self.initial]
         if not all(unreached(e.scale)[weighed].all() for e in known):
             return ""
-        if not unreached(problem.quantities.evaluated(beside).scale)[weighed].all():
+        try:
+            seen = not unreached(problem.quantities.evaluated(beside).scale)[weighed].all()
+        except FlexoptError:  # as where that posture is singular
+            seen = True
+        if seen:
             return ""
         return (
             f"in none of these does the end-point move in what {problem.name} weighs, which is 0 wherever the machine "

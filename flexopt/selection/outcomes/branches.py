@@ -100,8 +100,7 @@ class Measure(ABC):
 
 def rates_of(point: LoopPoint) -> list[float]:
     """The rates of the slowest motions, 1/s, the least first."""
-    upper = point.loop.multipliers[point.loop.multipliers.imag >= 0][:SLOWEST_MOTIONS]
-    rates: list[float] = (-np.log(np.abs(upper)) / point.period).tolist()
+    rates: list[float] = (-np.log(np.abs(point.upper[:SLOWEST_MOTIONS])) / point.period).tolist()
     return rates
 
 
