@@ -26,7 +26,7 @@ import tempfile
 import time
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 from unittest import mock
@@ -266,7 +266,7 @@ def tell(counts: Counts, status: int, what: str) -> None:
 
 
 @contextlib.contextmanager
-def small_disk(size: int) -> Iterator[Path | None]:
+def small_disk(size: int) -> Generator[Path | None]:
     """A file system of so many bytes; None where none can be mounted."""
     with tempfile.TemporaryDirectory() as folder:
         command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder]
@@ -373,8 +373,10 @@ def kill_commands(name: str, kills: int, rng: random.Random, folder: Path) -> Co
     def start(value: str) -> subprocess.Popen[bytes]:
         words = line.format(**{word: value} if word else {}).split()
         code = "from flexopt.cli import main; main()"
-        silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        return subprocess.Popen([sys.executable, "-c", code, *words], cwd=folder, start_new_session=True, **silent)
+        nowhere = subprocess.DEVNULL
+        return subprocess.Popen(
+            [sys.executable, "-c", code, *words], cwd=folder, start_new_session=True, stdout=nowhere, stderr=nowhere
+        )
 
     for value in (newer, older):
         begin = time.perf_counter()

@@ -123,6 +123,7 @@ def tables(points: int) -> None:
         print(f"  B, Kp 1e4, Kv 1e3, {1e3 * late:g} ms: growth {exact:+.5f}/s exactly, {by_rk4:+.5f}/s by RK4")
     digger, heavy = flexopt.load("slewing-excavator"), {"kp": 3e6, "kv": 6e5}
     staying = flexopt.evaluate(digger, (0.2, 0.5, -1.2, -0.5), loop=heavy).outcome
+    assert isinstance(staying, flexopt.Outcome)
     print(f"  slewing excavator as it stands, Kp 3e6, Kv 6e5: decay {staying.decay:.3f}/s")
 
 

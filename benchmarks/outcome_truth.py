@@ -97,7 +97,7 @@ class Search:
 
         if not math.isfinite(cost(z[:free])):
             return -math.inf
-        options = {"maxfev": EVALUATIONS, "xatol": 1e-9, "fatol": 1e-12}
+        options: Any = {"maxfev": EVALUATIONS, "xatol": 1e-9, "fatol": 1e-12}
         return -float(minimize(cost, z[:free], method="Nelder-Mead", options=options).fun)
 
     def _reached(self, x: np.ndarray, elbow: int) -> np.ndarray:

@@ -10,6 +10,7 @@ IPOPT solve, the independent checks and the evaluation of each candidate.
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -71,7 +72,7 @@ def _slsqp(problem: flexopt.SelectionProblem, start: Vector) -> Vector:
         z = x * scale
         return plant.singularity_gradient(z[:1], z[1:], p).full() * scale
 
-    constraints = [
+    constraints: Any = [
         {"type": "eq", "fun": target, "jac": target_jacobian},
         {"type": "ineq", "fun": margin, "jac": margin_jacobian},
     ]

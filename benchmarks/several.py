@@ -85,10 +85,10 @@ def main() -> None:
             begin = time.perf_counter()
             result = flexopt.solve_problem(problem, workers=1)
             seconds.append(time.perf_counter() - begin)
+        assert isinstance(result, BasePlan | Stand)
         plan = result if isinstance(result, BasePlan) else plan
         moving = f"{result.worth:15.5e}" if isinstance(result, BasePlan) else f"{'–':>15}"
         standing = result.standing if isinstance(result, BasePlan) else result.worth
-        assert isinstance(result, BasePlan | Stand)
         print(f"{name:<10} {len(result.places):7d} {moving} {standing:15.5e} {seconds[0]:8.2f} {seconds[1]:9.2f}")
     assert plan is not None
     begin = time.perf_counter()

@@ -17,6 +17,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -154,7 +155,7 @@ class Mujoco:
 
     def __init__(self, data: dict[str, Any], case: Case) -> None:
         try:
-            import mujoco  # noqa: PLC0415 - an optional peer
+            mujoco: Any = import_module("mujoco")  # an optional peer
         except ImportError as error:
             raise Missing(f"no MuJoCo ({error})") from error
         folder = Path(mujoco.__file__).parent

@@ -96,7 +96,7 @@ def draw(number: int) -> Case:
     return Case(machine, posture, options)
 
 
-def judged(case: Case, **more: Any) -> flexopt.simulation.Trajectory | None:
+def judged(case: Case, **more: Any) -> flexopt.Trajectory | None:
     """The run with as many RK4 steps in a sample as it asks for; None where that is more than a sample can hold."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -13,6 +13,7 @@ import base64
 import subprocess
 import sys
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +120,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=7, help="of both in turns")
     options = parser.parse_args()
+    if not find_spec("ziglang"):
+        parser.error("needs the ziglang package: pip install flexopt[compiler]")
     rows: list[tuple[str, ...]] = [
         ("machine", "call", "JavaScript µs", "WebAssembly µs", "ratio", "module kB", "loaded ms", "deviation")
     ]

@@ -45,6 +45,7 @@ class Simulator(Protocol):
         ...
 
 
+States = tuple[np.ndarray, np.ndarray, np.ndarray]  # q, v and goal
 Rows = dict[str, Callable[[], Simulator]]  # name -> constructor, which may raise Missing
 
 LIMIT = "hand-written C"
@@ -78,7 +79,7 @@ def built(rows: Rows) -> tuple[dict[str, Simulator], dict[str, str]]:
     return there, reasons
 
 
-def least_seconds(simulators: dict[str, Simulator], states: tuple[np.ndarray, ...]) -> dict[str, float]:
+def least_seconds(simulators: dict[str, Simulator], states: States) -> dict[str, float]:
     """The least time of a run of each."""
     least = dict.fromkeys(simulators, np.inf)
     for _ in range(ROUNDS):
@@ -90,7 +91,7 @@ def least_seconds(simulators: dict[str, Simulator], states: tuple[np.ndarray, ..
     return least
 
 
-def compare(title: str, rows: Rows, states: tuple[np.ndarray, ...], references: dict[int, Run], limit: str) -> None:
+def compare(title: str, rows: Rows, states: States, references: dict[int, Run], limit: str) -> None:
     """Print a table; `references` are the states after some numbers of steps, by which all are judged."""
     simulators, reasons = built(rows)
     members = 1 if states[0].ndim == 1 else states[0].shape[1]
@@ -109,9 +110,10 @@ def compare(title: str, rows: Rows, states: tuple[np.ndarray, ...], references: 
     print(f"worst difference of all: {worst:.1e} (bar: at most 1e-10)\n")
 
 
-def one_by_one(states: tuple[np.ndarray, ...], steps: int, simulator: Simulator) -> Run:
+def one_by_one(states: States, steps: int, simulator: Simulator) -> Run:
     """Each member of an ensemble by a simulator of one."""
-    runs = [simulator.run(*(a[:, k] for a in states), steps) for k in range(states[0].shape[1])]
+    q, v, goal = states
+    runs = [simulator.run(q[:, k], v[:, k], goal[:, k], steps) for k in range(q.shape[1])]
     columns = [np.stack([getattr(run, name) for run in runs], axis=1) for name in ("q", "v")]
     return Run(columns[0], columns[1], sum(run.seconds for run in runs))
 
@@ -123,20 +125,19 @@ def reference() -> Simulator | None:
 
 def rows(quick: bool) -> list[Row]:
     """A step of one simulation, and of each of many, beside the hand-written limits."""
-    one: dict[str, Simulator] = {"limit": HandWritten(), "ours": Ours()}
-    many: dict[str, Simulator] = {"limit": HandWrittenLanes(), "ours": Ours(watched=True)}
+    one, many = Ours(), Ours(watched=True)
     steps, members = (200, 64) if quick else (STEPS, MEMBERS)
     found = []
-    for what, simulators, states, n, bar in (
-        ("closed-loop step / hand-written C, one simulation, excavator", one, start(), 1, 1.55),
-        ("closed-loop step / hand-written C, ensemble, excavator", many, start(members), members, None),
+    for what, limit, ours, states, n, bar in (
+        ("one simulation", HandWritten(), one, start(), 1, 1.55),
+        ("ensemble", HandWrittenLanes(), many, start(members), members, None),
     ):
-        least = dict.fromkeys(simulators, np.inf)
+        least = [np.inf, np.inf]
         for _ in range(2 if quick else 400 if n == 1 else 15):
-            for name, simulator in simulators.items():
-                least[name] = min(least[name], simulator.run(*states, steps).seconds)
-        runner = simulators["ours"].runner
-        found.append(Row(what, least["ours"] / least["limit"], bar, at_least=False, ran=means(runner, members=n)))
+            for k, simulator in enumerate((limit, ours)):
+                least[k] = min(least[k], simulator.run(*states, steps).seconds)
+        name = f"closed-loop step / hand-written C, {what}, excavator"
+        found.append(Row(name, least[1] / least[0], bar, at_least=False, ran=means(ours.runner, members=n)))
     return found
 
 

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +135,7 @@ class MujocoLoop:
 
     def __init__(self) -> None:
         try:
-            import mujoco  # noqa: PLC0415 - an optional peer
+            mujoco: Any = import_module("mujoco")  # an optional peer
 
             from tests.oracles.mujoco_chain import mujoco_chain  # noqa: PLC0415
         except ImportError as error:
