@@ -25,6 +25,7 @@ RATES: dict[Drive, float] = {"torque": 200.0, "velocity": 100.0}
 LOOP_GAIN = Quantity("N/m and the like", low=0.0, high=1e15)
 GAINS = {"kp": "proportional gain Kp", "kv": "velocity gain Kv", "ki": "integral gain Ki"}
 TORQUE = Quantity("N m or N", low=0.0, high=1e12)
+TORQUE_RATE = Quantity("N m/s or N/s", low=0.0, high=1e12)
 BANDWIDTH = Quantity("Hz", low=1e-3, high=1e6)
 SERVO_GAIN = Quantity(JOINT_DAMPING.unit, above=0.0, high=1e12)
 RATE = Quantity("Hz", above=0.0, high=1e6)
@@ -32,6 +33,7 @@ DEAD_TIME = Quantity("s", low=0.0, high=10.0)
 GainValues = Annotated[Numbers, numbers_in(LOOP_GAIN)]
 GainRange = Annotated[tuple[float, float], pair(LOOP_GAIN, allow_equal=True)]
 Torques = Annotated[Numbers, numbers_in(TORQUE)]
+TorqueRates = Annotated[Numbers, numbers_in(TORQUE_RATE)]
 Bandwidths = Annotated[Numbers, numbers_in(BANDWIDTH)]
 
 
@@ -83,7 +85,7 @@ class Loop(BuiltByCall):
     drive: Drive | None = None
     servo_gain: Annotated[float, SERVO_GAIN] | None = None
     torque_limit: Torques | None = None
-    rate_limit: Torques | None = None
+    rate_limit: TorqueRates | None = None
     nullspace_damping: Annotated[float, JOINT_DAMPING] = 0.0
 
     def structural_faults(self) -> list[Fault]:

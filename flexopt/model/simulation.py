@@ -35,6 +35,7 @@ from flexopt.model.loop import (
     Bandwidths,
     GainValues,
     Loop,
+    TorqueRates,
     Torques,
 )
 from flexopt.model.machine import AnyMachine, OnMachine
@@ -103,7 +104,7 @@ class Actuator(BuiltByCall):
     torque_limit: Torques | None = None
     dead_band: Torques | None = None
     bandwidth_hz: Bandwidths | None = None
-    rate_limit: Torques | None = None
+    rate_limit: TorqueRates | None = None
     levers: Literal["each", "uniform"] | None = None
     servo_gain: Annotated[float, SERVO_GAIN] = 1.0
 
