@@ -13,6 +13,7 @@ from flexopt.export.context import Context, unit_list
 from flexopt.export.control import GAIN_MAX
 from flexopt.export.modal_kernels import ModalKernels
 from flexopt.export.operations import TOLERANCES, Field, Guard, Operation, operation_of
+from flexopt.foundation.control import gain_units
 from flexopt.model.choices import WEIGHT
 from flexopt.robustness.margin import Margin, build_margin, riccati_residual
 from flexopt.robustness.residues import MIXED, residue_unit
@@ -115,7 +116,8 @@ def margin(at: Context) -> tuple[Operation, ...]:
         guards.append(Guard("rounding", text, "NOT_ACCURATE", maximum=TOLERANCES["float"]))
     sine = plant.singularity_sine_squared.call([base, posture, values])[0]
     low, high = SERVO_GAIN_RANGE
-    gain = field("servo_gain", "", "", "k_r, which multiplies the plant's input", low=low, high=high,
+    unit = gain_units(at.control, at.machine.joint_units)[0]
+    gain = field("servo_gain", "", unit, "k_r, which multiplies the plant's input", low=low, high=high,
                  sample=(at.gain / 3, at.gain * 3), logarithmic=True)  # fmt: skip
     inputs = [(at.joint_angles, posture), (gain, kr), *([(at.placement, base)] if at.placement_matters else [])]
     output = field("epsilon_max", "", "", "robust stability margin, in (0, 1)",

@@ -26,6 +26,7 @@ from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import arm_length, outer_reach, reach, sampled_ranges
+from flexopt.robustness.measures import build_measures
 from flexopt.selection import Selection, build_selection
 from flexopt.selection.check import prove
 from flexopt.selection.program import SOLVED, single
@@ -228,6 +229,13 @@ def _vectors(
     rng = np.random.default_rng(seed)
     plant, made = build_plant(machine), list[ReferenceProblem]()
     reached = AWAY if plant.closed_form else NEARBY
+    w, anywhere = build_measures(machine, control).w, np.random.default_rng(seed)
+    drawn = [draw_configuration(plant, anywhere) for _ in range(8)]
+    if not any(w.call([*at, plant.parameter_values])[1].full().any() for at in drawn):
+        raise ExportError(
+            "optimiser: no mode moves the end-point along the task, so that V is 0 everywhere and there is nothing to "
+            "choose; leave the part out"
+        )
     first = ""
 
     def rounded(values: Array) -> Array:
@@ -256,10 +264,6 @@ def _vectors(
             continue
         scale = float(f"{found.problem.objective_scale:.6g}")
         start = rounded(best.z + away)
-        base, posture = best.z[: plant.n_base], best.z[plant.n_base :]
-        if not found.problem.measures.w.call([base, posture, plant.parameter_values])[1].full().any():
-            first = first or "no mode moves the end-point along the task, so that V is 0 everywhere"
-            continue
         if not _found_again(found, start, scale):
             # So narrow a basin that IPOPT misses it from this start, too, and met it by chance from one of many.
             continue
@@ -282,12 +286,15 @@ def draw_target(plant: Plant, rng: np.random.Generator) -> Array:
         annulus = reach(plant)
         height = annulus.center[1] + annulus.outer * rng.uniform(-0.9, 0.9)
         return np.array([rng.uniform(-1, 1), height])
-    machine, p = plant.machine, plant.parameter_values
-    placed = np.array([PLACED[unit] for unit in machine.base_units])
-    base: Array = rng.uniform(-placed, placed)
-    ranges = sampled_ranges(machine, arm_length(plant))
-    posture: Array = rng.uniform(ranges[:, 0], ranges[:, 1])
+    (base, posture), p = draw_configuration(plant, rng), plant.parameter_values
     return plant.end_point(plant.rest(base, posture, p), base, p).full().ravel()
+
+
+def draw_configuration(plant: Plant, rng: np.random.Generator) -> tuple[Array, Array]:
+    """A random placement and posture within the limits, (n_base,) and (n,), m or rad."""
+    placed = np.array([PLACED[unit] for unit in plant.machine.base_units])
+    ranges = sampled_ranges(plant.machine, arm_length(plant))
+    return rng.uniform(-placed, placed), rng.uniform(ranges[:, 0], ranges[:, 1])
 
 
 def _found_again(found: Selection, start: Array, scale: float) -> bool:
