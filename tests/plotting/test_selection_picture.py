@@ -45,6 +45,7 @@ def test_artists_carry_the_result(selection):
 GIVEN = {"kp": 1e4, "kv": (500.0, 2000.0), "dead_time": 0.01, "rate": 200.0}
 
 
+@pytest.mark.long("allowed_gain-loop2")
 @pytest.mark.parametrize(("objective", "loop"), [("decay", GIVEN), ("decay", {"rate": 200.0}), ("allowed_gain", GIVEN)])
 def test_what_the_loop_does_has_its_panel(objective, loop):
     """By the outcome at single points; of an allowed gain, which stacks of loops do not tell, the candidates alone."""

@@ -206,6 +206,7 @@ def test_what_a_measure_cannot_be_had_of() -> None:
         flexopt.select(EXCAVATOR, TARGET, objective="delay_margin", loop={"kp": 1e9, "kv": 1e9, "dead_time": 0.05})
 
 
+@pytest.mark.long
 def test_several_factors_have_one_radius() -> None:
     each = tuple(Uncertainty(of=(name,), factor=(0.5, 2.0)) for name in ("base.stiffness.y", "base.stiffness.rotation"))
     given = Loop(control="inverse", **LOOPS["radius"])

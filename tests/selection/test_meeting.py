@@ -89,6 +89,7 @@ def test_nothing_near_it_is_better() -> None:
     assert tried > 200
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("targets", [1, 2])
 def test_slopes_beside_differences(targets: int) -> None:
     """Of rows and branches of the program that holds the two together, at a point that is no optimum.
@@ -121,6 +122,7 @@ def test_slopes_beside_differences(targets: int) -> None:
         np.testing.assert_allclose(rows[:, i], changed, rtol=1e-5, atol=1e-7 / MEETS**2)
 
 
+@pytest.mark.long
 def test_the_shortest_way_holds_together_what_decays_as_its_measure_must() -> None:
     """Whatever its length, which is told in other units."""
     own, y = program()

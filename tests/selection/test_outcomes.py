@@ -67,6 +67,7 @@ def test_the_best_decay_of_given_gains_is_that_of_a_scan() -> None:
     assert f"  {doubted.remarks[0]}\n" in f"{doubted!r}\n"
 
 
+@pytest.mark.long
 def test_the_present_configuration_is_worth_its_worst_where_candidates_are() -> None:
     """By the slowest decay on a grid of the box: in one column no number is of one ground alone."""
     ranges = {"stiffness": (0.5, 2.0), "damping": (0.7, 1.5)}

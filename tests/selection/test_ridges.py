@@ -68,6 +68,7 @@ def onto_ridge(problem, z):
 
 
 @pytest.mark.long
+@pytest.mark.long
 def test_a_ridge_bends_as_v_does_along_it(selection):
     """To both sides along the ridge V falls by half the second derivative times the square of the way."""
     problem, best = selection.problem, selection.best
@@ -86,6 +87,7 @@ def test_a_ridge_bends_as_v_does_along_it(selection):
     assert proof.dimension == best.dimension == 0
 
 
+@pytest.mark.long
 def test_a_saddle_on_a_ridge_is_refused(selection):
     """A cost of travel that is a reward makes V rise to both sides, however steep it falls off the ridge."""
     problem, best = selection.problem, selection.best

@@ -86,6 +86,7 @@ def test_under_gravity(seed, counts, rows, compensation):
     compare(stable_tree(seed, counts, "inverse", rows, samples=STEPS, **options))
 
 
+@pytest.mark.long("14001-counts1-rows1")
 @pytest.mark.parametrize(("seed", "counts", "rows"), TREES[:2])
 def test_compiled(seed, counts, rows):
     """What `test_under_gravity` runs in the virtual machine."""

@@ -39,7 +39,7 @@ def test_decays_as_the_loop_for_small_motions(name: str, *, gravity: bool) -> No
     np.testing.assert_array_equal(run.loop.kp, told.settings.kp)
 
 
-@pytest.mark.long("mobile-manipulator", "slewing-excavator", "truck-crane")
+@pytest.mark.long("boom-stick-bucket", "mobile-manipulator", "slewing-excavator", "truck-crane")
 @pytest.mark.filterwarnings("ignore:the controller does not brake:flexopt.FlexoptWarning")
 @pytest.mark.parametrize("name", shipped_names("models"))
 def test_every_machine_with_what_follows_from_it(name: str) -> None:

@@ -121,6 +121,7 @@ def test_a_placement_at_zeros_is_told_as_the_others_are(command: Command, tmp_pa
     assert command("compare", *planar, "--json").document["differences"] == [["base", ["0.0", "0.5"]]]
 
 
+@pytest.mark.long
 def test_gains_of_velocity_served_runs_are_the_loop_s(command: Command, tmp_path: Path) -> None:
     machine, posture = flexopt.load("mobile-manipulator"), (0.0, -1.0, 1.5, -0.5, -1.57, 0.0)
     files = [

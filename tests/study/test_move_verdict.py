@@ -360,6 +360,7 @@ def test_a_target_that_grows_grows() -> None:
     assert stay.stable_share == 0.0
 
 
+@pytest.mark.long("16")
 @pytest.mark.parametrize("members", [4, 16])
 def test_delay_margins_are_looked_at_on_every_ground(members: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one interval and of four, whose corners are more than the few that everything is asked of."""
