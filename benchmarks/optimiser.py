@@ -47,7 +47,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.choices import SINGULARITY_MARGIN_DEG
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import arm_length, reach, sampled_ranges
-from flexopt.selection.program import single
+from flexopt.selection.nlp.program import single
 
 SAME = 1e-8
 # Share of the scale that V may lose against IPOPT; how far from the target still counts as on it, m; by how much inputs

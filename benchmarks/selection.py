@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 import flexopt
 from benchmarks.timing import fresh_process, median_seconds, table
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.program import single
+from flexopt.selection.nlp.program import single
 from flexopt.selection.scan import peaks
 
 COLD_SELECT = """

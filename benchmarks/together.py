@@ -21,7 +21,7 @@ import flexopt
 from benchmarks.choice import FIRST, LEAST, LONGER, MOST, SHORTER, Other, Row, chosen, compare
 from flexopt.errors import FlexoptError, UnreachableTarget
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.program import Program
+from flexopt.selection.nlp.program import Program
 from flexopt.selection.several.plan import _along as along
 from flexopt.selection.several.standing import one_placement
 

@@ -107,7 +107,7 @@ TYPES: dict[str, tuple[str, str]] = {
     "LoopVerdict": ("flexopt.simulation.verdict", "What a loop does."),
     "Saturation": ("flexopt.plant.hydraulics", "How what exceeds full lever is cut."),
     "TargetKind": ("flexopt.model.targets", "Key of a problem's `[target]`."),
-    "OnDescent": ("flexopt.selection.nullspace", "What to do before a step that descends."),
+    "OnDescent": ("flexopt.selection.nullspace.trajectory", "What to do before a step that descends."),
 }
 
 

@@ -22,7 +22,7 @@ from flexopt.plotting.shape import chain, views
 from flexopt.plotting.sheet import SettledLayout, sized
 from flexopt.plotting.units import labelled
 from flexopt.robustness.residues import residue_unit
-from flexopt.selection.base_trajectory import BaseTrajectory
+from flexopt.selection.nullspace.base_trajectory import BaseTrajectory
 from flexopt.study.gains import GainMap
 
 # Growth rates below this are drawn on a linear scale, above RATE_SHOWN in one colour, 1/s.

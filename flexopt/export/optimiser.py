@@ -45,7 +45,7 @@ STARTS = 16
 CURVE_SAMPLES, SURFACE_SAMPLES, SAMPLES, ROUNDS = 48, 96, 24, 4
 BUDGET_MAX = 1_000_000
 EPSILON = {"double": 2.0**-52, "float": 2.0**-23}
-# A climb ends at this stationarity, the same in V/scale as `flexopt.selection.check`'s; where rounding ends it
+# A climb ends at this stationarity, the same in V/scale as `flexopt.selection.proof.check`'s; where rounding ends it
 # earlier, the second number still counts as stationary. Values of V/scale closer than the third are equal.
 TOLERANCES = {"double": (1e-8, 1e-6, 1e-9), "float": (1e-4, 3e-3, 1e-6)}
 # With Hessians that are no exact ones the last digits cost more than they bring.

@@ -28,8 +28,8 @@ from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import arm_length, outer_reach, reach, sampled_ranges
 from flexopt.robustness.measures import build_measures
 from flexopt.selection import Selection, build_selection
-from flexopt.selection.check import prove
-from flexopt.selection.program import SOLVED, single
+from flexopt.selection.nlp.program import SOLVED, single
+from flexopt.selection.proof.check import prove
 from flexopt.selection.solve import solved
 from flexopt.selection.starts import onto_target
 

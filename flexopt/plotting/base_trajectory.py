@@ -18,7 +18,7 @@ from flexopt.plotting.shape import shape_of, views
 from flexopt.plotting.sheet import Sheet, picture
 from flexopt.plotting.units import labelled
 from flexopt.robustness.residues import residue_unit
-from flexopt.selection.base_trajectory import BaseTrajectory
+from flexopt.selection.nullspace.base_trajectory import BaseTrajectory
 
 TITLE_WIDTH = 95  # characters
 

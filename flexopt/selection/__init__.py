@@ -4,11 +4,11 @@ In: a machine and a target for the end-point. Out: a `Selection` of verified loc
 what stands in the way; or a `BaseTrajectory` from where the machine stands. Several targets: a `Stand` or a `BasePlan`.
 """
 
-from flexopt.selection.base_trajectory import BaseTrajectory as BaseTrajectory
 from flexopt.selection.build import build_selection as build_selection
 from flexopt.selection.certificate import Certificate as Certificate
 from flexopt.selection.certificate import certify as certify
-from flexopt.selection.nullspace import nullspace_trajectory as nullspace_trajectory
+from flexopt.selection.nullspace.base_trajectory import BaseTrajectory as BaseTrajectory
+from flexopt.selection.nullspace.trajectory import nullspace_trajectory as nullspace_trajectory
 from flexopt.selection.problem import SelectionProblem as SelectionProblem
 from flexopt.selection.problem_file import solve_problem as solve_problem
 from flexopt.selection.result import Candidate as Candidate

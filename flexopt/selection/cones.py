@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.ascent_model import Cone
+from flexopt.selection.ascent.model import Cone
 
 # Lengths below which there is no direction.
 TINY = 1e-300

@@ -16,13 +16,13 @@ from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.plain import counted
 from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
-from flexopt.selection.ascent import CUT_SHORT
+from flexopt.selection.ascent.steps import CUT_SHORT
 from flexopt.selection.assumed import in_the_way
-from flexopt.selection.check import FIRST_ORDER, Proof, infeasible, prove, prove_program
 from flexopt.selection.exchanged import kept_apart
-from flexopt.selection.newton import polished
+from flexopt.selection.nlp.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, Program, single
 from flexopt.selection.problem import SelectionProblem, beyond_bounds, value_at
-from flexopt.selection.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, Program, single
+from flexopt.selection.proof.check import FIRST_ORDER, Proof, infeasible, prove, prove_program
+from flexopt.selection.proof.newton import polished
 from flexopt.selection.result import SAME_VALUE, Attempt, Kept, missed_chance
 from flexopt.selection.rounds import IN_VAIN, LEFT_OPEN, ROUNDS, further_starts
 from flexopt.selection.seen import BETTER, better_than, kept_peaks, seen_values

@@ -22,13 +22,13 @@ from flexopt.model.constraints import Constraints as ConstraintsAsked
 from flexopt.robustness.measures import Measures
 from flexopt.selection.assumed import Assumption
 from flexopt.selection.cones import split_factors
-from flexopt.selection.configuration import Configuration, build_configuration
 from flexopt.selection.constraints import ConstraintSet
 from flexopt.selection.constraints.ground import NAME as GROUND
 from flexopt.selection.constraints.kind import ScaledConstraint
-from flexopt.selection.coupling import Coupling, alone
-from flexopt.selection.member_graph import ObjectiveForm, parameters_of
-from flexopt.selection.nlp import build_solver
+from flexopt.selection.nlp.assembly import build_solver
+from flexopt.selection.nlp.configuration import Configuration, build_configuration
+from flexopt.selection.nlp.coupling import Coupling, alone
+from flexopt.selection.nlp.member_graph import ObjectiveForm, parameters_of
 from flexopt.selection.objective import Objective, Quantities, entry_names, quantities
 from flexopt.selection.own import OwnTerm
 from flexopt.selection.scan import Scan

@@ -67,7 +67,8 @@ class Candidate(Tabled):
             in space that may be turned about its target: nothing changes on the way to them; see
             `flexopt.selection.continua`.
         dimension: of the set of optima as good that the candidate belongs to: 0 where it stands alone, 1 of a machine
-            that may be turned about its target; None where that is not known, see `flexopt.selection.check.Proof`.
+            that may be turned about its target; None where that is not known, see
+            `flexopt.selection.proof.check.Proof`.
         extent: of a connected set that several points were found of, the least and the greatest of every variable among
             them.
         representatives: some of these points, (n_z,) each, far apart. The candidate is the one of the set where the

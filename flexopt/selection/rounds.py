@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.selection.nlp.program import values_of
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.program import values_of
 from flexopt.selection.scan import FEASIBLE
 from flexopt.selection.starts import apart, bounds, climbed, onto_target
 

@@ -22,8 +22,8 @@ from flexopt.algebra.feasible import repeated
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.plant.inverse_kinematics import low_discrepancy, reach_steps
+from flexopt.selection.nlp.program import values_of
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.program import values_of
 from flexopt.selection.scan import FEASIBLE, Scan, empty_scan, peaks, scanned
 
 # Enough for every peak of a curve; the redundancy of longer arms has maxima without end.

@@ -14,14 +14,14 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
-from flexopt.selection.check import prove
 from flexopt.selection.cones import TINY
 from flexopt.selection.continua import between, nearest, same, turns
+from flexopt.selection.nlp.program import ASCENT_LONG, single
 from flexopt.selection.objective import Objective
 from flexopt.selection.optima import SAME_POINT, Found
 from flexopt.selection.problem import SelectionProblem, value_at
-from flexopt.selection.program import ASCENT_LONG, single
-from flexopt.selection.second_order import DEPENDENT, surface_at
+from flexopt.selection.proof.check import prove
+from flexopt.selection.proof.second_order import DEPENDENT, surface_at
 from flexopt.selection.starts import worst_starts
 
 # Points that climb along surfaces: optima, those where what is sought is largest, and others, for each dimension up to

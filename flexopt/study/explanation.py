@@ -23,7 +23,7 @@ from flexopt.plant.reach import arm_length
 from flexopt.robustness import Evaluation, Measures, build_measures, evaluate
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.robustness.residues import residue_unit
-from flexopt.selection.nonnegative import nonnegative_least_squares
+from flexopt.selection.proof.nonnegative import nonnegative_least_squares
 
 ModeStatus = Literal[
     "move", "stationary", "optimum", "at a limit", "end-point fixed", "singular", "shared", "unexcited"

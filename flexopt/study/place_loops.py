@@ -23,10 +23,10 @@ from flexopt.model import AnyMachine
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.continua import unwound
+from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import broken, resting, value_at
-from flexopt.selection.program import single
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import held_by_loop

@@ -18,7 +18,7 @@ import pytest
 import flexopt
 from flexopt.cli.analysis import select_command
 from flexopt.cli.commands import COMMANDS
-from flexopt.selection.program import Program
+from flexopt.selection.nlp.program import Program
 from tests.cli.command import MACHINE, PROBLEM, THIRD_LINK, Command, strict_json, toml
 
 ROOT = Path(__file__).parents[2]

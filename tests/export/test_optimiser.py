@@ -20,7 +20,7 @@ from flexopt.export.optimiser import SEARCH
 from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.plant import build_plant
 from flexopt.plant.reach import reach
-from flexopt.selection.check import prove
+from flexopt.selection.proof.check import prove
 from tests.export.optimiser_library import (
     WARNINGS,
     Library,

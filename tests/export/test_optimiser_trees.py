@@ -24,7 +24,7 @@ from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import tree_from_dict
 from flexopt.plant import build_plant
 from flexopt.plant.reach import outer_reach
-from flexopt.selection.check import prove
+from flexopt.selection.proof.check import prove
 from tests.export.optimiser_library import Library, assert_feasible, library, problem_of
 from tests.export.programs import GCC, MAKE, TARGET
 from tests.oracles.spatial import grounded, in_space, random_tree

@@ -16,9 +16,9 @@ import flexopt
 from flexopt.errors import FlexoptError, FlexoptWarning
 from flexopt.model import AnyMachine, machine_from_dict
 from flexopt.model.robots import robot_from_dict
-from flexopt.selection.check import prove
-from flexopt.selection.newton import settled
-from flexopt.selection.program import single
+from flexopt.selection.nlp.program import single
+from flexopt.selection.proof.check import prove
+from flexopt.selection.proof.newton import settled
 from tests.export.bundle_library import BundleLibrary
 from tests.oracles.machines import NumpySource, Structure, draw_machine, draw_structure
 

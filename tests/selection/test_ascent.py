@@ -10,13 +10,13 @@ import pytest
 
 import flexopt
 from flexopt.robustness.residues import rank_one_measure
-from flexopt.selection.ascent import DONE, Ascent
-from flexopt.selection.ascent_member import AscentMember
-from flexopt.selection.check import prove
-from flexopt.selection.nlp import Branched
+from flexopt.selection.ascent.member import AscentMember
+from flexopt.selection.ascent.steps import DONE, Ascent
+from flexopt.selection.nlp.assembly import Branched
+from flexopt.selection.nlp.program import single
+from flexopt.selection.nlp.solvers import Bounds
 from flexopt.selection.problem import value_at
-from flexopt.selection.program import single
-from flexopt.selection.programs import Bounds
+from flexopt.selection.proof.check import prove
 from flexopt.selection.seen import settled
 from flexopt.selection.starts import starting_points
 

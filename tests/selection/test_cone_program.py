@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog, minimize
 
-from flexopt.selection.cone_interior import interior
-from flexopt.selection.cone_newton import ConicPoint, ConicProgram, newton
-from flexopt.selection.cone_program import Cones, Gain, best_gain
-from flexopt.selection.programs import Bounds
+from flexopt.selection.ascent.cone_interior import interior
+from flexopt.selection.ascent.cone_newton import ConicPoint, ConicProgram, newton
+from flexopt.selection.ascent.cone_program import Cones, Gain, best_gain
+from flexopt.selection.nlp.solvers import Bounds
 
 
 def random_problem(rng: np.random.Generator, lowest: float) -> tuple[np.ndarray, np.ndarray, Bounds]:

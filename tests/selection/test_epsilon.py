@@ -6,7 +6,7 @@ import pytest
 
 import flexopt
 from flexopt.robustness.margin import build_margin
-from flexopt.selection.configuration import build_configuration
+from flexopt.selection.nlp.configuration import build_configuration
 
 TARGET = (0.0, 1.6)
 

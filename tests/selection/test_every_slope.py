@@ -24,13 +24,14 @@ from flexopt.model.constraints import Constraints
 from flexopt.model.own import check_function
 from flexopt.plant.inverse_kinematics import reach_steps
 from flexopt.robustness.atlas import fields as atlas_fields
-from flexopt.selection import nullspace_law, programs
-from flexopt.selection import program as program_module
-from flexopt.selection.ascent_model import Step
-from flexopt.selection.nlp import IPOPT_OPTIONS
+from flexopt.selection.ascent.model import Step
+from flexopt.selection.nlp import program as program_module
+from flexopt.selection.nlp import solvers
+from flexopt.selection.nlp.assembly import IPOPT_OPTIONS
+from flexopt.selection.nlp.program import row_gradients
+from flexopt.selection.nullspace import law
 from flexopt.selection.objective import Objective
 from flexopt.selection.own import OwnTerm, known_quantities
-from flexopt.selection.program import row_gradients
 from flexopt.selection.several.plan import _along
 from flexopt.selection.several.standing import one_placement
 from flexopt.selection.several.targets import build_problems
@@ -46,10 +47,10 @@ SOLVER_MAKERS = {"nlpsol", "qpsol", "conic", "rootfinder", "integrator", "Opti",
 DERIVATIVES = {"jacobian", "gradient", "hessian", "jtimes", "forward", "reverse", "tangent", "jacobian_sparsity"}
 # Where solvers are made, and how each is walked here.
 MADE = {
-    ("selection/programs.py", "make_solver"): "the one place",
+    ("selection/nlp/solvers.py", "make_solver"): "the one place",
     ("study/doctor.py", "_ipopt"): "(x − 1)² in one variable, to see that IPOPT runs",
 }
-ASKED = {("selection/nlp.py", "build_solver")}
+ASKED = {("selection/nlp/assembly.py", "build_solver")}
 # Where derivatives are taken of what a solver or a climb is given: the test that walks them.
 TAKEN = {
     ("algebra/feasible.py", "feasible_steps"): "test_steps_onto_rows",
@@ -67,9 +68,9 @@ TAKEN = {
     ("robustness/mode_terms.py", "second_slopes"): "test_single",
     ("robustness/mode_terms.py", "pull"): "test_single",
     ("robustness/mode_terms.py", "bent"): "test_single",
-    ("selection/configuration.py", "row_slopes"): "test_single",
-    ("selection/configuration.py", "row_curvature"): "test_single",
-    ("selection/program.py", "_extra_slopes"): "test_the_independent_ones",
+    ("selection/nlp/configuration.py", "row_slopes"): "test_single",
+    ("selection/nlp/configuration.py", "row_curvature"): "test_single",
+    ("selection/nlp/program.py", "_extra_slopes"): "test_the_independent_ones",
     ("selection/own/graphs.py", "_inner_slope"): "test_own_ones",
     ("selection/own/graphs.py", "_inner_curvature"): "test_own_ones",
     ("selection/own/graphs.py", "_outer_slope"): "test_own_ones",
@@ -143,7 +144,7 @@ def test_what_is_wrong_by_a_thousandth_is_seen(wrong):
         "jac_g": ca.Function("jac_g", [x, p], [g, off["jac_g"] * ca.jacobian(g, x)]),
         "hess_lag": ca.Function("hess_lag", [x, p, of_f, of_g], [off["hess_lag"] * second]),
     }
-    solver = programs.make_solver("toy", {"x": x, "p": p, "f": f, "g": g}, IPOPT_OPTIONS | given)
+    solver = solvers.make_solver("toy", {"x": x, "p": p, "f": f, "g": g}, IPOPT_OPTIONS | given)
     found = of_solver(solver, np.array([0.3, 1.2]), np.array([2.0]), np.random.default_rng(0))
     assert (found["first"] > FIRST or found["second"] > SECOND) == (wrong is not None)
 
@@ -203,8 +204,8 @@ def walk(monkeypatch):
         assert found.get("factors", 0.0) < FIRST, found
         raise _WalkedError
 
-    programs._confirmed.clear()
-    monkeypatch.setattr(programs, "confirm", checked)
+    solvers._confirmed.clear()
+    monkeypatch.setattr(solvers, "confirm", checked)
 
     def go(problem, *args):
         program = program_module.single(problem) if isinstance(problem, flexopt.SelectionProblem) else problem
@@ -215,7 +216,7 @@ def walk(monkeypatch):
             program.climbed(*args, 1)
 
     yield go
-    programs._confirmed.clear()
+    solvers._confirmed.clear()
 
 
 def every_stage(problem):
@@ -345,7 +346,7 @@ def several(goal):
 @pytest.mark.parametrize("goal", GOALS)
 def test_several(walk, goal):
     walk(*several(goal))
-    assert program_module.run is programs.run
+    assert program_module.run is solvers.run
 
 
 @pytest.mark.parametrize("goal", GOALS)
@@ -416,7 +417,7 @@ def test_the_nullspace_law(spatial):
     plant = flexopt.build_plant(machine)
     base, p = np.full(plant.n_base, 0.1), plant.parameter_values.full().ravel()
     scale = np.abs(flexopt.build_measures(machine).w.call([base, posture, p])[1].full()).max()
-    point, end_point = nullspace_law._functions(machine, "inverse", False)
+    point, end_point = law._functions(machine, "inverse", False)
     given = [base, posture, p]
 
     def scaled(function, outputs):
@@ -427,7 +428,7 @@ def test_the_nullspace_law(spatial):
     assert of_function(scaled(point, [(0, scale), (1, scale)]), given, 0, 1, [0, 1]) < FIRST
     assert of_function(point, given, 2, 3, [0, 1]) < FIRST
     assert of_function(end_point, given, 0, 1, [0, 1]) < FIRST
-    margin = nullspace_law._margin_gradients(machine, "inverse", False)
+    margin = law._margin_gradients(machine, "inverse", False)
     found = margin.call([*given, 5e5])
     expected = differences(
         lambda z: margin.call([z[: base.size], z[base.size :], p, 5e5])[0].full().ravel(), np.concatenate(given[:2])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.selection.check import prove
 from flexopt.selection.exchanged import APART, kept_apart
 from flexopt.selection.problem import value_at
+from flexopt.selection.proof.check import prove
 from flexopt.selection.seen import settled
 
 MACHINE, TARGET = flexopt.load("slewing-excavator"), (1.6155, 6.4194, 0.9496)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from flexopt.selection.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, Kink, certified
+from flexopt.selection.proof.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, Kink, certified
 
 
 def stationarity(g11: np.ndarray, g22: np.ndarray, g12: np.ndarray) -> float:

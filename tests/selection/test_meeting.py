@@ -15,7 +15,7 @@ from flexopt.loop.meeting import nearest
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.loop import Loop
-from flexopt.selection.coupling import Coupling
+from flexopt.selection.nlp.coupling import Coupling
 from flexopt.selection.outcomes.climb import ACTIVE, Climbed, _searched, climbed, first_order, onto_rows
 from flexopt.selection.outcomes.program import MEETING, MEETS, TOGETHER, OutcomeProgram
 from flexopt.selection.outcomes.result import OutcomeSelection

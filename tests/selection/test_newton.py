@@ -10,11 +10,11 @@ import pytest
 
 import flexopt
 from benchmarks.selection_truth import GAIN, machines
-from flexopt.selection.check import FIRST_ORDER, SECOND_ORDER, prove, prove_program
-from flexopt.selection.first_order import linearised
-from flexopt.selection.multipliers import multipliers_of
-from flexopt.selection.newton import polished, settled
-from flexopt.selection.program import Program, single
+from flexopt.selection.nlp.program import Program, single
+from flexopt.selection.proof.check import FIRST_ORDER, SECOND_ORDER, prove, prove_program
+from flexopt.selection.proof.first_order import linearised
+from flexopt.selection.proof.multipliers import multipliers_of
+from flexopt.selection.proof.newton import polished, settled
 from flexopt.selection.seen import settled as on_rows
 from tests.oracles.machines import Structure, arm_at_rest, random_machine, regular_posture
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from flexopt.selection.nonnegative import nonnegative_least_squares
+from flexopt.selection.proof.nonnegative import nonnegative_least_squares
 
 SOLVES = """
 import sys

@@ -12,8 +12,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import flexopt
-from flexopt.selection import nullspace_law
-from flexopt.selection.base_trajectory import Stop
+from flexopt.selection.nullspace import law
+from flexopt.selection.nullspace.base_trajectory import Stop
 from tests.oracles.machines import arm_at_rest, machines, regular_posture, seeds
 
 TARGET = (0.0, 1.6)
@@ -271,7 +271,7 @@ def test_a_kink_of_epsilon_max_stops_it(machine, posture_a, monkeypatch):
         [base, posture, ca.SX.sym("p", len(machine.parameters)), ca.SX.sym("kr")],
         [ca.vertcat(0.3 - height, 0.3 + height), ca.vertcat(slope, -slope)],
     )
-    monkeypatch.setattr(nullspace_law, "_margin_gradients", lambda *key: tent)
+    monkeypatch.setattr(law, "_margin_gradients", lambda *key: tent)
     trajectory = flexopt.nullspace_trajectory(machine, posture_a, objective="epsilon_max")
     assert trajectory.stop is Stop.KINK
     assert trajectory.base[-1, 0] == pytest.approx(crossing, abs=1e-5)

@@ -7,7 +7,7 @@ import pytest
 
 import flexopt
 from flexopt import nullspace_trajectory
-from flexopt.selection.base_trajectory import Stop
+from flexopt.selection.nullspace.base_trajectory import Stop
 from tests.oracles.spatial import pinocchio_tree, random_tree
 
 START = {"base": [0.0, 0.0, 0.1], "rate": 20.0, "duration": 12.0}

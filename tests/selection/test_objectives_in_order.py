@@ -11,8 +11,8 @@ from scipy.optimize import minimize
 import flexopt
 from flexopt.errors import NoSolutionFound
 from flexopt.selection import optima
-from flexopt.selection.check import prove
-from flexopt.selection.program import Program, single
+from flexopt.selection.nlp.program import Program, single
+from flexopt.selection.proof.check import prove
 from flexopt.selection.starts import starting_points
 
 # Machine, target, objectives: solves from the optima of the objective before end in a saddle's alarm or nowhere.

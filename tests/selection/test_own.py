@@ -17,8 +17,8 @@ from scipy.optimize import minimize_scalar
 import flexopt
 from benchmarks.own import OtherOwn, asked, random_goal, sags, torques
 from flexopt.model.own import check_function
-from flexopt.selection.check import prove
 from flexopt.selection.own import OwnGraphs, known_quantities
+from flexopt.selection.proof.check import prove
 from tests.oracles.gradient_cases import near_repeated
 from tests.oracles.machines import Structure, arm_at_rest, random_machine, regular_posture
 

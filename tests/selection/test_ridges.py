@@ -10,12 +10,12 @@ import pytest
 
 import flexopt
 from benchmarks.selection_truth import GAIN, doubled_margins, machines
-from flexopt.selection.check import FIRST_ORDER, prove
-from flexopt.selection.first_order import linearised
-from flexopt.selection.multipliers import multipliers_of
+from flexopt.selection.nlp.program import single
 from flexopt.selection.problem import TravelCost, value_at
-from flexopt.selection.program import single
-from flexopt.selection.second_order import lagrangian_hessian
+from flexopt.selection.proof.check import FIRST_ORDER, prove
+from flexopt.selection.proof.first_order import linearised
+from flexopt.selection.proof.multipliers import multipliers_of
+from flexopt.selection.proof.second_order import lagrangian_hessian
 
 CONTROL = "transpose"
 pytestmark = pytest.mark.filterwarnings("ignore:ε_max has a kink")

@@ -11,8 +11,8 @@ import pytest
 
 import flexopt
 from benchmarks.choice import Other, chosen
-from flexopt.selection.check import prove
 from flexopt.selection.problem import value_at
+from flexopt.selection.proof.check import prove
 from flexopt.selection.seen import settled
 
 # A configuration of the problem pipe-laying that a search without slopes found, and its V / |a||b|: within 1e-4.

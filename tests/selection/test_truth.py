@@ -9,9 +9,10 @@ import pytest
 import flexopt
 from benchmarks.selection_truth import cases, examined, machines, scanned
 from flexopt.model import tree_from_dict
-from flexopt.selection import check, optima
+from flexopt.selection import optima
+from flexopt.selection.nlp.program import single
 from flexopt.selection.problem import value_at
-from flexopt.selection.program import single
+from flexopt.selection.proof import check
 from flexopt.selection.seen import better_than, seen_values, settled
 from tests.cli.command import Command
 from tests.oracles.spatial import random_tree

@@ -21,10 +21,10 @@ from flexopt.loop.outcome import UNDEFINED, LoopPoint
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.choices import DECAY
 from flexopt.model.loop import logarithms
+from flexopt.selection.nlp.program import row_gradients
 from flexopt.selection.outcomes.branches import Branches, Measure
 from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.program import row_gradients
 
 # Share of a rate up to which two motions are near to each other; rows of those that meet are in units of the square of
 # this share of the size.

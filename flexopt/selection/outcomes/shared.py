@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.uncertain import UncertainLoop
-from flexopt.selection.coupling import Coupling, alone, widened
+from flexopt.selection.nlp.coupling import Coupling, alone, widened
 from flexopt.selection.outcomes.branches import Branches
 from flexopt.selection.outcomes.program import SHORT, Met, OutcomeProgram, ProgramPoint
 from flexopt.selection.problem import SelectionProblem

@@ -17,9 +17,9 @@ import numpy as np
 from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.continua import turned_about, turns
+from flexopt.selection.nlp.program import Program
 from flexopt.selection.optima import first_optima
 from flexopt.selection.problem import SelectionProblem, value_at
-from flexopt.selection.program import Program
 from flexopt.selection.starts import starting_points
 
 # Targets that are looked at alone, the worst of the best so far; starts of each, its optima that are kept, and the

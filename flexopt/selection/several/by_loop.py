@@ -13,7 +13,7 @@ from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import json_ready
 from flexopt.loop.evaluation import with_outcome
 from flexopt.loop.settings import LoopSettings
-from flexopt.selection.coupling import Coupling
+from flexopt.selection.nlp.coupling import Coupling
 from flexopt.selection.outcomes.asked import Asked
 from flexopt.selection.outcomes.choice import climbs, distinct_optima, kept_values
 from flexopt.selection.outcomes.climb import Climbed

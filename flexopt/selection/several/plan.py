@@ -32,11 +32,11 @@ from flexopt.model.problem import SelectionOptions, SharedKeywords
 from flexopt.model.targets import RATES, TIMES
 from flexopt.model.uncertainty import RangesLike
 from flexopt.robustness.plausibility import warn_implausible
-from flexopt.selection.check import infeasible
-from flexopt.selection.coupling import Coupling
+from flexopt.selection.nlp.coupling import Coupling
+from flexopt.selection.nlp.program import Program, values_of
 from flexopt.selection.outcomes.asked import Asked
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.program import Program, values_of
+from flexopt.selection.proof.check import infeasible
 from flexopt.selection.several.outcome_plan import outcome_plan
 from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.results import KEPT, BasePlan, FixedPlacement

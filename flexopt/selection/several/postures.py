@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from flexopt.foundation.arrays import Vector
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, REACHED, branch, low_discrepancy, solve_postures
 from flexopt.plant.reach import arm_length, sampled_ranges
+from flexopt.selection.nlp.program import values_of
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.program import values_of
 from flexopt.selection.starts import LONGER, SHORTER, STEP, STEP_LEAST, STEP_MOST, violated
 
 # Postures tried from each placement: coordinates of a longer planar arm for each elbow; starts of the iteration.

@@ -16,7 +16,7 @@ from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.plain import counted
 from flexopt.foundation.processes import in_parallel
 from flexopt.selection.assumed import in_the_way
-from flexopt.selection.check import infeasible, prove_program
+from flexopt.selection.nlp.program import SOLVED, Program
 from flexopt.selection.optima import (
     SolveOutcome,
     accepted,
@@ -27,7 +27,7 @@ from flexopt.selection.optima import (
     solved_once,
     taken_up_again,
 )
-from flexopt.selection.program import SOLVED, Program
+from flexopt.selection.proof.check import infeasible, prove_program
 from flexopt.selection.seen import BETTER
 from flexopt.selection.several.results import TargetConfiguration
 from flexopt.selection.solve import constraint_values

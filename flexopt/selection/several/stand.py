@@ -23,8 +23,8 @@ from flexopt.model.targets import SOME_SHARES
 from flexopt.model.uncertainty import RangesLike
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.continua import unwound, way_to
+from flexopt.selection.nlp.program import Program
 from flexopt.selection.outcomes.asked import Asked
-from flexopt.selection.program import Program
 from flexopt.selection.result import TIE_TOLERANCE
 from flexopt.selection.several.outcome_stand import outcome_stand
 from flexopt.selection.several.postures import reached_from

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Progress, Vector
-from flexopt.selection.coupling import Coupling
+from flexopt.selection.nlp.coupling import Coupling
+from flexopt.selection.nlp.program import Program
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.program import Program
 from flexopt.selection.result import chance, how_often
 from flexopt.selection.rounds import LEFT_OPEN
 from flexopt.selection.several.alone import placements_alone

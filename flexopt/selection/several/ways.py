@@ -16,8 +16,8 @@ from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.plant.inverse_kinematics import REACHED, solve_postures
+from flexopt.selection.nlp.program import Program
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.program import Program
 from flexopt.selection.several.postures import Reached
 
 # Nodes for each target: the best postures of as many placements.

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.selection.check import prove, prove_program
+from flexopt.selection.nlp.program import Program, row_gradients, single
 from flexopt.selection.objective import Objective
-from flexopt.selection.program import Program, row_gradients, single
+from flexopt.selection.proof.check import prove, prove_program
 from flexopt.selection.scan import peaks
 from flexopt.selection.several.plan import _along
 from flexopt.selection.several.standing import one_placement

@@ -10,8 +10,8 @@ import pytest
 
 import flexopt
 from benchmarks.together import RATE, SECONDS, Together, asked, program_of
-from flexopt.selection.check import infeasible, prove_program
-from flexopt.selection.program import Program
+from flexopt.selection.nlp.program import Program
+from flexopt.selection.proof.check import infeasible, prove_program
 from flexopt.selection.several import TargetConfiguration
 from flexopt.selection.several.results import KEPT
 from flexopt.selection.several.solving import end_from

@@ -14,8 +14,9 @@ from flexopt import FlexoptError, build_measures, evaluate, inverse_kinematics, 
 from flexopt.errors import InputError, UnreachableTarget
 from flexopt.foundation.arrays import Vector
 from flexopt.robustness import evaluate_w
-from flexopt.selection import check, optima
-from flexopt.selection.program import Program
+from flexopt.selection import optima
+from flexopt.selection.nlp.program import Program
+from flexopt.selection.proof import check
 from flexopt.selection.several import Stand, select_stand, standing
 
 TARGETS = [[0.0, 1.6], [0.3, 1.2], [-0.2, 1.9]]

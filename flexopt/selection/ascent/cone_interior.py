@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.cone_newton import ConicPoint, ConicProgram
+from flexopt.selection.ascent.cone_newton import ConicPoint, ConicProgram
 
 # Iterations at most; the share of the way to the boundary that a step goes; the error at which it ends.
 ITERATIONS, SHORT, KNOWN, LOST = 60, 0.99, 1e-13, 1e3

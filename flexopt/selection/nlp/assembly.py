@@ -16,10 +16,10 @@ import casadi as ca
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.configuration import Configuration
-from flexopt.selection.coupling import Coupling, alone
-from flexopt.selection.member_graph import BranchGraphs, MemberGraph, ObjectiveForm, parameters_of
-from flexopt.selection.programs import Local, make_solver
+from flexopt.selection.nlp.configuration import Configuration
+from flexopt.selection.nlp.coupling import Coupling, alone
+from flexopt.selection.nlp.member_graph import BranchGraphs, MemberGraph, ObjectiveForm, parameters_of
+from flexopt.selection.nlp.solvers import Local, make_solver
 
 IPOPT_OPTIONS: dict[str, Any] = {
     "print_time": False,

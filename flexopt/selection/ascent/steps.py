@@ -3,7 +3,7 @@
 In: configurations that share variables, one or many, and a start. Out: a point that keeps every constraint and is never
 worse than the start.
 
-Each step maximises a model (`ascent_model`) within a distance that grows where the model holds and shrinks where it
+Each step maximises a model (`model`) within a distance that grows where the model holds and shrinks where it
 does not, and is moved back onto the constraints: points stay feasible, so that V alone tells whether a step helps.
 """
 
@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.ascent_member import AscentMember
-from flexopt.selection.ascent_model import (
+from flexopt.selection.ascent.member import AscentMember
+from flexopt.selection.ascent.model import (
     DIFFERENCE,
     ROUNDING,
     Cone,
@@ -29,8 +29,8 @@ from flexopt.selection.ascent_model import (
     halves,
 )
 from flexopt.selection.cones import SHARED, TINY, mode_cones
-from flexopt.selection.coupling import own_directions, widened
-from flexopt.selection.programs import Bounds
+from flexopt.selection.nlp.coupling import own_directions, widened
+from flexopt.selection.nlp.solvers import Bounds
 
 # Distances, in scaled variables: of the first step, the greatest, and the one below which nothing is found.
 FIRST, GREATEST, LEAST = 0.1, 0.5, 1e-10

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexopt.foundation.arrays import Mask, Vector
-from flexopt.selection.cone_interior import interior
-from flexopt.selection.cone_newton import TOLERANCE, ConicPoint, ConicProgram, newton
-from flexopt.selection.programs import Bounds
+from flexopt.selection.ascent.cone_interior import interior
+from flexopt.selection.ascent.cone_newton import TOLERANCE, ConicPoint, ConicProgram, newton
+from flexopt.selection.nlp.solvers import Bounds
 
 # Singular values of equations below this share of the largest are rounding.
 DEPENDENT = 1e-12

@@ -16,17 +16,17 @@ import numpy as np
 from flexopt.compiled.cost import compilation_seconds, evaluation_seconds
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
-from flexopt.selection.ascent import STUCK, Ascent
-from flexopt.selection.ascent_member import AscentMember
+from flexopt.selection.ascent.member import AscentMember
+from flexopt.selection.ascent.steps import STUCK, Ascent
 from flexopt.selection.cones import Parallel
-from flexopt.selection.configuration import ConstraintRows
 from flexopt.selection.constraints.kind import ScaledConstraint
-from flexopt.selection.coupling import Coupling, alone, widened
-from flexopt.selection.member_graph import parameters_of
-from flexopt.selection.nlp import Goal, build_branched, build_solver, told_branches
+from flexopt.selection.nlp.assembly import Goal, build_branched, build_solver, told_branches
+from flexopt.selection.nlp.configuration import ConstraintRows
+from flexopt.selection.nlp.coupling import Coupling, alone, widened
+from flexopt.selection.nlp.member_graph import parameters_of
+from flexopt.selection.nlp.solvers import Bounds, Local, confirm_once, run
 from flexopt.selection.objective import Objective
 from flexopt.selection.problem import SelectionProblem, packed_parameters
-from flexopt.selection.programs import Bounds, Local, confirm_once, run
 
 # Steps of an ascent; one that takes longer is taken up again where it is ahead of the best.
 ASCENT_QUICK, ASCENT_LONG = 15, 60

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.first_order import linearised, undecided
-from flexopt.selection.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, certified
+from flexopt.selection.nlp.program import Program, margin_noise, single
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.program import Program, margin_noise, single
-from flexopt.selection.second_order import CURVATURE_TOLERANCE, dimension_of, largest_curvature
+from flexopt.selection.proof.first_order import linearised, undecided
+from flexopt.selection.proof.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, certified
+from flexopt.selection.proof.second_order import CURVATURE_TOLERANCE, dimension_of, largest_curvature
 
 TARGET_TOLERANCE = 1e-8
 BOUND_TOLERANCE = 1e-8

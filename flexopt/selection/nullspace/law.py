@@ -24,7 +24,7 @@ from flexopt.plant.inverse_kinematics import inside_limits
 from flexopt.plant.plant import Plant
 from flexopt.robustness.margin import build_margin
 from flexopt.robustness.measures import build_measures
-from flexopt.selection.base_trajectory import Stop, retimed
+from flexopt.selection.nullspace.base_trajectory import Stop, retimed
 from flexopt.selection.objective import KINK, Objective, Quantities
 
 # A step is halved so often at most: a limit, a kink or a summit is then nearer than a thousandth of it.

@@ -9,14 +9,14 @@ import numpy as np
 
 from flexopt.algebra.feasible import shortest_steps
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.ascent_model import halves, turn
+from flexopt.selection.ascent.model import halves, turn
 from flexopt.selection.cones import SHARED, Parallel, smooth_slope
-from flexopt.selection.coupling import own_directions, widened
-from flexopt.selection.first_order import TIP
-from flexopt.selection.multipliers import FirstOrderModel, HeldCones, HeldMargins
+from flexopt.selection.nlp.coupling import own_directions, widened
+from flexopt.selection.nlp.program import Linearisation, Program
+from flexopt.selection.nlp.solvers import Local
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.program import Linearisation, Program
-from flexopt.selection.programs import Local
+from flexopt.selection.proof.first_order import TIP
+from flexopt.selection.proof.multipliers import FirstOrderModel, HeldCones, HeldMargins
 
 # How far a point may be off the rows that it is moved onto.
 LANDED = 1e-8

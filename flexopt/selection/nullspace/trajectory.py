@@ -24,8 +24,8 @@ from flexopt.model import AnyMachine
 from flexopt.model.choices import BASE_ACCELERATION, BASE_RATE, SINGULARITY_MARGIN_DEG
 from flexopt.plant.reach import outer_reach
 from flexopt.robustness.evaluation import Evaluation
-from flexopt.selection.base_trajectory import BaseTrajectory, Descent, Stop
-from flexopt.selection.nullspace_law import NullspaceLaw, PathPoint, climb, retime
+from flexopt.selection.nullspace.base_trajectory import BaseTrajectory, Descent, Stop
+from flexopt.selection.nullspace.law import NullspaceLaw, PathPoint, climb, retime
 from flexopt.selection.objective import Quantities, quantities, read_objectives
 
 OnDescent = Literal["stop", "continue"]

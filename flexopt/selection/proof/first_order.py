@@ -10,13 +10,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.ascent_model import Cone, halves
+from flexopt.selection.ascent.model import Cone, halves
 from flexopt.selection.cones import SHARED, mode_cones, name_of
-from flexopt.selection.coupling import widened
-from flexopt.selection.multipliers import FirstOrderModel, Kink
+from flexopt.selection.nlp.coupling import widened
+from flexopt.selection.nlp.program import Linearisation, Program
 from flexopt.selection.objective import KINK
 from flexopt.selection.problem import value_at
-from flexopt.selection.program import Linearisation, Program
+from flexopt.selection.proof.multipliers import FirstOrderModel, Kink
 
 ACTIVE_TOLERANCE = 1e-6
 KINK_NAME = "kink of ε_max"

@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.check import FIRST_ORDER, SECOND_ORDER, STATIONARY_NEARLY, Proof, infeasible, prove_program
-from flexopt.selection.first_order import linearised
-from flexopt.selection.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, multipliers_of
-from flexopt.selection.program import Program
-from flexopt.selection.second_order import CURVATURE_STEP, lagrangian_hessian
+from flexopt.selection.nlp.program import Program
+from flexopt.selection.proof.check import FIRST_ORDER, SECOND_ORDER, STATIONARY_NEARLY, Proof, infeasible, prove_program
+from flexopt.selection.proof.first_order import linearised
+from flexopt.selection.proof.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, multipliers_of
+from flexopt.selection.proof.second_order import CURVATURE_STEP, lagrangian_hessian
 
 STEPS = 8
 # In scaled variables; from further away the active rows are not those of the optimum.

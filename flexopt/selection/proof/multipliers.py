@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.nonnegative import nonnegative_least_squares
+from flexopt.selection.proof.nonnegative import nonnegative_least_squares
 
 STATIONARITY_TOLERANCE = 1e-6
 # Rounds in which multipliers of kinks are looked for where the nearest are too large, and by how much they may be.

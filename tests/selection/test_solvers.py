@@ -7,19 +7,19 @@ import pytest
 
 import flexopt
 from flexopt.errors import WrongSlope
-from flexopt.selection import programs
-from flexopt.selection.check import prove
+from flexopt.selection.nlp import solvers
+from flexopt.selection.nlp.program import Program
 from flexopt.selection.objective import Quantities
-from flexopt.selection.program import Program
+from flexopt.selection.proof.check import prove
 
 TARGET = (0.0, 1.6)
 
 
 @pytest.fixture
 def machine():
-    programs._confirmed.clear()
+    solvers._confirmed.clear()
     yield flexopt.load("excavator")
-    programs._confirmed.clear()
+    solvers._confirmed.clear()
 
 
 @pytest.mark.parametrize("objective", ["w1", "epsilon_max", "w1,epsilon_max"])

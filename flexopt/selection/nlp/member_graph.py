@@ -19,8 +19,8 @@ from flexopt.algebra.layout import Layout
 from flexopt.compiled import accelerate
 from flexopt.model.own import OwnFunction
 from flexopt.robustness.margin import build_margin
-from flexopt.selection.configuration import Configuration
-from flexopt.selection.coupling import Coupling
+from flexopt.selection.nlp.configuration import Configuration
+from flexopt.selection.nlp.coupling import Coupling
 from flexopt.selection.own import OwnGraphs, OwnTerm, own_graphs
 
 # Of objectives in order, of each its branches: values, or slopes by x (1, n_x).

@@ -14,8 +14,8 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.cones import Parallel, smooth_slope, split_factors
-from flexopt.selection.coupling import widened
-from flexopt.selection.nlp import Branched
+from flexopt.selection.nlp.assembly import Branched
+from flexopt.selection.nlp.coupling import widened
 
 # Step of the differences of what the cones leave of w_i, in scaled variables.
 BESIDE = 1e-5

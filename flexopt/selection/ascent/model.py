@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.cone_program import Cones, best_gain
-from flexopt.selection.programs import Bounds
+from flexopt.selection.ascent.cone_program import Cones, best_gain
+from flexopt.selection.nlp.solvers import Bounds
 
 # Step of the differences of slopes of ε_max, in scaled variables: where they have lost half their digits, still three
 # of the second derivatives are right. By how many steps' change branches are told apart.
