@@ -23,7 +23,7 @@ from benchmarks.batches import peers
 from benchmarks.timing import fresh_process, least_of, table
 from flexopt.foundation.turns import available_cores
 from flexopt.robustness.margin import build_margin
-from flexopt.study import points
+from flexopt.study.maps import points
 
 WHOLE, SMALL, FEW, LOOP = (400, 400), (60, 60), 2000, 300
 GAIN = 5e5
@@ -56,7 +56,7 @@ def scipy_margins(postures: np.ndarray) -> tuple[float, np.ndarray]:
 FIRST = """
 import os, sys, time, warnings
 import flexopt
-from flexopt.study import points
+from flexopt.study.maps import points
 machine, size = flexopt.load("excavator"), int(sys.argv[1])
 start, before = time.perf_counter(), os.times()
 flexopt.map_workspace(machine, points=(size, size))

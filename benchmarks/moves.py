@@ -20,9 +20,9 @@ import numpy as np
 import flexopt
 from flexopt.errors import FlexoptError
 from flexopt.loop.uncertain import UncertaintyBox
-from flexopt.study.decision import MOST, faster
-from flexopt.study.place_loops import PlaceLoops
-from flexopt.study.verdict_result import STAY, PlaceVerdict
+from flexopt.study.verdicts.decision import MOST, faster
+from flexopt.study.verdicts.place_loops import PlaceLoops
+from flexopt.study.verdicts.result import STAY, PlaceVerdict
 
 SHIPPED = ("pipe-laying", "stations", "trench", "article", "article-transpose")
 MACHINES = ("excavator", "boom-stick-bucket", "slewing-excavator", "truck-crane", "mobile-manipulator")

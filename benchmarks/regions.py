@@ -19,7 +19,7 @@ import numpy as np
 import flexopt
 from benchmarks.score import Row
 from flexopt.foundation.turns import one_blas_thread
-from flexopt.loop.certificate import DECAY, RegionProof, certify
+from flexopt.loop.certified.certificate import DECAY, RegionProof, certify
 from flexopt.loop.evaluation import outcome
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.uncertainty import Uncertainty

@@ -103,7 +103,7 @@ TYPES: dict[str, tuple[str, str]] = {
     "FmuKind": ("flexopt.export.fmu.interface", "Of FMU."),
     "VerifyTarget": ("flexopt.export.verify.checks", "Where a bundle's C is run to be verified."),
     "Keep": ("flexopt.simulation.members", "What an ensemble keeps."),
-    "Over": ("flexopt.study.grid", "What varies over a map."),
+    "Over": ("flexopt.study.maps.grid", "What varies over a map."),
     "LoopVerdict": ("flexopt.simulation.verdict", "What a loop does."),
     "Saturation": ("flexopt.plant.hydraulics", "How what exceeds full lever is cut."),
     "TargetKind": ("flexopt.model.targets", "Key of a problem's `[target]`."),

@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from flexopt.large_studies import StudyResult as StudyResult
     from flexopt.large_studies import open_study as open_study
     from flexopt.large_studies import run_study as run_study
+    from flexopt.loop.certified.region import Region as Region
+    from flexopt.loop.certified.region import stable_region as stable_region
     from flexopt.loop.evaluation import Outcome as Outcome
     from flexopt.loop.evaluation import outcome as outcome
-    from flexopt.loop.region import Region as Region
-    from flexopt.loop.region import stable_region as stable_region
     from flexopt.loop.sensitivity import Sensitivity as Sensitivity
     from flexopt.loop.sensitivity import sensitivity as sensitivity
     from flexopt.model import Machine as Machine
@@ -235,7 +235,7 @@ _LATER = {
     "identification": "Identification identify",
     "large_studies": "StudyResult open_study run_study",
     "loop.evaluation": "Outcome outcome",
-    "loop.region": "Region stable_region",
+    "loop.certified.region": "Region stable_region",
     "loop.sensitivity": "Sensitivity sensitivity",
     "model": (
         "Machine Problem SelectionOptions Tree load load_experiment load_problem machine_from_dict tree_from_dict"

@@ -18,8 +18,8 @@ from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.plant import build_plant
 from flexopt.plant.reach import reach
-from flexopt.study.grid import end_point_grid
-from flexopt.study.points import evaluate_points
+from flexopt.study.maps.grid import end_point_grid
+from flexopt.study.maps.points import evaluate_points
 
 POINTS = 2001
 

@@ -21,7 +21,7 @@ from flexopt.model import AnyMachine
 from flexopt.robustness import build_measures
 from flexopt.robustness.margin import build_margin
 from flexopt.selection import Selection
-from flexopt.study.workspace_map import WorkspaceMap
+from flexopt.study.maps.workspace_map import WorkspaceMap
 
 PRINTED_MAXIMUM = 0.3827
 # Below this w_1 counts as 0: the machine's residues are of order 1e-4.

@@ -41,9 +41,9 @@ from flexopt.model.choices import ELBOWS
 from flexopt.plant import build_plant
 from flexopt.selection import Selection, select
 from flexopt.study.gains import KV_HELD, RATIOS, GainMap, map_gains
-from flexopt.study.points import evaluate_points
-from flexopt.study.workspace import map_workspace
-from flexopt.study.workspace_map import WorkspaceMap
+from flexopt.study.maps.points import evaluate_points
+from flexopt.study.maps.workspace import map_workspace
+from flexopt.study.maps.workspace_map import WorkspaceMap
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

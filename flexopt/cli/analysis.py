@@ -286,7 +286,7 @@ def _is_judged(
     result: Selection | Stand | BasePlan, own: dict[str, Any], loop: tuple[str, ...], ranges: tuple[str, ...]
 ) -> bool:
     """Whether a controller is known and a present placement: asked for, or of the files."""
-    from flexopt.study.place_loops import problems_of  # noqa: PLC0415  (`evaluate` does not need it)
+    from flexopt.study.verdicts.place_loops import problems_of  # noqa: PLC0415  (`evaluate` does not need it)
 
     return bool(loop or ranges or own["loop"]) and problems_of(result)[0].present_base is not None
 

@@ -151,7 +151,7 @@ def region_command(as_json: bool, machine: str, **options: Any) -> None:
 
     The least stable point, what share of the ranges is proven to be stable, and the radius of stability.
     """
-    from flexopt.loop.region import stable_region  # noqa: PLC0415  (only this command needs it)
+    from flexopt.loop.certified.region import stable_region  # noqa: PLC0415  (only this command needs it)
 
     hand_out = handing_out(options, ".json", as_json=as_json)
     loaded = read(load, machine)

@@ -31,7 +31,7 @@ from flexopt.foundation.quantities import several as entries_or_one
 from flexopt.foundation.writing import write_file
 
 if TYPE_CHECKING:
-    from flexopt.study.new_machine import Ground, NewMachine
+    from flexopt.study.new_files.machine import Ground, NewMachine
 
 LINKS = (2, 8)
 FROM_MODE, FROM_RATIO, FREE, NONE = "frequency", "ratio", "free", "none"
@@ -137,7 +137,7 @@ def _of_ground(
         return bool(known["gives"])
 
     def proposed(known: Mapping[str, Any]) -> str:
-        from flexopt.study.new_machine import usual_frequency  # noqa: PLC0415
+        from flexopt.study.new_files.machine import usual_frequency  # noqa: PLC0415
 
         return f"{usual_frequency(reach(known)):g}"
 
@@ -312,7 +312,7 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
         _refuse_existing(path, force)
         made = _planar(known, questions, options)
     else:
-        from flexopt.study.new_overlay import overlay_file, read_chain  # noqa: PLC0415
+        from flexopt.study.new_files.overlay import overlay_file, read_chain  # noqa: PLC0415
 
         own = {q.name for q in _of_plane("", "")} - {"name", "gives", "stiffness", "damping", "frequency", "ratio"}
         planar = [Fault(_spelt(word), "goes with a planar machine, without --from", options[word])
@@ -355,7 +355,7 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
 
 def _planar(known: Mapping[str, Any], questions: list[Question], options: Mapping[str, Any]) -> NewMachine:
     """The machine of these answers."""
-    from flexopt.study.new_machine import planar_file  # noqa: PLC0415  (only this command needs it)
+    from flexopt.study.new_files.machine import planar_file  # noqa: PLC0415  (only this command needs it)
 
     given = {word: known[word] for word in ("name", "lengths", "masses", "limits", "base_length", "base_mass")}
     proposed = _proposed(known, questions, options)
@@ -364,7 +364,7 @@ def _planar(known: Mapping[str, Any], questions: list[Question], options: Mappin
 
 
 def _ground(known: Mapping[str, Any], proposed: set[str], *, alone: bool = False) -> Ground:
-    from flexopt.study.new_machine import Ground  # noqa: PLC0415
+    from flexopt.study.new_files.machine import Ground  # noqa: PLC0415
 
     words = ("gives", "stiffness", "damping", "frequency", "ratio")
     given = {word: known[word] for word in words if known[word] is not None}

@@ -39,7 +39,7 @@ from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.measures import build_measures
 from flexopt.selection import SelectionProblem, select, select_stand, solve_selection
 from flexopt.study.asked import one_placement
-from flexopt.study.place_loops import held_at, held_now
+from flexopt.study.verdicts.place_loops import held_at, held_now
 
 # What a problem would say.
 NOTHING_ASKED: dict[str, Any] = {"target": None, "which": "", "objective": None, "weights": None}

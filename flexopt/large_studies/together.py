@@ -144,7 +144,7 @@ class ManyMeasures:
                 status[np.broadcast_to(which, status.shape)] = fault
         found: dict[str, Vector | None] = {"w": quick.w, "w_posture": quick.w_posture}
         if not self.quick:
-            from flexopt.study.points import evaluate_points  # noqa: PLC0415  (its room loads slowly)
+            from flexopt.study.maps.points import evaluate_points  # noqa: PLC0415  (its room loads slowly)
 
             count = postures.shape[1]
             whole = evaluate_points(

@@ -23,7 +23,7 @@ from flexopt.foundation.rounding import without_rounding
 from flexopt.model.loop import GAINS
 from flexopt.model.simulation import SimulationOptions
 from flexopt.robustness.residues import residue_unit
-from flexopt.study.places import MOVE, STAY
+from flexopt.study.verdicts.places import MOVE, STAY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

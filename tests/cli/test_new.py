@@ -17,8 +17,8 @@ from scipy.linalg import eigh
 import flexopt
 from flexopt.foundation.rendering import render
 from flexopt.plant import build_plant
-from flexopt.study.new_machine import gains_told
-from flexopt.study.new_overlay import read_chain
+from flexopt.study.new_files.machine import gains_told
+from flexopt.study.new_files.overlay import read_chain
 from tests.cli.command import Command
 from tests.model.robots.files import MJCF, URDF
 from tests.model.robots.test_public_robots import MJCF_PATHS, URDF_PATHS

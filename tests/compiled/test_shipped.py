@@ -16,7 +16,7 @@ from flexopt.model import AnyMachine, shipped_names
 from flexopt.plant import build_plant
 from flexopt.robustness.margin import build_margin
 from flexopt.simulation import run
-from flexopt.study import follow, points
+from flexopt.study.maps import follow, points
 from tests.compiled.comparison import QUIET
 from tests.model.test_shipped_machines import POSTURES
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.loop import characteristic_cells
-from flexopt.loop.bernstein import bernstein
-from flexopt.loop.certificate import DECAY, RegionProof, certified_radius, certify
-from flexopt.loop.characteristic import Characteristic
-from flexopt.loop.characteristic_cells import cells_of
+from flexopt.loop.certified import characteristic_cells
+from flexopt.loop.certified.bernstein import bernstein
+from flexopt.loop.certified.certificate import DECAY, RegionProof, certified_radius, certify
+from flexopt.loop.certified.characteristic import Characteristic
+from flexopt.loop.certified.characteristic_cells import cells_of
 from flexopt.loop.evaluation import outcome
 from flexopt.loop.gains import rigid_gains
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox

@@ -10,7 +10,7 @@ from flexopt.loop import many
 from flexopt.plant import plant
 from flexopt.robustness import margin, measures
 from flexopt.simulation import run
-from flexopt.study import follow, points
+from flexopt.study.maps import follow, points
 
 # What holds graphs that are compiled, or now are not: other rooms in this process make their own.
 HELD = (

@@ -26,7 +26,7 @@ from flexopt.plotting import several
 from flexopt.plotting.ensemble import ABOVE
 from flexopt.plotting.sheet import DOTS_OTHERWISE, PAGE, SLIDE, styled
 from flexopt.study import page
-from flexopt.study.workspace_map import WorkspaceMap
+from flexopt.study.maps.workspace_map import WorkspaceMap
 from tests.plotting.looking import faults, without_units
 from tests.plotting.specimens import SPECIMENS
 

@@ -17,7 +17,7 @@ from flexopt.compiled.extended import digits, exact, extended, rounded
 from flexopt.errors import FlexoptWarning
 from flexopt.robustness.margin import build_margin
 from flexopt.robustness.posture_margin import evaluate_margin
-from flexopt.study.points import evaluate_points
+from flexopt.study.maps.points import evaluate_points
 from tests.oracles.high_precision import compare
 from tests.oracles.margin_cases import margin_case
 from tests.oracles.spatial import grounded

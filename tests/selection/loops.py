@@ -12,8 +12,8 @@ from functools import cache, lru_cache
 import numpy as np
 
 import flexopt
+from flexopt.loop.certified.region import stability_radius
 from flexopt.loop.lag import lagged_modes
-from flexopt.loop.region import stability_radius
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.loop import Loop

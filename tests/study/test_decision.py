@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexopt.study.decision import Place, decide, deciding, faster, ranked
-from flexopt.study.move_verdict import overlooked, shares_better
+from flexopt.study.verdicts.decision import Place, decide, deciding, faster, ranked
+from flexopt.study.verdicts.verdict import overlooked, shares_better
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
 

@@ -10,8 +10,8 @@ import pytest
 import xarray as xr
 
 import flexopt
-from flexopt.study import points
-from flexopt.study.planes import Plane
+from flexopt.study.maps import points
+from flexopt.study.maps.planes import Plane
 from tests.study.machines import limited, three_links
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")

@@ -11,9 +11,9 @@ from flexopt.compiled.threaded import Interpreter
 from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
 from flexopt.robustness.margin import build_margin
-from flexopt.study import follow
-from flexopt.study.grid import task_ranges
-from flexopt.study.points import _measure_function
+from flexopt.study.maps import follow
+from flexopt.study.maps.grid import task_ranges
+from flexopt.study.maps.points import _measure_function
 from tests.cli.command import Command
 from tests.oracles.spatial import grounded, in_space, random_tree
 from tests.study.machines import gantry, three_links

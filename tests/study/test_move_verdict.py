@@ -15,8 +15,8 @@ import flexopt
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.study import page
 from flexopt.study.page import with_minus
-from flexopt.study.place_loops import configurations_of, unreached
-from flexopt.study.places import allowed, told
+from flexopt.study.verdicts.place_loops import configurations_of, unreached
+from flexopt.study.verdicts.places import allowed, told
 
 ARTICLE = {"kp": 1e4, "kv": 1e3}
 

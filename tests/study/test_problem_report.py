@@ -15,8 +15,8 @@ import flexopt
 from flexopt.model.tree import tree_from_dict
 from flexopt.plotting.workspace import plot_quantities
 from flexopt.study import page
-from flexopt.study.problem_page import _placed as placed
-from flexopt.study.problem_page import report_html
+from flexopt.study.reports.page import _placed as placed
+from flexopt.study.reports.page import report_html
 from tests.cli.command import Command
 from tests.oracles.spatial import in_space
 

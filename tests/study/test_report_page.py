@@ -22,9 +22,10 @@ from flexopt.foundation import printing
 from flexopt.foundation.rendering import OfNumbers, _environment, render
 from flexopt.selection import Selection
 from flexopt.study import page as study_page
-from flexopt.study import problem_page, problem_tables
-from flexopt.study.problem_page import report_html
-from flexopt.study.verdict_result import STAY
+from flexopt.study.reports import page as report_page
+from flexopt.study.reports import tables
+from flexopt.study.reports.page import report_html
+from flexopt.study.verdicts.result import STAY
 from tests.browser import on_paper, page_of, wide_tables
 from tests.cli.command import Command
 
@@ -102,7 +103,7 @@ def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
         report = request.getfixturevalue(request.param)
         text = page_text(report)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(problem_page, "report_html", lambda _: text)
+            patch.setattr(report_page, "report_html", lambda _: text)
             return report.write(tmp_path_factory.mktemp(request.param))[0]
     report = flexopt.report(flexopt.load_problem(request.param), simulation={"duration": 2.0}, points=4)
     return report.write(tmp_path_factory.mktemp(request.param))[0]
@@ -386,7 +387,7 @@ def test_text_can_be_read_in_both_themes() -> None:
 @pytest.mark.long
 def test_pdf(judged: flexopt.Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = page_text(judged)
-    monkeypatch.setattr(problem_page, "report_html", lambda _: text)
+    monkeypatch.setattr(report_page, "report_html", lambda _: text)
     judged.to_pdf(tmp_path / "report.pdf")
     data = (tmp_path / "report.pdf").read_bytes()
     assert data.startswith(b"%PDF")
@@ -475,7 +476,7 @@ def test_the_edge_that_a_margin_is_from_has_a_minus_sign() -> None:
     target = flexopt.evaluate(digger, posture).end_point
     found = flexopt.select(digger, target, base=0.0, constraints={"tip_over_margin": 0.1}, starts=1, workers=1)
     report: Any = SimpleNamespace(selection=found)
-    assert "tip-over margin from x = −" in str(problem_tables.constraints(report))
+    assert "tip-over margin from x = −" in str(tables.constraints(report))
 
 
 def test_rounding_of_a_constraint_is_no_number_of_the_page() -> None:
@@ -485,7 +486,7 @@ def test_rounding_of_a_constraint_is_no_number_of_the_page() -> None:
     noisy = dataclasses.replace(value, value=-(2.0**-52), lower=0.0, upper=float("inf"), unit="m")
     best = dataclasses.replace(found.best, constraints={"distance from keep_out[0]": noisy})
     report: Any = SimpleNamespace(selection=dataclasses.replace(found, candidates=(best,)))
-    told = problem_tables.constraints(report)
+    told = tables.constraints(report)
     assert told is not None
     assert told.near[1] == [["distance from keep_out[0]", "at least 0 m", "0"]]
     assert report.selection.to_dict()["candidates"][0]["constraints"]["distance from keep_out[0]"]["value"] == -(

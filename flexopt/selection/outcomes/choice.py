@@ -17,8 +17,8 @@ from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.processes import in_parallel
 from flexopt.foundation.turns import available_cores
+from flexopt.loop.certified.region import stability_radius
 from flexopt.loop.evaluation import with_outcome
-from flexopt.loop.region import stability_radius
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.choices import DECAY

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.plain import counted
 from flexopt.foundation.turns import available_cores
-from flexopt.loop.region import LARGEST
+from flexopt.loop.certified.region import LARGEST
 from flexopt.loop.settings import LoopSettings
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import Uncertainty

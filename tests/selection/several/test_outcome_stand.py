@@ -16,9 +16,9 @@ from flexopt.selection.outcomes.moves import OfMove
 from flexopt.selection.several import outcome_stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import OutcomeStand
-from flexopt.study import problem_page
 from flexopt.study.page import number
-from flexopt.study.place_loops import configurations_of, held_at
+from flexopt.study.reports import page
+from flexopt.study.verdicts.place_loops import configurations_of, held_at
 from tests.selection.loops import EXCAVATOR, posture_at, worth
 
 TARGETS = [(0.0, 1.6), (0.3, 1.3)]
@@ -54,8 +54,8 @@ def test_no_placement_of_a_scan_is_better(name: str, monkeypatch: pytest.MonkeyP
     assert found.to_dict()["measure"] == name
     # What a report says of it.
     report: Any = SimpleNamespace(problem=found.problems[0], selection=found)
-    assert f"Objective {name}, Jacobian inverse control" in problem_page._sentence(report)
-    told_there = [each.remark.removesuffix(", the worst") for each in problem_page._listed(report)]
+    assert f"Objective {name}, Jacobian inverse control" in page._sentence(report)
+    told_there = [each.remark.removesuffix(", the worst") for each in page._listed(report)]
     assert told_there == [f"{name} {number(value, 4)} {found.unit}" for value in found.V]
 
 

@@ -11,7 +11,7 @@ import flexopt
 from flexopt import BasePlan, build_measures, build_selection, evaluate, plan_base, select_stand
 from flexopt.selection.several import TargetConfiguration
 from flexopt.selection.several.postures import reached_from
-from flexopt.study.place_loops import configurations_of, held_from
+from flexopt.study.verdicts.place_loops import configurations_of, held_from
 from tests.oracles.spatial import pinocchio_tree, random_tree
 
 WEIGHTS = [1.0] * 6

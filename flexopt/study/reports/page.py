@@ -28,13 +28,13 @@ from flexopt.study.page import (
     sentence,
     with_minus,
 )
-from flexopt.study.places import FIRST, STAY
-from flexopt.study.problem_tables import SHOWN, constraints, coordinates, modes, parameters, some, written_residue
-from flexopt.study.surroundings import CHOSEN, PRESENT
-from flexopt.study.verdict_page import judged, target_of
+from flexopt.study.reports.surroundings import CHOSEN, PRESENT
+from flexopt.study.reports.tables import SHOWN, constraints, coordinates, modes, parameters, some, written_residue
+from flexopt.study.verdicts.page import judged, target_of
+from flexopt.study.verdicts.places import FIRST, STAY
 
 if TYPE_CHECKING:
-    from flexopt.study.report_result import Report
+    from flexopt.study.reports.result import Report
 
 CAPTIONS = {
     "selection": "The machine in the chosen and the present configuration, and its measures; 0 is best.",

@@ -37,10 +37,10 @@ from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.study.asked import any_problem
-from flexopt.study.confirmation import Runs
-from flexopt.study.decision import FASTER, MOST, Decision, Place, decide, deciding, faster, ranked, spoken
-from flexopt.study.gain_search import best_gains, tried_gains
-from flexopt.study.place_loops import (
+from flexopt.study.verdicts.confirmation import Runs
+from flexopt.study.verdicts.decision import FASTER, MOST, Decision, Place, decide, deciding, faster, ranked, spoken
+from flexopt.study.verdicts.gain_search import best_gains, tried_gains
+from flexopt.study.verdicts.place_loops import (
     Chosen,
     Configurations,
     PlaceLoops,
@@ -53,8 +53,8 @@ from flexopt.study.place_loops import (
     resting_at,
     unreached,
 )
-from flexopt.study.places import FIRST, MOVE, STAY, TOLD
-from flexopt.study.verdict_result import Band, PlaceVerdict, Verdict
+from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD
+from flexopt.study.verdicts.result import Band, PlaceVerdict, Verdict
 
 # Members that decays are computed of, and nonlinear runs.
 MEMBERS, RUNS = 64, 16

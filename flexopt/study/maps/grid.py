@@ -21,7 +21,7 @@ from flexopt.plant import Plant, build_plant
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, inside_limits, low_discrepancy
 from flexopt.plant.reach import arm_length, missed, outer_reach, reach, sampled_ranges
 from flexopt.robustness.evaluation import in_words
-from flexopt.study.follow import Followed, MapPoints, follow
+from flexopt.study.maps.follow import Followed, MapPoints, follow
 
 Over = Literal["end_point", "posture", "base"]
 AxisPair = tuple[int, int]

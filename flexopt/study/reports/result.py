@@ -23,9 +23,9 @@ from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.simulation import SampledLoop, Trajectory
 from flexopt.study.gains import BorderRow
-from flexopt.study.surroundings import problem_of, stands_of
-from flexopt.study.verdict_result import Verdict
-from flexopt.study.workspace_map import WorkspaceMap
+from flexopt.study.maps.workspace_map import WorkspaceMap
+from flexopt.study.reports.surroundings import problem_of, stands_of
+from flexopt.study.verdicts.result import Verdict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -178,7 +178,7 @@ class Report(Printed, Result):
         return write_files(Path(folder), self._html(), self.to_dict())
 
     def _html(self) -> str:
-        from flexopt.study.problem_page import report_html  # noqa: PLC0415  (imports what only reports need)
+        from flexopt.study.reports.page import report_html  # noqa: PLC0415  (imports what only reports need)
 
         return report_html(self)
 

@@ -32,9 +32,9 @@ from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import held_by_loop
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.starts import apart
-from flexopt.study.confirmation import Runs, nonlinear_runs, of_all
-from flexopt.study.decision import UNREACHED
-from flexopt.study.places import STAY
+from flexopt.study.verdicts.confirmation import Runs, nonlinear_runs, of_all
+from flexopt.study.verdicts.decision import UNREACHED
+from flexopt.study.verdicts.places import STAY
 
 Chosen = Selection | Stand | BasePlan
 # One for each target, in order.

@@ -17,8 +17,8 @@ from functools import cached_property
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.characteristic import Characteristic, NotCovered
-from flexopt.loop.characteristic_cells import Cells, cells_of
+from flexopt.loop.certified.characteristic import Characteristic, NotCovered
+from flexopt.loop.certified.characteristic_cells import Cells, cells_of
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.uncertainty import LATE
 

@@ -27,7 +27,7 @@ from flexopt.model.robots.description import Description, Joint, RobotLink
 from flexopt.model.robots.geometry import Pose
 from flexopt.model.robots.known import UNKNOWN
 from flexopt.model.robots.reading import read_description, robot_from_dict
-from flexopt.study.new_machine import (
+from flexopt.study.new_files.machine import (
     GainTexts,
     Ground,
     NewMachine,

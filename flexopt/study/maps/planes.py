@@ -21,7 +21,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import in_words
-from flexopt.study.grid import (
+from flexopt.study.maps.grid import (
     AxisPair,
     Grid,
     Over,

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import ComplexArray, Vector
-from flexopt.loop.aliases import hold
-from flexopt.loop.bernstein import lebesgue, nodes_of, splitting, to_bernstein
-from flexopt.loop.characteristic import Characteristic
-from flexopt.loop.characteristic_bounds import TINY, remainders
+from flexopt.loop.certified.aliases import hold
+from flexopt.loop.certified.bernstein import lebesgue, nodes_of, splitting, to_bernstein
+from flexopt.loop.certified.characteristic import Characteristic
+from flexopt.loop.certified.characteristic_bounds import TINY, remainders
 from flexopt.loop.members import Machines, Ports
 
 # Degree in ω.

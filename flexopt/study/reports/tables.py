@@ -21,7 +21,7 @@ from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
 from flexopt.study.page import PageTable, number, with_minus
 
 if TYPE_CHECKING:
-    from flexopt.study.report_result import Report
+    from flexopt.study.reports.result import Report
 
 # Candidates or targets in a table of configurations, and in one of constraints; all are in the JSON document.
 SHOWN, COMPARED = 12, 6

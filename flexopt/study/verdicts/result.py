@@ -22,10 +22,10 @@ from flexopt.robustness.evaluation import in_words
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import broken, elsewhere, reached
 from flexopt.simulation.real_loop import late_sentence
-from flexopt.study.confirmation import Runs
-from flexopt.study.decision import FASTER, RULE, Word, gains_in_words, spoken
-from flexopt.study.place_loops import Chosen, found_in, problems_of
-from flexopt.study.places import FIRST, MOVE, STAY, TOLD, allowed, told
+from flexopt.study.verdicts.confirmation import Runs
+from flexopt.study.verdicts.decision import FASTER, RULE, Word, gains_in_words, spoken
+from flexopt.study.verdicts.place_loops import Chosen, found_in, problems_of
+from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD, allowed, told
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
@@ -336,7 +336,7 @@ class Verdict(Pictured, Printed, Result):
     @property
     def bands(self) -> list[Bands]:
         """Decay, settling, allowed gain, delay margin and base swing of every place, as `plot` draws them."""
-        from flexopt.study.verdict_page import bands_of  # noqa: PLC0415  (matplotlib is slow to import)
+        from flexopt.study.verdicts.page import bands_of  # noqa: PLC0415  (matplotlib is slow to import)
 
         return bands_of(self)
 
@@ -362,7 +362,7 @@ class Verdict(Pictured, Printed, Result):
         write_file(path, self._html())
 
     def _html(self) -> str:
-        from flexopt.study.verdict_page import verdict_html  # noqa: PLC0415
+        from flexopt.study.verdicts.page import verdict_html  # noqa: PLC0415
 
         return verdict_html(self)
 

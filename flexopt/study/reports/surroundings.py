@@ -13,9 +13,9 @@ from flexopt.model.choices import Elbow
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.several import BasePlan, Stand
-from flexopt.study.grid import closed_form
-from flexopt.study.workspace import map_workspace, takes_long
-from flexopt.study.workspace_map import WorkspaceMap
+from flexopt.study.maps.grid import closed_form
+from flexopt.study.maps.workspace import map_workspace, takes_long
+from flexopt.study.maps.workspace_map import WorkspaceMap
 
 CHOSEN, PRESENT, WORST = "chosen", "present", "worst target"
 # Of the map along each axis, and with more than three passive coordinates.

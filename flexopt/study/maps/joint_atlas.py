@@ -23,7 +23,7 @@ from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.robustness.atlas import ROWS, Atlas, Rectangle, Slice, survey
 from flexopt.robustness.plausibility import warn_implausible
-from flexopt.study.planes import Plane, read_plane, two_counts
+from flexopt.study.maps.planes import Plane, read_plane, two_counts
 
 CELLS = 128, 128
 CELLS_MIN, CELLS_MAX = 8, 2000

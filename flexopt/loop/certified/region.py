@@ -17,7 +17,7 @@ from flexopt.foundation.boundary import public, whole
 from flexopt.foundation.control import Control
 from flexopt.foundation.results import Result
 from flexopt.foundation.stages import Stages
-from flexopt.loop.certificate import BOXES, DECAY, RegionProof, certified_radius, certify
+from flexopt.loop.certified.certificate import BOXES, DECAY, RegionProof, certified_radius, certify
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox

@@ -28,8 +28,8 @@ import casadi as ca
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.aliases import Aliases
-from flexopt.loop.bernstein import nodes_of
+from flexopt.loop.certified.aliases import Aliases
+from flexopt.loop.certified.bernstein import nodes_of
 from flexopt.loop.members import Machines, Ports
 from flexopt.loop.small_motions import Parts, SmallMotions
 from flexopt.loop.spectrum import OwnMotion

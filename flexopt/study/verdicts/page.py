@@ -14,13 +14,13 @@ import numpy as np
 from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
-from flexopt.study.decision import BETTER
 from flexopt.study.page import PageTable, Picture, begun, coordinate, number, picture, sentence, with_minus
-from flexopt.study.places import MOVE, STAY, allowed, told
+from flexopt.study.verdicts.decision import BETTER
+from flexopt.study.verdicts.places import MOVE, STAY, allowed, told
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
-    from flexopt.study.verdict_result import PlaceVerdict, Verdict
+    from flexopt.study.verdicts.result import PlaceVerdict, Verdict
 
 
 class Compared(NamedTuple):

@@ -16,7 +16,7 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.settings import LoopSettings
 from flexopt.model.loop import Loop, gain_ranges, logarithms
-from flexopt.study.place_loops import PlaceLoops
+from flexopt.study.verdicts.place_loops import PlaceLoops
 
 # Gains tried along each range at first, evaluations of the search that follows, and by how much all gains together
 # are tried where no range is given.

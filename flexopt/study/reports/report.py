@@ -33,11 +33,11 @@ from flexopt.simulation.scenario import checked_options
 from flexopt.study.asked import any_problem
 from flexopt.study.default_gains import default_gains
 from flexopt.study.gains import BorderRow, border_row
-from flexopt.study.move_verdict import MEMBERS, RUNS, SIZES, verdict
-from flexopt.study.place_loops import problems_of
-from flexopt.study.report_result import Report, ReportLoop
-from flexopt.study.surroundings import best_of, map_points, marks_in, problem_of, stands_of, surroundings
-from flexopt.study.verdict_result import Verdict
+from flexopt.study.reports.result import Report, ReportLoop
+from flexopt.study.reports.surroundings import best_of, map_points, marks_in, problem_of, stands_of, surroundings
+from flexopt.study.verdicts.place_loops import problems_of
+from flexopt.study.verdicts.result import Verdict
+from flexopt.study.verdicts.verdict import MEMBERS, RUNS, SIZES, verdict
 
 STAGES = 5
 POINTS_MAX = 1000  # of the map, along each axis

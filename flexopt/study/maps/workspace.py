@@ -22,10 +22,10 @@ from flexopt.model.choices import Elbow
 from flexopt.model.loop import Loop, LoopLike
 from flexopt.plant import build_plant
 from flexopt.robustness import evaluate
-from flexopt.study.grid import Over
-from flexopt.study.planes import read_plane, two_counts
-from flexopt.study.points import evaluate_points, expect_points
-from flexopt.study.workspace_map import WorkspaceMap, finished_map, workspace_dataset
+from flexopt.study.maps.grid import Over
+from flexopt.study.maps.planes import read_plane, two_counts
+from flexopt.study.maps.points import evaluate_points, expect_points
+from flexopt.study.maps.workspace_map import WorkspaceMap, finished_map, workspace_dataset
 
 OVER: tuple[Over, ...] = ("end_point", "posture", "base")
 POINTS_MAX = 10_000

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flexopt.foundation.arrays import ComplexArray, Vector
-from flexopt.loop.bernstein import chebyshev, lebesgue, to_chebyshev
+from flexopt.loop.certified.bernstein import chebyshev, lebesgue, to_chebyshev
 from flexopt.loop.members import Machines
 from flexopt.loop.tangent import exponential
 
 if TYPE_CHECKING:
-    from flexopt.loop.characteristic import Characteristic
+    from flexopt.loop.certified.characteristic import Characteristic
 
 # Nodes of the table in ω; an even number, as at s = 0 aliases are a difference of two poles.
 TABLE = 40

@@ -28,9 +28,9 @@ from flexopt.model import AnyMachine
 from flexopt.model.loop import GAINS, LOOP_GAIN, Loop, LoopLike, loop_of_varied
 from flexopt.model.uncertainty import LATE, Uncertainty, kind_of, parameters_of, uncertainty_faults
 from flexopt.robustness.evaluation import in_words
-from flexopt.study.grid import Axis, Grid
-from flexopt.study.workspace import TWO_POINTS
-from flexopt.study.workspace_map import WorkspaceMap, finished_map, loop_dataset
+from flexopt.study.maps.grid import Axis, Grid
+from flexopt.study.maps.workspace import TWO_POINTS
+from flexopt.study.maps.workspace_map import WorkspaceMap, finished_map, loop_dataset
 
 POINTS = (200, 200)
 POSITIVE = Quantity(LOOP_GAIN.unit, above=0.0, high=1e15)

@@ -28,8 +28,8 @@ from flexopt.foundation.rounding import ROUNDING
 from flexopt.loop.many import Decays
 from flexopt.model import AnyMachine
 from flexopt.robustness.residues import posture_unit, residue_unit
-from flexopt.study.grid import Grid
-from flexopt.study.points import PointValues
+from flexopt.study.maps.grid import Grid
+from flexopt.study.maps.points import PointValues
 
 if TYPE_CHECKING:
     import xarray as xr

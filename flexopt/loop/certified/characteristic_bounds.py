@@ -10,9 +10,9 @@ import math
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.aliases import ELLIPSES
-from flexopt.loop.bernstein import lebesgue, nodes_of
-from flexopt.loop.characteristic import Characteristic
+from flexopt.loop.certified.aliases import ELLIPSES
+from flexopt.loop.certified.bernstein import lebesgue, nodes_of
+from flexopt.loop.certified.characteristic import Characteristic
 
 # Passes of scaling before Hadamard's inequality.
 SCALINGS = 12
