@@ -48,7 +48,7 @@ def measures(at: Context) -> tuple[Operation, ...]:
     unit = "1/(kg m^2) of hinges, 1/kg of slides" if unit == MIXED else unit.replace("m2", "m^2")
     outputs = [
         (field("angular_frequency", "MODES", "rad/s", "undamped, ascending", scale="itself"), frequency, frequency),
-        (field("w", "MODES", unit, "w_i = lambda_min(R_i + R_i^T) = a.b - |a||b|, at most 0", scale=about.meaning),
+        (field("w", "MODES", unit, "w_i = lambda_min(R_i + R_i^T) = a.b - |a||b|; 2ab of one row", scale=about.meaning),
          graph.w, size),
         (field("w_error", "MODES", "as w", "largest error of w_i by rounding", scale="itself over gap_i"), about.error,
          about.error_size),

@@ -9,9 +9,16 @@ from flexopt.foundation.arrays import Vector
 
 # Below this share of what its terms are like a number is 0: they cancel.
 ROUNDING = 1e-13
+# Ways between configurations that were solved for, m or rad: less is what solving leaves.
+WAY = 1e-8
 
 
 def without_rounding(values: ArrayLike, scale: ArrayLike) -> Vector:
     """Numbers as they are shown, 0 where they are rounding of `scale`: for w_i |a_i||b_i|, for places 1 m or rad."""
     given = np.asarray(values, dtype=float)
     return np.where(np.abs(given) <= ROUNDING * np.asarray(scale, dtype=float), 0.0, given)
+
+
+def way(length: float) -> float:
+    """A way between configurations as it is shown."""
+    return 0.0 if abs(length) < WAY else length

@@ -19,7 +19,7 @@ from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Result, Tabled
-from flexopt.foundation.rounding import without_rounding
+from flexopt.foundation.rounding import way, without_rounding
 from flexopt.foundation.turns import TURN
 from flexopt.robustness.evaluation import Evaluation, unreached
 from flexopt.robustness.residues import residue_unit, unit_in_words
@@ -492,7 +492,7 @@ def way_there(problem: SelectionProblem, best: Candidate) -> str:
         ("joints up to", "posture", e.joint_units, moved[n:], np.max, problem.present_posture),
     ):
         parts = {unit: away[[own == unit for own in units]] for unit in dict.fromkeys(units)}
-        lengths = " and ".join(f"{float(one(x)):.3g} {unit}" for unit, x in parts.items())
+        lengths = " and ".join(f"{way(float(one(x))):.3g} {unit}" for unit, x in parts.items())
         origin = f" from zeros, as no present {what} is given" if now is None else ""
         told += [f"{word} {lengths}{origin}"] * bool(parts)
     return f"way there: {'; '.join(told)}"

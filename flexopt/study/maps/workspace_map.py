@@ -298,7 +298,11 @@ SUMMARISED = ("frequency_hz", "w", "rigid", "epsilon_max", "decay", "loop_freque
 # name -> unit, long name, description; the dimensions follow from the arrays.
 DESCRIPTIONS = {
     "frequency_hz": ("Hz", "natural frequency", "undamped, ω_i / 2π, in ascending order"),
-    "w": ("{residue}", "measure w_i", "λmin(R_i + R_iᵀ), at most 0; 0 where the mode cannot be excited by feedback"),
+    "w": (
+        "{residue}",
+        "measure w_i",
+        "λmin(R_i + R_iᵀ): below 0 feedback may excite the mode, from 0 on it cannot",
+    ),
     "scale": ("{residue}", "size of the residue", "|a_i||b_i| of R_i = a_i b_iᵀ, to compare w_i with"),
     "in_phase": ("1", "in phase", "1 where trace R_i > 0, 0 where not"),
     "in_phase_strict": ("1", "strictly in phase", "1 where every diagonal element of R_i is at least 0, 0 where not"),

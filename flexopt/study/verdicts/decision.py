@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.rounding import way
 from flexopt.study.verdicts.places import STAY
 
 Word = Literal["move", "stay", "change gains", "cannot tell"]
@@ -119,7 +120,7 @@ def decide(
             if not stay.holds:
                 reason = "stable on every ground, which the present place is not"
             reason += f"; slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
-        takes = ", ".join(filter(None, [f"a drive of {best.drive:.3g} m", best.otherwise]))
+        takes = ", ".join(filter(None, [f"a drive of {way(best.drive):.3g} m", best.otherwise]))
         return Decision("move", best.name, f"{reason}, for {takes}")
     if stay is not None and stay.holds and stay.name not in unconfirmed:
         share, rival = max(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from flexopt.foundation.rendering import OfNumbers, render
+from flexopt.foundation.rounding import way
 from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
 from flexopt.study.page import PageTable, Picture, begun, coordinate, number, picture, sentence, with_minus
@@ -83,6 +84,8 @@ def judged(verdict: Verdict) -> dict[str, Any]:
     return {
         "verdict": verdict,
         "head": begun(verdict.advice),
+        "stay": STAY,
+        "sends": verdict.word in ("move", "change gains"),
         "reason": sentence(verdict.reason),
         "drawbacks": sentence(verdict.drawbacks),
         "measure": sentence(verdict.measure),
@@ -160,7 +163,7 @@ def _numbers(verdict: Verdict) -> list[tuple[str, list[BoxNumber]]]:
     moved = [place for place in places if place.name != STAY]
     if moved:
         drive = moved[0].drive
-        found.insert(0, ("drive", [BoxNumber(told(drive, 1.0, " m"), drive)]))
+        found.insert(0, ("drive", [BoxNumber(told(way(drive), 1.0, " m"), drive)]))
     return found
 
 
@@ -195,7 +198,7 @@ def _places(verdict: Verdict) -> PageTable:
     header = ["place", *map(OfNumbers, numbers), "nonlinear runs"]
     rows = [
         [
-            place.name, "" if place.name == STAY else told(place.drive, 1.0, " m"),
+            place.name, "" if place.name == STAY else told(way(place.drive), 1.0, " m"),
             *(_worst(place, m).text for m in shown), f"{100 * place.stable_share:.0f} %",
             "" if place.name == STAY or math.isnan(place.better) else f"{100 * place.better:.0f} %", place.shown_runs,
         ]
