@@ -25,6 +25,8 @@ def test_a_place_that_is_better_everywhere_is_moved_to() -> None:
     assert word.reason.endswith(", for a drive of 2 m")
     also = place("near", 2.8 * GROUNDS, 2.0)._replace(otherwise="boom by -0.4 rad")
     assert decide(STAY, [also]).reason.endswith(", for a drive of 2 m, boom by -0.4 rad")
+    # What solves leave of a base that stays is no way.
+    assert decide(STAY, [place("near", 3 * GROUNDS, 6e-11)]).reason.endswith(", for a drive of 0 m")
 
 
 def test_what_decays_is_not_told_to_decay_so_much_faster_than_what_grows() -> None:

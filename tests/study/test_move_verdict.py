@@ -174,7 +174,7 @@ def test_a_place_that_is_not_allowed_is_none_to_stay_at(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_staying_is_said_against_all_places_that_were_judged() -> None:
+def test_staying_is_said_against_all_places_that_were_judged(tmp_path: Path) -> None:
     """Three are stable on more grounds than another that decays faster on three of five: by the rule that decides."""
     base, posture = 1.8625277871038002, (1.8981784500546635, -1.4650435368568973)
     loop = {"kp": 1e5, "kv": 1e3, "dead_time": 0.005, "drive": "torque"}
@@ -187,6 +187,11 @@ def test_staying_is_said_against_all_places_that_were_judged() -> None:
     assert (other.name, len(found.places)) == (found.place, 5)
     assert other.better > 0.5
     assert f"and {other.name}, which decays faster than the present place on the most grounds" in repr(found)
+    # The page sends nobody anywhere.
+    found.to_html(tmp_path / "verdict.html")
+    words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
+    assert f"Orange: {other.name}, which the numbers above are of." in words
+    assert "sends" not in words
 
 
 def test_no_border_of_the_gain_is_one_above_the_highest_that_was_tried() -> None:
