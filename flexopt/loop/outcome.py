@@ -239,7 +239,7 @@ class LoopPoint:
         return tuple((10**low, 10**high) for low, high in found)
 
     def allowed_gain(self) -> Measured:
-        """The largest Kp along the present ratio of all gains, N/m and the like: of the first row that has one.
+        """The largest Kp along the present ratio of all gains, in its unit: of the first row that has one.
 
         The upper end of the interval in which the present gains lie; where they lie in none the largest one below, 0
         where there is none; infinite where no border is met; NaN where no row has one.

@@ -231,7 +231,7 @@ class LeastOutcomes(FileModel):
 
     Attributes:
         decay: of its slowest motion, 1/s.
-        allowed_gain: largest Kp, N/m and the like.
+        allowed_gain: largest Kp, in its unit.
         delay_margin: further dead time that it bears, s.
         allowance: largest velocity gain that damps every mode, in the unit of Kv.
         radius: the stability radius, of all springs together.

@@ -22,16 +22,21 @@ DECADES = 6.0  # of a range of gains from 0
 DEFAULT_LOOP = "default"
 # Where none is given: the article's, and that of teleoperated excavators.
 RATES: dict[Drive, float] = {"torque": 200.0, "velocity": 100.0}
-LOOP_GAIN = Quantity("N/m and the like", low=0.0, high=1e15)
 GAINS = {"kp": "proportional gain Kp", "kv": "velocity gain Kv", "ki": "integral gain Ki"}
+# With the transpose, with the inverse of hinges, of velocity-served joints.
+KP = Quantity("N/m, N m or 1/s", low=0.0, high=1e15)
+KV = Quantity("N s/m, N m s or 1", low=0.0, high=1e15)
+KI = Quantity("N/(m s), N m/s or 1/s²", low=0.0, high=1e15)
+LOOP_GAINS = {"kp": KP, "kv": KV, "ki": KI}
 TORQUE = Quantity("N m or N", low=0.0, high=1e12)
 TORQUE_RATE = Quantity("N m/s or N/s", low=0.0, high=1e12)
 BANDWIDTH = Quantity("Hz", low=1e-3, high=1e6)
 SERVO_GAIN = Quantity(JOINT_DAMPING.unit, above=0.0, high=1e12)
 RATE = Quantity("Hz", above=0.0, high=1e6)
 DEAD_TIME = Quantity("s", low=0.0, high=10.0)
-GainValues = Annotated[Numbers, numbers_in(LOOP_GAIN)]
-GainRange = Annotated[tuple[float, float], pair(LOOP_GAIN, allow_equal=True)]
+KpValues = Annotated[Numbers, numbers_in(KP)]
+KvValues = Annotated[Numbers, numbers_in(KV)]
+KiValues = Annotated[Numbers, numbers_in(KI)]
 Torques = Annotated[Numbers, numbers_in(TORQUE)]
 TorqueRates = Annotated[Numbers, numbers_in(TORQUE_RATE)]
 Bandwidths = Annotated[Numbers, numbers_in(BANDWIDTH)]
@@ -73,11 +78,11 @@ class Loop(BuiltByCall):
 
     control: Annotated[Control, check_control] | None = None
     feedback: Literal["pd", "pid"] = "pd"
-    kp: GainValues | None = None
-    kv: GainValues | None = None
-    ki: GainValues = (0.0,)
-    kp_range: GainRange | None = None
-    kv_range: GainRange | None = None
+    kp: KpValues | None = None
+    kv: KvValues | None = None
+    ki: KiValues = (0.0,)
+    kp_range: Annotated[tuple[float, float], pair(KP, allow_equal=True)] | None = None
+    kv_range: Annotated[tuple[float, float], pair(KV, allow_equal=True)] | None = None
     rate: Annotated[float, RATE] | None = None
     dead_time: Annotated[float, DEAD_TIME] = 0.0
     filter_hz: Annotated[float, BANDWIDTH] | None = None

@@ -29,11 +29,13 @@ from flexopt.model.file_model import BuiltByCall, FileModel
 from flexopt.model.loop import (
     BANDWIDTH,
     DEAD_TIME,
-    LOOP_GAIN,
+    KP,
     RATE,
     SERVO_GAIN,
     Bandwidths,
-    GainValues,
+    KiValues,
+    KpValues,
+    KvValues,
     Loop,
     TorqueRates,
     Torques,
@@ -206,10 +208,10 @@ class SimulationOptions(BuiltByCall):
     base: JointValues | None = None
     control: Annotated[Control, check_control] = "inverse"
     feedback: Feedback = "pd"
-    kp: GainValues = (1e5,)
-    kv: GainValues = (2e3,)
-    ki: GainValues = (0.0,)
-    integral_limit: Annotated[float, Quantity("N", above=0.0, high=LOOP_GAIN.high)] = LOOP_GAIN.high
+    kp: KpValues = (1e5,)
+    kv: KvValues = (2e3,)
+    ki: KiValues = (0.0,)
+    integral_limit: Annotated[float, Quantity("N", above=0.0, high=KP.high)] = KP.high
     gain: Annotated[float, GAIN] = 5e5
     offset: JointValues | None = None
     duration: Annotated[float, DURATION] = 10.0

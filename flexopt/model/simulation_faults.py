@@ -11,7 +11,7 @@ from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.coordinates import check_task
 from flexopt.foundation.quantities import milliseconds_hint
-from flexopt.model.loop import DELAY_MAX, LOOP_GAIN, Loop, length_faults, loop_faults
+from flexopt.model.loop import DELAY_MAX, KP, Loop, length_faults, loop_faults
 from flexopt.model.machine import AnyMachine
 from flexopt.model.simulation import (
     PART_OF_SAMPLE,
@@ -71,7 +71,7 @@ def _controller_faults(options: SimulationOptions, machine: AnyMachine) -> list[
     if options.feedback != "pid":
         for name, value, unused in (
             ("ki", list(options.ki), any(options.ki)),
-            ("integral_limit", f"{options.integral_limit:g}", options.integral_limit < LOOP_GAIN.high),
+            ("integral_limit", f"{options.integral_limit:g}", options.integral_limit < KP.high),
         ):
             found += [Fault(name, 'goes with feedback = "pid"', str(value))] * unused
     return found + _lever_faults(options, machine)

@@ -13,7 +13,7 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.coordinates import check_placement
 from flexopt.foundation.nearest import hint_or_list
 from flexopt.foundation.quantities import COORDINATE, Quantity
-from flexopt.model.loop import DEAD_TIME, GAINS, LOOP_GAIN, loop_faults
+from flexopt.model.loop import DEAD_TIME, GAINS, LOOP_GAINS, loop_faults
 from flexopt.model.machine import AnyMachine
 from flexopt.model.problem import Problem
 from flexopt.model.simulation import Experiment
@@ -95,7 +95,7 @@ def _axis(study: Study, k: int, each: Vary) -> tuple[StudyAxis | None, list[Faul
         return _checked(field, each, allowed, StudyAxis(each.of, units[i], word, (i,), *rest))
     if each.of in (*GAINS, LATE):
         unit = "s" if each.of == LATE else ""
-        return _checked(field, each, DEAD_TIME if unit else LOOP_GAIN, StudyAxis(each.of, unit, each.of, (), *rest))
+        return _checked(field, each, LOOP_GAINS.get(each.of, DEAD_TIME), StudyAxis(each.of, unit, each.of, (), *rest))
     return _of_parameters(machine, field, each, rest)
 
 

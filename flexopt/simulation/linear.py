@@ -39,7 +39,7 @@ class StabilityBorder:
     """Intervals of the gain Kp in which the sampled linear loop is stable, Kv as it stands.
 
     Attributes:
-        intervals: (lower, upper) in N/m and the like; the ends of the search where it did not meet a border.
+        intervals: (lower, upper) of Kp, in its unit; the ends of the search where it did not meet a border.
         searched: (lower, upper) of the search.
         kv: the other gain, one for each task row where these differ, or its ratio to Kp where that was held, s.
         ratio: whether Kv / Kp was held instead of Kv.

@@ -15,7 +15,7 @@ from flexopt.foundation.control import damping_unit, gain_units
 from flexopt.foundation.quantities import JOINT_DAMPING, coordinate_max
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.structure import LoopStructure
-from flexopt.model.loop import BANDWIDTH, LOOP_GAIN, SERVO_GAIN, TORQUE
+from flexopt.model.loop import BANDWIDTH, KP, SERVO_GAIN, TORQUE
 from flexopt.model.simulation import NOISE, RATE_NOISE
 from flexopt.simulation.scenario import Scenario
 
@@ -98,13 +98,13 @@ def _controller(scenario: Scenario, structure: LoopStructure, served: Served | N
         unit, more = one_unit(units)
         more += f"; servo gain times {name.capitalize()} of the velocity-served loop" if served else ""
         found[name] = [
-            Variable(f"controller.{name}.{row}", unit, f"{text} gain, axis {row}{more}", value, *LOOP_GAIN.range, True)
+            Variable(f"controller.{name}.{row}", unit, f"{text} gain, axis {row}{more}", value, *KP.range, True)
             for row, value in zip(rows, spread(getattr(options, name), len(rows)), strict=True)
         ]
     if structure.law == "pid":
         unit, more = one_unit(force_unit(options.control, joints))
         text, limit = f"largest integral part of the force, each axis{more}", options.integral_limit
-        found["integral_limit"] = [Variable("controller.integral_limit", unit, text, limit, *LOOP_GAIN.range, True)]
+        found["integral_limit"] = [Variable("controller.integral_limit", unit, text, limit, *KP.range, True)]
     if structure.nullspace_damped:
         unit, more = one_unit(damping_unit(joints))
         text, value = f"damping of the arm's self-motion{more}", options.nullspace_damping

@@ -25,7 +25,7 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.uncertain import UncertaintyBox
 from flexopt.model import AnyMachine
-from flexopt.model.loop import GAINS, LOOP_GAIN, Loop, LoopLike, loop_of_varied
+from flexopt.model.loop import GAINS, LOOP_GAINS, Loop, LoopLike, loop_of_varied
 from flexopt.model.uncertainty import LATE, Uncertainty, kind_of, parameters_of, uncertainty_faults
 from flexopt.robustness.evaluation import in_words
 from flexopt.study.maps.grid import Axis, Grid
@@ -33,7 +33,6 @@ from flexopt.study.maps.workspace import TWO_POINTS
 from flexopt.study.maps.workspace_map import WorkspaceMap, finished_map, loop_dataset
 
 POINTS = (200, 200)
-POSITIVE = Quantity(LOOP_GAIN.unit, above=0.0, high=1e15)
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,8 @@ def _varied(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -
             begins_at_0 = isinstance(ends, Sequence) and [*cast(Sequence[Any], ends)][:1] == [0]
             if begins_at_0:
                 arguments.note(key, "lower end must be greater than 0, as gains vary along a logarithmic axis", ends)
-            low, high = arguments.checked(key, (1.0, 2.0) if begins_at_0 else ends, pair(POSITIVE), (1.0, 2.0))
+            positive = pair(Quantity(LOOP_GAINS[name].unit, above=0.0, high=LOOP_GAINS[name].high))
+            low, high = arguments.checked(key, (1.0, 2.0) if begins_at_0 else ends, positive, (1.0, 2.0))
             found.append(Varied(name, low, high, "", GAINS[name]))
         else:
             found += _of_machine(arguments, machine, key, name, ends)
