@@ -134,7 +134,9 @@ def _draw(axes: Axes, bands: Bands) -> None:
         weight = "bold" if row.name == bands.told else "normal"
         across = axes.get_yaxis_transform()
         axes.text(-0.03, k, row.name, transform=across, va="center", ha="right", fontsize="small", fontweight=weight)
-        axes.text(1.04, k, row.worst, transform=across, va="center", fontsize="small")
+        # Two units are long, and stand below the axis.
+        worst = row.worst.removesuffix(f" {bands.unit}") if " or " in bands.unit else row.worst
+        axes.text(1.04, k, worst, transform=across, va="center", fontsize="small")
     axes.set_yticks([])
     axes.set_ylim(len(bands.rows) - 0.4, -0.6)
     better, unit = "" if bands.more is None else f" ({'more' if bands.more else 'less'} is better)", bands.unit or "SI"
@@ -154,7 +156,7 @@ def _draw(axes: Axes, bands: Bands) -> None:
     elif axes.get_xscale() == "linear":
         axes.locator_params(axis="x", nbins=5)
     elif high < DECADES * low:
-        axes.set_xticks(between_powers(low, high))
+        axes.set_xticks(between_powers(low, high, most=4))
         axes.set_xticks([], minor=True)
         axes.xaxis.set_major_formatter(lambda value, _: shown(value, 3))
     open_frame(axes, "x")

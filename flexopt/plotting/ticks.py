@@ -24,11 +24,14 @@ def shown(value: float, digits: int) -> str:
     return f"${rounded / 10.0**power:.{digits}g} \\times 10^{{{power}}}$"
 
 
-def between_powers(low: float, high: float) -> list[float]:
-    """Ticks of a logarithmic axis from low to high that is too short for powers of ten."""
-    first = math.floor(math.log10(low))
-    steps = [m * 10.0**k for k in range(first, first + 4) for m in (1, 2, 5)]
-    found = [step for step in steps if low <= step * (1 + SAME) and step <= high * (1 + SAME)]
+def between_powers(low: float, high: float, most: int = 7) -> list[float]:
+    """Ticks of a logarithmic axis from low to high that is too short for powers of ten, at most so many."""
+    first, found = math.floor(math.log10(low)), list[float]()
+    for leading in ((1, 2, 5), (1, 3), (1,)):
+        steps = [m * 10.0**k for k in range(first, first + 4) for m in leading]
+        found = [step for step in steps if low <= step * (1 + SAME) and step <= high * (1 + SAME)]
+        if len(found) <= most:
+            break
     if len(found) < 2:
         found = [step for step in np.asarray(MaxNLocator(4).tick_values(low, high)).tolist() if low <= step <= high]
     return found
