@@ -153,9 +153,15 @@ class LoopSettings(Result):
 
     @property
     def proposed(self) -> list[str]:
-        """A line on what nobody gave; none where all was given."""
+        """Lines on what nobody gave, and on joints that it hardly drives; none where all was given."""
         names = ", ".join(f"drive ({why})" if name == "drive" else name for name, why in self.sources.items())
-        return [f"  not given of the loop, so proposed: {names}"] if names else []
+        lines = [f"not given of the loop, so proposed: {names}", self.hardly_served] if names else []
+        return [f"  {line}" for line in lines if line]
+
+    @property
+    def hardly_served(self) -> str:
+        """Which joints brake themselves more than the proposed servo gain drives them; empty where none does."""
+        return self.sources.get("servo_gain", "").partition("; ")[2]
 
     def handed_on(self, where: str) -> str:
         """Which numbers follow from the posture of a place, and how other calls are given them; empty without any."""

@@ -109,13 +109,13 @@ def nearest(problem: SelectionProblem, z: Vector) -> Vector:
     """Of configurations that no measure tells from z the one nearest to the present one, see `travel`.
 
     These are z after whole turns of joints, with joints at other angles that nothing depends on, such as the roll of a
-    tool about its own axis, and turned about the target. What breaks a constraint is left out, and so is all where
-    travel costs.
+    tool about its own axis, and turned about the target; and with a base elsewhere where the task does not see it. What
+    breaks a constraint is left out, and so is all where travel costs.
     """
     if problem.travel is not None:
         return z
     here, now = unwound(problem, z), _now(problem)
-    for k in idle_joints(problem, here):
+    for k in (*range(len(problem.machine.base_coordinates)), *idle_joints(problem, here)):
         moved = here.copy()
         moved[k] = np.clip(now[k], problem.lower[k], problem.upper[k])
         here = moved if _as_good(problem, z, moved) else here

@@ -209,9 +209,11 @@ def test_a_joint_that_brakes_itself_more_than_its_servo_drives_it_is_named() -> 
     data["links"] = [{**link, "joint_damping": own} if link["name"] == "stick" else link for link in data["links"]]
     told = flexopt.outcome(flexopt.machine_from_dict(data), posture, loop="default").settings
     assert told.servo_gain == pytest.approx(free.servo_gain)
-    assert (
-        f"stick brakes itself by {own:.4g} N m s/rad and makes 10 % of the rate asked for" in told.sources["servo_gain"]
-    )
+    sentence = f"stick brakes itself by {own:.4g} N m s/rad and makes 10 % of the rate asked for: give servo_gain"
+    assert sentence in told.sources["servo_gain"]
+    # Verdicts and regions list the names of what nobody gave, and this.
+    assert free.hardly_served == ""
+    assert told.proposed[1] == f"  {sentence}"
 
 
 def test_a_servo_gain_follows_from_the_posture_where_cylinders_do() -> None:

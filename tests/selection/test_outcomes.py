@@ -17,7 +17,7 @@ import flexopt
 from benchmarks.codesign import KP, KV, decay
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
-from flexopt.model import machine_from_dict
+from flexopt.model import machine_from_dict, tree_from_dict
 from flexopt.model.loop import Loop
 from flexopt.selection.outcomes.climb import first_order
 from flexopt.selection.outcomes.program import OutcomeProgram
@@ -25,6 +25,7 @@ from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.scan import FEASIBLE
 from flexopt.selection.starts import moved
 from tests.cli.command import Command
+from tests.oracles.spatial import in_space
 
 EXCAVATOR, TARGET = flexopt.load("excavator"), (0.0, 1.6)
 FIXED = {"kp": 1e4, "kv": 1e3}
@@ -43,6 +44,21 @@ def _chosen(objective: str, options: str) -> OutcomeSelection:
     found = flexopt.select(EXCAVATOR, TARGET, objective=objective, **json.loads(options))
     assert isinstance(found, OutcomeSelection)
     return found
+
+
+def test_a_base_that_the_task_does_not_see_stays_where_it_is() -> None:
+    """Of a task of the height alone placements are all alike: each posture is one optimum, held from where it stands."""
+    data = in_space(EXCAVATOR.model_dump(by_alias=True))
+    data["end_point"]["rows"] = ["z"]
+    loop = FIXED | {"nullspace_damping": 3e3, "drive": "torque"}
+    options: dict[str, Any] = {"base": 0.7, "posture": (0.9929, -2.6306), "objective": "decay", "loop": loop}
+    found = flexopt.select(tree_from_dict(data), (1.6,), **options, starts=FEW)
+    postures = np.array([each.evaluation.posture for each in found.candidates])
+    assert [each.evaluation.base[0] for each in found.candidates] == [0.7] * len(postures)
+    apart = np.abs(postures[:, None] - postures).max(axis=2)[~np.eye(len(postures), dtype=bool)]
+    assert apart.min(initial=1.0) > 1e-2
+    # As many climbs ended as were begun: those that ended at the same posture elsewhere are no optima of their own.
+    assert len(postures) < len(found.attempts)
 
 
 @pytest.mark.long

@@ -29,6 +29,16 @@ def test_a_place_that_is_better_everywhere_is_moved_to() -> None:
     assert decide(STAY, [place("near", 3 * GROUNDS, 6e-11)]).reason.endswith(", for a drive of 0 m")
 
 
+def test_of_mirrored_places_the_nearer_one_is_spoken_of() -> None:
+    """Whatever their order; they differ by rounding."""
+    far, near = place("far", 2.8 * GROUNDS, 11.0), place("near", 2.8 * GROUNDS * (1 - 1e-10), 1.5)
+    for pair in ([far, near], [near, far]):
+        half = [each._replace(decays=np.where(np.arange(GROUNDS.size) % 2, each.decays, 0.5)) for each in pair]
+        assert (found := decide(STAY, half)).word == "cannot tell"
+        assert found.place == "near"
+        assert decide(place("stay", -GROUNDS), [each._replace(decays=-GROUNDS) for each in pair]).place == "near"
+
+
 def test_what_decays_is_not_told_to_decay_so_much_faster_than_what_grows() -> None:
     found = decide(place("stay", -GROUNDS), [place("near", 0.1 * GROUNDS, 2.0)])
     assert found.reason.startswith("stable on every ground, which the present place is not; slowest decay ")

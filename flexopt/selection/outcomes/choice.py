@@ -25,12 +25,12 @@ from flexopt.model.choices import DECAY
 from flexopt.model.uncertainty import GROUND
 from flexopt.robustness import Evaluation
 from flexopt.selection.constraint_values import ConstraintValue
-from flexopt.selection.continua import travel
+from flexopt.selection.continua import grouped, nearest, travel
 from flexopt.selection.optima import SAME_POINT
 from flexopt.selection.outcomes.asked import Asked, MeasureBounds, least_values
 from flexopt.selection.outcomes.borders import RADIUS_POINTS
 from flexopt.selection.outcomes.branches import Measure
-from flexopt.selection.outcomes.climb import Climbed, climbed
+from flexopt.selection.outcomes.climb import Climbed, climbed, first_order
 from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import Seed, separation, starting_points
@@ -79,13 +79,16 @@ def outcome_selection(
     program, starts = starting_points(program, pool, count, seeds)
     found = climbs(program, starts, count, progress)
     attempts = tuple(_attempt(program, start, each) for start, each in zip(starts, found, strict=True))
-    distinct, unverified = distinct_optima(program, found)
+    ends, unverified = distinct_optima(program, found)
+    groups = _continua(program, ends)
     # What is as fast goes by the way there.
-    level = distinct[0].value - EQUAL * abs(distinct[0].value)
-    alike = [each for each in distinct if each.value >= level]
-    distinct[: len(alike)] = sorted(alike, key=lambda each: travel(problem, program.z(each.y)))
+    best = groups[0][0].value
+    level = best - EQUAL * abs(best)
+    alike = [group for group in groups if group[0].value >= level]
+    groups[: len(alike)] = sorted(alike, key=lambda group: travel(problem, program.z(group[0].y)))
+    distinct = [group[0] for group in groups]
     loops = [program.at(each.y).settings for each in distinct]
-    candidates = [_candidate(program, each, chosen) for each, chosen in zip(distinct, loops, strict=True)]
+    candidates = [_candidate(program, group, chosen) for group, chosen in zip(groups, loops, strict=True)]
     springs = UncertaintyBox(machine, GROUND, program.loop.settings.dead_time)
     now = None if initial is None else with_outcome(machine, initial, loops[0], gravity=problem.gravity)
     broken = () if initial is None else asked.broken(problem, loops[0], initial.base, initial.posture, bounds)
@@ -130,6 +133,42 @@ def distinct_optima(program: OutcomeProgram, found: list[Climbed | None]) -> tup
     worth = distinct[0].value + NEW * abs(distinct[0].value)
     more = [each.value for each in found if each is not None and not each.holds and each.value > worth]
     return distinct, program.measure.sign * max(more) if more else None
+
+
+def _continua(program: OutcomeProgram, ends: list[Climbed]) -> list[list[Climbed]]:
+    """The ends, best first, those of one continuum together: the nearest to the present configuration leads.
+
+    Of one continuum are those that `flexopt.selection.continua` joins, with the same gains, and as much of the measure.
+    """
+    near = [_nearest(program, each) for each in ends]
+    found = list[list[Climbed]]()
+    for group in grouped(program.problem, [program.z(each.y) for each in near]):
+        members = [near[k] for k in group]
+        while members:
+            first, rest = members[0], list[Climbed]()
+            own = [first]
+            for each in members[1:]:
+                (own if _as_much(program, first, each) else rest).append(each)
+            found.append(own)
+            members = rest
+    return sorted(found, key=lambda group: -group[0].value)
+
+
+def _nearest(program: OutcomeProgram, end: Climbed) -> Climbed:
+    """Of what nothing tells from an end, its loop neither, the nearest to the present configuration."""
+    z = program.z(end.y)
+    near = nearest(program.problem, z)
+    if near is z:
+        return end
+    y = np.append(near / program.problem.scale, end.y[program.n_z :])
+    value = program.value(y)
+    moved = Climbed(y, end.value, *first_order(program, y, value), end.steps)
+    return moved if moved.holds and abs(value - program.value(end.y)) <= EQUAL * abs(value) else end
+
+
+def _as_much(program: OutcomeProgram, end: Climbed, other: Climbed) -> bool:
+    same = np.abs(end.y[program.n_z :] - other.y[program.n_z :]).max(initial=0.0) <= SAME_POINT
+    return bool(same) and abs(end.value - other.value) <= EQUAL * abs(end.value)
 
 
 def _feasible(problem: SelectionProblem, initial: Evaluation | None) -> Vector:
@@ -224,9 +263,11 @@ def _present(program: OutcomeProgram, initial: Evaluation, best: Climbed) -> flo
     return program.measure.sign * value if math.isfinite(value) else None
 
 
-def _candidate(program: OutcomeProgram, end: Climbed, settings: LoopSettings) -> Candidate:
-    problem = program.problem
-    z = end.y[: problem.scale.size] * problem.scale
+def _candidate(program: OutcomeProgram, group: list[Climbed], settings: LoopSettings) -> Candidate:
+    """The first of a continuum, and where its base stands in the others."""
+    problem, (end, *others) = program.problem, group
+    n_base, z = len(problem.machine.base_coordinates), program.z(end.y)
+    places = [program.z(each.y)[:n_base] for each in others if separation(program, end.y, each.y) > SAME_POINT]
 
     def evaluate() -> Evaluation:
         return with_outcome(problem.machine, problem.quantities.evaluated(z), settings, gravity=problem.gravity)
@@ -243,4 +284,5 @@ def _candidate(program: OutcomeProgram, end: Climbed, settings: LoopSettings) ->
         kinks={},
         unsurpassed=False,
         evaluate=evaluate,
+        continuum=tuple(tuple(place.tolist()) for place in places),
     )

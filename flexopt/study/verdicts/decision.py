@@ -19,6 +19,8 @@ from flexopt.study.verdicts.places import STAY
 Word = Literal["move", "stay", "change gains", "cannot tell"]
 # By which share of its decay one is faster than the other, and in which share of the members it must be.
 FASTER, MOST = 0.1, 0.95
+# Of a decay, by which two are one: mirrored places differ by rounding.
+ALIKE = 1e-6
 # What "better" is, in every sentence.
 BETTER = f"decays at least {100 * FASTER:.0f} % faster"
 
@@ -123,9 +125,7 @@ def decide(
         takes = ", ".join(filter(None, [f"a drive of {way(best.drive):.3g} m", best.otherwise]))
         return Decision("move", best.name, f"{reason}, for {takes}")
     if stay is not None and stay.holds and stay.name not in unconfirmed:
-        share, rival = max(
-            ((place.better_than(stay), place) for place in others), key=lambda x: x[0], default=(0.0, stay)
-        )
+        share, rival = _rival(stay, others)
         if share <= 1 - MOST:
             most = max(share, most)
             where = f"more than {100 * most:.0f} % of the grounds" if most else "any ground"
@@ -133,7 +133,7 @@ def decide(
             return Decision("stay", stay.name, f"{reason}; slowest decay here {stay.slowest:.3g}/s")
         return Decision("cannot tell", rival.name, _why_not(rival, share, unconfirmed))
     if stay is not None and sound:
-        first = max(sound, key=lambda place: place.slowest)
+        first = _near(_slowest_alike(sound))
         share = first.better_than(stay)
         where = f"on {100 * share:.0f} % of the grounds only" if share else "on none that was looked at"
         reason = f"{first.name} is stable on every ground, and the present place is not, but {BETTER} {where}"
@@ -196,12 +196,33 @@ def _pays(place: Place, stay: Place) -> bool:
     return place.better_than(stay) >= MOST and bool(faster(np.array(place.slowest), np.array(stay.slowest)))
 
 
+def _rival(stay: Place, others: Sequence[Place]) -> tuple[float, Place]:
+    """The place that is better on the most members, of those alike the one with the least drive; and on what share."""
+    shares = [place.better_than(stay) for place in others]
+    if not shares:
+        return 0.0, stay
+    most = max(shares)
+    first = [place for place, share in zip(others, shares, strict=True) if share == most]
+    return most, _near(_slowest_alike(first))
+
+
+def _slowest_alike(places: Sequence[Place]) -> list[Place]:
+    """Those whose slowest decay is the largest, to rounding."""
+    most = max(place.slowest for place in places)
+    return [place for place in places if place.slowest >= most - ALIKE * abs(most)]
+
+
+def _near(places: Sequence[Place]) -> Place:
+    """That with the least drive."""
+    return min(places, key=lambda place: place.drive)
+
+
 def _best(moves: Sequence[Place]) -> Place | None:
     """The least drive among those whose slowest decay is within a tenth of the best."""
     if not moves:
         return None
     most = max(place.slowest for place in moves)
-    return min((place for place in moves if place.slowest >= (1 - FASTER) * most), key=lambda place: place.drive)
+    return _near([place for place in moves if place.slowest >= (1 - FASTER) * most])
 
 
 def _spares(changed: Place, stay: Place | None, best: Place | None, sound: Sequence[Place]) -> bool:

@@ -103,6 +103,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "rests": [sentence(place.rest) for place in verdict.places if place.rest],
         "loop": with_minus(verdict.controller),
         "handed_on": sentence(verdict.handed_on),
+        "hardly_served": sentence(verdict.settings.hardly_served),
         "sources": (("number", "where it is from"), list(verdict.settings.sources.items())),
         "over": sentence(verdict.over),
     }
