@@ -36,7 +36,7 @@ from flexopt.cli.postures import asked_posture, configuration
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine, load, load_any
 from flexopt.model.choices import of_loop
-from flexopt.model.loop import DEFAULT_LOOP, Loop
+from flexopt.model.loop import DEFAULT_LOOP, GAINS, RATES, Loop
 
 LOOP = value(
     "--loop",
@@ -95,13 +95,21 @@ def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | No
 
 def _beside(known: dict[str, Any], asked: dict[str, Any]) -> dict[str, Any]:
     """What was asked for on top of the file's own; of the file's that do not go with it the way out is told."""
+    drive, faults = asked.get("drive"), list[Fault]()
+    if drive in RATES and drive != known.get("drive", "torque"):
+        # Gains without a drive are those of torques, in other units than those of rates.
+        sentence = f"is for {known.get('drive', 'torque')}-served joints; for {drive}-served ones it has another unit, "
+        sentence += "and is to be given"
+        names = (*GAINS, "kp_range", "kv_range")
+        values = {name: [*known[name]] for name in names if name in known and name not in asked}
+        faults += [Fault(name, sentence, each[0] if len(each) == 1 else each) for name, each in values.items()]
     try:
         Loop(**known | asked)
     except InputError as error:
-        of_file = [fault for fault in error.faults if fault.field in known and fault.field not in asked]
-        sentence = "{}; it is the file's own: --loop default leaves the file's [loop] out"
-        faults = [Fault(each.field, sentence.format(each.sentence), each.value) for each in of_file]
-        raise_if_any(InputError, click.get_current_context().command_path.partition(" ")[2], faults)
+        faults += [fault for fault in error.faults if fault.field in known and fault.field not in asked]
+    own = "{}; it is the file's own: --loop default leaves the file's [loop] out"
+    faults = [Fault(each.field, own.format(each.sentence), each.value) for each in faults]
+    raise_if_any(InputError, click.get_current_context().command_path.partition(" ")[2], faults)
     return known | asked
 
 

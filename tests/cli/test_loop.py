@@ -55,6 +55,18 @@ def test_what_of_the_file_does_not_go_with_an_option_is_told_with_the_way_out(co
     assert "--loop servo_gain" in command(*words, "--loop", "servo_gain=3").stderr
 
 
+def test_gains_of_the_file_are_not_taken_for_drives_of_the_other_kind(command: Command) -> None:
+    """Their numbers are in other units."""
+    source = (Path(__file__).parents[2] / "models" / "excavator.toml").read_text(encoding="utf-8")
+    (command.folder / "own.toml").write_text(source + "\n[loop]\nkp = 1e5\nkv_range = [1e3, 1e4]\n", encoding="utf-8")
+    words = ("evaluate", "own.toml", *WORDS[2:])
+    refused = command(*words, "--loop", "drive=velocity", "--loop", "servo_gain=2e5")
+    assert refused.code == 2
+    assert "kp = 100000.0: is for torque-served joints; for velocity-served ones it has another unit" in refused.stderr
+    assert "kv_range = [1000.0, 10000.0]: is for torque-served joints" in refused.stderr
+    assert command(*words, "--loop", "drive=torque").code == 0
+
+
 def test_what_is_no_option(command: Command) -> None:
     for given, sentence in ((("kp",), "NAME=VALUE"), (("kp=1", "kp=2"), "given twice"), (("kz=1",), "unknown key")):
         refused = command(*WORDS, *(part for entry in given for part in ("--loop", entry)))
