@@ -12,7 +12,10 @@ def nearest(word: str, known: Iterable[str], alike: float = ALIKE) -> str | None
     """The one of `known` that is most like `word`, if any is at all."""
     import difflib  # noqa: PLC0415  (which only faults need)
 
-    return next(iter(difflib.get_close_matches(word, list(known), n=1, cutoff=alike)), None)
+    words, parts = list(known), sorted(word.split("."))
+    # The same parts of a dotted name in another order are nearer than any other word.
+    turned = next((each for each in words if "." in word and sorted(each.split(".")) == parts), None)
+    return turned or next(iter(difflib.get_close_matches(word, words, n=1, cutoff=alike)), None)
 
 
 def hint_or_list(word: str, known: Iterable[str], heading: str = "valid here: ", most: int | None = None) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ import pytest
 import flexopt
 from flexopt.loop.lag import BY, lagged_modes
 from flexopt.loop.settings import loop_settings
+from flexopt.model import tree_from_dict
 from flexopt.model.loop import Loop
 from flexopt.plant import plant as plant_room
 from flexopt.robustness import measures as measures_room
 from tests.oracles.slopes import differences
+from tests.oracles.spatial import in_space
 from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
 
 STANDS = {
@@ -190,3 +193,20 @@ def test_a_plant_that_the_cache_has_dropped():
     again = stand("boom-stick-bucket")[2]
     assert np.array_equal(found["lag"], lagged_modes(again.motions).at(again.numbers, settings.dead_time)[0]["lag"])
     assert found["lag"].size == evaluation.w.size
+
+
+def test_what_does_not_move_the_end_point_may_have_any_gain() -> None:
+    """A base that also rolls about the plane's own x: no end-point feels it, no feedback excites it."""
+    data = in_space(flexopt.load("excavator").model_dump(by_alias=True))
+    k = next(k for k, body in enumerate(data["bodies"]) if body["name"] == "base.rotation")
+    joint = {"name": "base.roll", "kind": "hinge", "axis": [1.0, 0.0, 0.0], "passive": True, "stiffness": 3e6}
+    data["bodies"].insert(k, {"name": "base.roll", "parent": data["bodies"][k]["parent"], "joint": joint})
+    data["bodies"][k + 1]["parent"] = "base.roll"
+    loop = {"kp": 1e4, "kv": 1e3, "drive": "torque"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", flexopt.FlexoptWarning)
+        found = flexopt.evaluate(tree_from_dict(data), (0.9929, -2.6306), loop=loop)
+    unmoved = found.scale <= 1e-20 * found.scale.max()
+    assert np.flatnonzero(unmoved).tolist() == [1]
+    assert np.isinf(found.outcome.allowance[unmoved]).all()
+    assert np.isfinite(found.outcome.allowance[~unmoved]).all()
