@@ -103,7 +103,7 @@ EXHIBITS = (
         'result.plot("FILE")',
     ),
     Exhibit(
-        "verdict", "Does it pay to move?", "Every place over all that is uncertain, from the least to the greatest.",
+        "verdict", "Does it pay to move?", "Every place over all that is uncertain, from the worst to the best seen.",
         "Verdict",
         'problem, loop = flexopt.load_problem("article"), {"kp": 1e4, "kv": 1e3}\n'
         'result = flexopt.verdict(problem, loop=loop, ranges={"stiffness": (0.5, 2.0)}, members=16, runs=0)\n'

@@ -347,8 +347,8 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
                     "posture": list(made.posture), "next": steps})  # fmt: skip
         return
     say(f"{path}: {made.machine!r}")
-    if end:
-        say(end)
+    for sentence in filter(None, (end, made.held and f"In the machine {made.held}.")):
+        say(sentence)
     say("Next: fill in what is marked as proposed; then")
     say("\n".join(f"  {step}" for step in steps))
 

@@ -12,14 +12,19 @@ from typing import Any
 import numpy as np
 
 from flexopt.foundation.arrays import Interval
-from flexopt.foundation.roots import root
+from flexopt.foundation.roots import border
 
 # Relative width to which a narrow interval between two gains is looked for, and exponents to which a border is found.
 NARROW, BORDER = 1e-3, 1e-10
 
 
 def stable_intervals(
-    growth: Callable[[float], float], low: float, high: float, points: int, known: list[float] | None = None
+    growth: Callable[[float], float],
+    low: float,
+    high: float,
+    points: int,
+    known: list[float] | None = None,
+    rounding: float = 0.0,
 ) -> tuple[Interval, ...]:
     """Intervals of the exponent in which `growth` is negative; ends of the search where it did not meet a border.
 
@@ -27,12 +32,18 @@ def stable_intervals(
         growth: of the exponent.
         low, high, points: exponents searched, and how many of them at first.
         known: growth at these, where it is known.
+        rounding: growth down to minus this is none: of a motion that nothing damps it is rounding alone.
     """
+
+    def above(x: float) -> float:
+        return growth(x) + rounding
+
     exponents = np.linspace(low, high, points).tolist()
-    grid = _with_narrow(growth, exponents, [growth(x) for x in exponents] if known is None else known)
+    values = [above(x) for x in exponents] if known is None else [value + rounding for value in known]
+    grid = _with_narrow(above, exponents, values)
     stable = np.array([value < 0 for _, value in grid])
     edges = np.flatnonzero(stable[1:] != stable[:-1])
-    roots = [root(growth, grid[i][0], grid[i + 1][0], xtol=BORDER) for i in edges.tolist()]
+    roots = [border(above, grid[i][0], grid[i + 1][0], xtol=BORDER) for i in edges.tolist()]
     ends = ([low] if stable[0] else []) + roots + ([high] if stable[-1] else [])
     return tuple(zip(ends[::2], ends[1::2], strict=True))
 

@@ -19,7 +19,7 @@ import numpy as np
 from flexopt.coprime import StateSpace
 from flexopt.coprime.norms import hinf_peak
 from flexopt.foundation.arrays import ComplexArray, Vector
-from flexopt.foundation.roots import root
+from flexopt.foundation.roots import border, root
 from flexopt.loop.assembly import OneSample, Slopes
 from flexopt.loop.borders import stable_intervals
 from flexopt.loop.disturbance import Disturbed
@@ -38,6 +38,8 @@ from flexopt.model.loop import DELAY_MAX
 
 # Multiples of the gains that are searched for borders, as exponents of 10, and how many at first.
 LOW, HIGH, POINTS = -4.0, 4.0, 241
+# In a sample: of an undamped motion that the loop does not see this much decay may be rounding.
+UNDAMPED = 1e3 * float(np.finfo(float).eps)
 # Looks at longer dead times in a sample, and how many at most up to where the loop may be at a border.
 CLOSE, LOOKS = 4, 16
 # How far on either side of a border, in samples, eigenvalues say that it is one.
@@ -235,7 +237,7 @@ class LoopPoint:
             each = opened + 10.0 ** exponents[:, None, None] * (balanced - opened)
             radius = np.abs(np.linalg.eigvals(kept @ each @ kept.T)).max(axis=1)
             known = (np.log(radius) / self.period).tolist()
-        found = stable_intervals(self.growth_at, LOW, HIGH, POINTS, known)
+        found = stable_intervals(self.growth_at, LOW, HIGH, POINTS, known, UNDAMPED / self.period)
         return tuple((10**low, 10**high) for low, high in found)
 
     def allowed_gain(self) -> Measured:
@@ -296,7 +298,7 @@ class LoopPoint:
         before = 0.0
         for more in _between([0.0, *late, most], self.period / CLOSE) if late else []:
             if growth(more) >= 0:
-                found = root(growth, before, more, xtol=1e-13 * self.period, rtol=1e-14)
+                found = border(growth, before, more, xtol=1e-13 * self.period, rtol=1e-14)
                 return self._border(found, LoopPoint(self.motions, self.numbers, self.dead_time + found).rate().slopes)
             before = more
             if before >= below:

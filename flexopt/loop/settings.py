@@ -242,6 +242,8 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
         how = "beside the other gain" if any(told.values()) else f"corner at {SHARE:g} of the lowest mode"
         why = f"{SUITING}: {how}, damping ratio {DAMPING_RATIO:g} on a rigid base"
     sources |= dict.fromkeys(sorted(chosen), why)
+    if loop.feedback == "pid" and "ki" not in loop.model_fields_set:
+        sources["ki"] = "none is given, without which pid is pd"
     if "dead_time" not in loop.model_fields_set:
         sources["dead_time"] = "none is given"
 

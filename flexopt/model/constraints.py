@@ -263,7 +263,9 @@ class Constraints(FileModel):
             pairs that overlap in every posture aside, m.
         tip_over_margin: least distance of the centre of mass from the edges of the support polygon, seen from above, m.
         holding: share of each joint's effort that gravity may take.
-        tool_angle: range of the end-point's inclination, rad; one number for an exact value.
+        tool_angle: range of the end-point's inclination, rad; one number for an exact value. In the plane the angle of
+            its link from the horizontal, anticlockwise; in space atan2 of the heights of the tips of its frame's first
+            and last axis: how far the first axis points above the horizontal while the last one points up.
         travel: cost of leaving the present configuration.
         outcome: what the real loop must do at least, or at most, over all that is uncertain; with `flexopt.select`'s
             `loop`.

@@ -577,3 +577,19 @@ def small(robot: str, share: float) -> str:
         return f'xyz="{" ".join(f"{share * float(x):g}" for x in found[1].split())}"'
 
     return re.sub(r'(?<=<origin )xyz="([^"]*)"', shrunk, robot)
+
+
+def test_a_joint_that_follows_an_actuated_one_is_said_to_be_held(command: Command) -> None:
+    """A boom's parallelogram keeps its tool upright in the robot file; the machine that is written has no such joint."""
+    follower = """
+  <link name="upright"><inertial><origin xyz="0.3 0 0"/><mass value="80"/>
+    <inertia ixx="4" iyy="9" izz="9" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="upright" type="revolute"><parent link="tool"/><child link="upright"/><origin xyz="1 0 0"/>
+    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1e5" velocity="1"/>
+    <mimic joint="boom" multiplier="-1"/></joint>
+</robot>"""
+    command.write("arm.urdf", URDF.replace("</robot>", follower))
+    made = command("new", "own.toml", "--from", "arm.urdf", "--yes")
+    assert made.code == 0
+    assert "In the machine upright, which follows boom, is held: a coupling is not modelled." in made.stdout
+    assert "upright, which follows boom, is held" in (command.folder / "own.toml").read_text(encoding="utf-8")

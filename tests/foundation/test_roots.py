@@ -8,7 +8,7 @@ import weakref
 
 import pytest
 
-from flexopt.foundation.roots import root
+from flexopt.foundation.roots import border, root
 
 
 class Heavy:
@@ -35,3 +35,9 @@ def test_the_function_goes_without_a_collection_of_garbage() -> None:
         assert there() is None
     finally:
         gc.enable()
+
+
+def test_ends_that_rounding_puts_on_one_side_are_a_border_themselves() -> None:
+    assert border(lambda x: x - 0.25, 0.0, 1.0) == pytest.approx(0.25)
+    assert border(lambda x: 1e-17 * (2 - x), 0.0, 1.0) == 1.0
+    assert border(lambda x: -1e-17 * (1 + x), 0.0, 1.0) == 0.0

@@ -216,6 +216,12 @@ def test_a_joint_that_brakes_itself_more_than_its_servo_drives_it_is_named() -> 
     assert told.proposed[1] == f"  {sentence}"
 
 
+def test_feedback_with_an_integral_but_no_gain_of_it_says_so() -> None:
+    told = flexopt.outcome(EXCAVATOR, POSTURE_B, loop={"feedback": "pid", "kp": 1e4, "kv": 1e3}).settings
+    assert told.sources["ki"] == "none is given, without which pid is pd"
+    assert "ki" not in flexopt.outcome(EXCAVATOR, POSTURE_B, loop={"kp": 1e4, "kv": 1e3}).settings.sources
+
+
 def test_a_servo_gain_follows_from_the_posture_where_cylinders_do() -> None:
     """Elsewhere efforts and rates are those of every posture, and nothing is to be handed on."""
     assert "servo_gain" in settings_of(DIGGER, STAND).handed_on("the present place")

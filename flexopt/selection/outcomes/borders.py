@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.roots import root
+from flexopt.foundation.roots import border
 from flexopt.loop.certified.region import LARGEST, stability_radius
 from flexopt.loop.outcome import HIGH, SLOWEST_MOTIONS, LoopPoint
 from flexopt.loop.settings import LoopSettings
@@ -68,7 +68,7 @@ class Line:
         if grows[0] == 0:
             return self.start
         low, high = (told[int(k)][0] for k in (grows[0] - 1, grows[0]))
-        return root(self.rate, low, high, xtol=1e-13, rtol=1e-14)
+        return border(self.rate, low, high, xtol=1e-13, rtol=1e-14)
 
     def nearest(self, level: float) -> list[float]:
         """Levels before this one where the rate is least among its neighbours, the lowest of them.

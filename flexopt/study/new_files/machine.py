@@ -53,11 +53,15 @@ PLANAR_UNITS = {"x": ("N/m", "N s/m"), "y": ("N/m", "N s/m"), "rotation": ("N m/
 
 @dataclass(frozen=True)
 class NewMachine:
-    """The text of a machine file, the machine that it is, and a regular posture of it, rad or m."""
+    """The text of a machine file, the machine that it is, and a regular posture of it, rad or m.
+
+    `held`: a sentence on what the machine leaves out of its robot file; empty without any.
+    """
 
     text: str
     machine: AnyMachine
     posture: tuple[float, ...]
+    held: str = ""
 
 
 @dataclass(frozen=True)

@@ -327,7 +327,7 @@ def overlay_file(chain: RobotChain, name: str, folder: Path, ground: Ground) -> 
             bare = Springs((), ())
             found = ground.springs(build) if ground.gives else Springs((), (), regular_posture(build(bare)))
             machine = build(found)
-            return NewMachine(text(found, gains_told(machine, found.posture)), machine, found.posture)
+            return NewMachine(text(found, gains_told(machine, found.posture)), machine, found.posture, text.held)
         except ModelError:
             raise
         except InputError as error:
@@ -374,6 +374,7 @@ class _Text:
             "actuated": _listed(chain.actuated),
             "actuated_note": "" if "actuated" in chain.asked else " (proposed: all on the way to the end-point)",
             "locked": f"{{ {', '.join(f'{quoted(name)} = {x!r}' for name, x in locked.items())} }}" if locked else "",
+            "locked_note": self.held and f" (proposed: {self.held})",
             "root_told": self._root(),
             "stiffness": by_direction(springs.stiffness),
             "damping": by_direction(springs.damping),
@@ -395,6 +396,18 @@ class _Text:
             "gains": gains,
         }
         return aligned(render("study/templates/robot_machine.toml", **values))
+
+    @property
+    def held(self) -> str:
+        """Which joints follow actuated ones in the robot file, and are held here; empty where none does."""
+        told = [
+            f"{joint.name}, which follows {joint.mimic.joint}"
+            for link in self.chain.robot.links
+            for joint in link.joints
+            if joint.mimic is not None and joint.mimic.joint in self.chain.actuated
+        ]
+        are = "is" if len(told) == 1 else "are"
+        return one_line(f"{' and '.join(told)}, {are} held: a coupling is not modelled") if told else ""
 
     def _end_told(self) -> str:
         """Why this link is proposed as the end-point's, and which joints are left out behind it."""

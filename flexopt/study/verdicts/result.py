@@ -60,7 +60,7 @@ class PlaceVerdict(Result):
             slowest_target: at which target, from 0.
         better: share of the members on which it decays a tenth faster than in the present place.
         allowed_gain, delay_margin: as of `evaluate`; the least over the members and, of the gain, where a search leads
-            from there; NaN where there is no border.
+            from there, the greatest that of few corners; NaN where there is no border.
         settling, swing: over corners of the first intervals, where slopes lead from the worst of these, and the slowest
             member: of the standard move (see `flexopt.Outcome`), s, and the base's largest turn about one of its
             axes, rad, of a base that cannot turn its largest shift, m (`swing_unit`).
