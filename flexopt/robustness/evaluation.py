@@ -417,7 +417,7 @@ def evaluate_checked(
         end_point=v["end_point"].ravel(),
         frequencies_hz=frequencies,
         damping_ratios=ratios,
-        w=w,
+        w=np.where(scale > 0, w, 0.0),  # lengths of nothing are kept from zero in the graphs
         scale=scale,
         rigid=float(np.linalg.eigvalsh(v["rigid"] + v["rigid"].T)[0]),
         in_phase=tuple(bool(t > 0) for t in traces),

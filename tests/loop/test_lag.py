@@ -211,6 +211,7 @@ def test_what_does_not_move_the_end_point_may_have_any_gain() -> None:
         found = flexopt.evaluate(tree_from_dict(data), (0.9929, -2.6306), loop=loop)
     unmoved = found.scale <= 1e-20 * found.scale.max()
     assert np.flatnonzero(unmoved).tolist() == [1]
+    assert found.w[1] == 0.0
     assert np.isinf(found.outcome.allowance[unmoved]).all()
     assert np.isfinite(found.outcome.allowance[~unmoved]).all()
     assert found.outcome.allowed_gain == 0.0
