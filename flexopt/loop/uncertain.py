@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.errors import Fault
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import ComplexArray, Vector
 from flexopt.loop.many import decays
 from flexopt.loop.outcome import HIGH, LoopPoint, Measured
 from flexopt.loop.settings import LoopSettings
@@ -161,6 +161,13 @@ class UncertaintyBox:
         return dict(zip(self.names, self.theta(u).tolist(), strict=True))
 
 
+def _motions(at: LoopPoint) -> ComplexArray:
+    """Ln μ / T of each, 1/s; of what is over after some samples −∞."""
+    with np.errstate(divide="ignore"):
+        found: ComplexArray = np.log(at.upper) / at.period
+    return found
+
+
 def _between(ends: tuple[float, float] | None, x: float) -> float:
     low, high = ends or (0.0, 0.0)
     return low + x * (high - low)
@@ -234,7 +241,7 @@ class UncertainLoop:
     def _promising(self, u: Vector, least: float) -> list[complex]:
         """Of a member's slowest motions, ln μ / T of those whose rates, `BENT` times as steep, fall below `least`."""
         at, found = self.outcome(u), list[complex]()
-        for k, pole in enumerate((np.log(at.upper[:MOTIONS]) / at.period).tolist()):
+        for k, pole in enumerate(_motions(at)[:MOTIONS].tolist()):
             rate = at.rate(k)
             slopes = np.nan_to_num(self.slopes(u, at, rate))
             if rate.value + BENT * float(np.minimum(-slopes * u, slopes * (1.0 - u)).sum()) < least:
@@ -250,7 +257,7 @@ class UncertainLoop:
         there = u
         for _ in range(STEPS):
             at = self.outcome(there)
-            poles = np.log(at.upper) / at.period
+            poles = _motions(at)
             k = int(np.argmin(np.abs(poles - motion)))
             rate = at.rate(k)
             if rate.value < best:
