@@ -269,11 +269,11 @@ def _drives(part: BodyNumbers, machine: AnyMachine, reach: float) -> Iterator[Im
     mass, moment = part.weight
     needed = (moment if part.hinge else mass) * (machine.gravity or 9.81)
     if part.effort < WEAK * needed:
-        unit = "N m" if part.hinge else "N"
+        unit, far = ("N m", ", at its full reach") if part.hinge else ("N", "")
         yield ImplausibleNumber(
             f"{part.joint}.effort",
             f"{part.effort:g} {unit}",
-            f"holding what the joint carries takes up to {needed:.3g} {unit}",
+            f"is little beside the weight that the joint carries, {needed:.3g} {unit}{far}",
             f"probably in k{unit}: {1000 * part.effort:g} {unit}",
         )
     tip = part.speed * (reach if part.hinge else 1.0)
