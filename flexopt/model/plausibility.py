@@ -94,10 +94,16 @@ def distant_ranges(machine: AnyMachine, known: Sequence[Uncertainty]) -> Iterato
         if each.value is not None:
             parameter = machine.parameters[chosen[0]] if chosen else None
             own, unit = (parameter.value, f" {parameter.unit}") if parameter is not None else (0.0, "")
-        near = min(max(low, own), high)
-        if own == 0 or own / DISTANT < near < own * DISTANT or own < 0:
+        near, ends = min(max(low, own), high), f"[{low:g}, {high:g}]"
+        of_centre = any(".com." in name for name in each.of)
+        if own == 0 or 1 / DISTANT < near / own < DISTANT or (of_centre and near / own <= 0):
+            if of_centre and near != own:
+                # Of robot files the frame is hardly the one that the range was measured in.
+                sentence = f"does not contain the file's own number, {own:.4g}{unit}"
+                meant = "it counts from the body's joint, of a root link from [base] point"
+                yield ImplausibleNumber(f"range of {each.name}", f"{ends}{unit}", sentence, meant)
             continue
-        ends, meant = f"[{low:g}, {high:g}]", "is it in another unit?"
+        meant = "is it in another unit?"
         if each.value is not None and low <= 1 <= high:
             meant = f"as a factor of it that would be [{low * own:g}, {high * own:g}]{unit}"
         elif each.factor is not None and low >= DISTANT:

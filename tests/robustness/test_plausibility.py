@@ -683,6 +683,20 @@ def test_a_range_far_from_the_files_number_is_told(range_: Data, meant: str) -> 
     assert [warning.filename for warning in caught if "far from" in str(warning.message)] == [__file__]
 
 
+def test_a_centre_of_mass_counts_from_the_joint() -> None:
+    """Of a root link from where its springs act, which is told where the range leaves out the file's own number."""
+    digger, name = flexopt.load("slewing-excavator"), "house.com.x"
+    (own,) = (each.value for each in digger.parameters if each.name == name)
+    for away, told in ((0.0, False), (0.4, True), (-3.0, True)):
+        value = sorted((own + away - 0.1, own + away + 0.1))
+        found = _findings(digger.to_dict() | {"uncertainty": [{"of": name, "value": value}]})
+        assert [each.field for each in found] == [f"range of {name}"] * told
+        assert all("counts from the body's joint" in each.meant for each in found)
+    # Far off, of whatever sign, it may be in another unit.
+    (found,) = _findings(digger.to_dict() | {"uncertainty": [{"of": name, "value": [99 * own - 1, 99 * own + 1]}]})
+    assert "lies far from" in found.sentence
+
+
 def test_a_problems_range_is_looked_at(tmp_path: Path) -> None:
     text = 'name = "p"\nmachine = "excavator"\n[target]\nend_point = [0, 1.6]\n'
     (tmp_path / "p.toml").write_text(text + '[[uncertainty]]\nof = "base.mass"\nvalue = [5, 6]\n', encoding="utf-8")

@@ -59,14 +59,15 @@ Further keys: `root` (the link to start from: what carries it, and other machine
 `lock_others = true` (every joint that is neither actuated nor has a spring is locked where the file has it: at 0, or
 `ref`), `gravity` (m/s², along −z; the MJCF file's or 9.81 where left out), and `ignore`, which reads a robot without
 things that change its dynamics: `["armature", "equality", "tendon", "gravcomp"]` of MJCF, and `"unknown"`, what the
-format does not know (without this word a fault, for it may be misspelt). `base.stiffness` and
-`base.damping` also take six numbers (x, y, z, roll, pitch, yaw) or a symmetric 6 × 6 matrix, about `point`, in the axes
-of the anchor frame. A free joint of the root link gives way to [base]; a mimic joint follows a locked joint, and is
-refused where that moves. Effort and speed come from URDF's <limit effort=… velocity=…> (0 is none), or from MJCF's
-`actuatorfrcrange` and the range of a joint's only actuator. `capsules = "collision"` in place of the tables takes the
-capsules from the robot file: each encloses one shape of its collision geometry. Shapes that are not read, meshes above
-all, are warned of. What pictures draw, shapes and files of meshes, comes from the robot file without a key of its own:
-<visual> of URDF, and of MJCF the geoms of the groups 0 to 2.
+format does not know (without this word a fault, for it may be misspelt). `base.stiffness` and `base.damping` also take
+six numbers (x, y, z, roll, pitch, yaw) or a symmetric 6 × 6 matrix, about `point`, in the axes of the anchor frame. The
+parameters LINK.com.x, .y and .z are of the link with all that is fixed to it, from where its joint is; of the root link
+from `point`, in the axes of the anchor frame. A free joint of the root link gives way to [base]; a mimic joint follows
+a locked joint, and is refused where that moves. Effort and speed come from URDF's <limit effort=… velocity=…> (0 is
+none), or from MJCF's `actuatorfrcrange` and the range of a joint's only actuator. `capsules = "collision"` in place of
+the tables takes the capsules from the robot file: each encloses one shape of its collision geometry. Shapes that are
+not read, meshes above all, are warned of. What pictures draw, shapes and files of meshes, comes from the robot file
+without a key of its own: <visual> of URDF, and of MJCF the geoms of the groups 0 to 2.
 """
 
 from __future__ import annotations
