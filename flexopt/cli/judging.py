@@ -102,7 +102,8 @@ def _beside(known: dict[str, Any], asked: dict[str, Any]) -> dict[str, Any]:
         sentence += "and is to be given"
         names = (*GAINS, "kp_range", "kv_range")
         values = {name: [*known[name]] for name in names if name in known and name not in asked}
-        faults += [Fault(name, sentence, each[0] if len(each) == 1 else each) for name, each in values.items()]
+        told = {name: str(each[0] if len(each) == 1 else each) for name, each in values.items()}
+        faults += [Fault(name, sentence, value) for name, value in told.items()]
     try:
         Loop(**known | asked)
     except InputError as error:

@@ -164,8 +164,7 @@ class UncertaintyBox:
 def _motions(at: LoopPoint) -> ComplexArray:
     """Ln μ / T of each, 1/s; of what is over after some samples −∞."""
     with np.errstate(divide="ignore"):
-        found: ComplexArray = np.log(at.upper) / at.period
-    return found
+        return np.asarray(np.log(at.upper) / at.period, dtype=np.complex128)
 
 
 def _between(ends: tuple[float, float] | None, x: float) -> float:

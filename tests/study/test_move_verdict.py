@@ -13,6 +13,7 @@ import pytest
 
 import flexopt
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model.problem import SelectionOptions
 from flexopt.study import page
 from flexopt.study.page import with_minus
 from flexopt.study.verdicts.place_loops import configurations_of, unreached
@@ -254,13 +255,21 @@ def test_ranges_of_gains_spare_a_drive() -> None:
     assert found.word in {"move", "change gains"}
 
 
-def test_what_is_asked_for_without_a_present_place() -> None:
+def test_what_is_asked_for_without_a_present_place(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6))
     with pytest.raises(flexopt.InputError, match="where the machine stands now"):
         flexopt.verdict(problem)
     excavator = flexopt.load("excavator")
     with pytest.raises(flexopt.InputError, match="where the machine stands now"):
         flexopt.verdict(flexopt.select_stand(excavator, [(0.0, 1.6), (0.2, 1.4)], starts=1))
+    # Before places are sought.
+    for name in ("select", "solve_selection", "solve_problem"):
+        monkeypatch.setattr(f"flexopt.study.verdicts.verdict.{name}", None)
+    unplaced = flexopt.load_problem("article").model_copy(update={"selection": SelectionOptions()})
+    for asked in ((excavator, (0.0, 1.6)), (unplaced,), (problem,)):
+        with pytest.raises(flexopt.InputError, match="where the machine stands now"):
+            flexopt.verdict(*asked)
+    monkeypatch.undo()
     with pytest.raises(flexopt.InputError, match="control that is asked for"):
         flexopt.verdict(flexopt.load_problem("article"), loop={"control": "transpose"})
 

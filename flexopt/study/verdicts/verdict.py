@@ -68,6 +68,7 @@ STAGES = 4
 EXCHANGES = 3
 # Length of a nonlinear run, s.
 DURATION = 20.0
+UNPLACED = Fault("base", "is needed: where the machine stands now, from which it may pay to move")
 T = TypeVar("T")
 # Of values of a measure (targets, few members), and of others that are known, those of a search among all members.
 Further = Callable[[Vector, Sequence[float]], list[float]]
@@ -148,8 +149,7 @@ def verdict(
     solved = problems_of(chosen)[0]
     machine, now = solved.machine, solved.present_base
     if now is None:
-        fault = Fault("base", "is needed: where the machine stands now, from which it may pay to move")
-        raise_if_any(InputError, "verdict", [fault])
+        raise_if_any(InputError, "verdict", [UNPLACED])
     asked, uncertain = _real(problem, chosen, loop, ranges)
     stages.next()
     stands = configurations_of(chosen)
@@ -270,8 +270,11 @@ def _chosen(problem: Any, asked: dict[str, Any], loop: Any, ranges: Any, progres
     """
     given = {name: value for name, value in asked.items() if value is not None}
     if isinstance(problem, AnyMachine):
-        if "target" not in given:
-            raise_if_any(InputError, "verdict", [Fault("target", "is needed of a machine")])
+        missing = [Fault("target", "is needed of a machine")] if "target" not in given else []
+        # Before places are sought, which takes its time.
+        if problem.base_coordinates and "base" not in given and "options" not in given:
+            missing.append(UNPLACED)
+        raise_if_any(InputError, "verdict", missing)
         if asks_for_loop(given.get("objective"), given.get("constraints")):
             given |= {"loop": loop, "ranges": ranges}
         return select(problem, **given, progress=progress)
@@ -279,8 +282,11 @@ def _chosen(problem: Any, asked: dict[str, Any], loop: Any, ranges: Any, progres
     faults = [Fault(name, sentence, shown(value)) for name, value in given.items()]
     raise_if_any(InputError, "verdict", faults)
     if isinstance(problem, SelectionProblem):
+        raise_if_any(InputError, "verdict", [UNPLACED] if problem.present_base is None else [])
         return solve_selection(problem, progress=progress)
     if isinstance(problem, Problem):
+        placed = problem.selection.base is not None or not problem.loaded_machine.base_coordinates
+        raise_if_any(InputError, "verdict", [] if placed else [UNPLACED])
         return solve_problem(judged_by(problem, loop, ranges), progress=progress)
     return cast(Chosen, problem)
 
