@@ -95,23 +95,27 @@ def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | No
 
 def _beside(known: dict[str, Any], asked: dict[str, Any]) -> dict[str, Any]:
     """What was asked for on top of the file's own; of the file's that do not go with it the way out is told."""
-    drive, faults = asked.get("drive"), list[Fault]()
-    if drive in RATES and drive != known.get("drive", "torque"):
-        # Gains without a drive are those of torques, in other units than those of rates.
-        sentence = f"is for {known.get('drive', 'torque')}-served joints; for {drive}-served ones it has another unit, "
-        sentence += "and is to be given"
+    drive, own, faults = _drive(known | asked), _drive(known), list[Fault]()
+    if drive in RATES and drive != own:
+        sentence = f"is for {own}-served joints; for {drive}-served ones it has another unit, and is to be given"
         names = (*GAINS, "kp_range", "kv_range")
         values = {name: [*known[name]] for name in names if name in known and name not in asked}
+        values = {name: each for name, each in values.items() if any(each)}
         told = {name: str(each[0] if len(each) == 1 else each) for name, each in values.items()}
         faults += [Fault(name, sentence, value) for name, value in told.items()]
     try:
         Loop(**known | asked)
     except InputError as error:
         faults += [fault for fault in error.faults if fault.field in known and fault.field not in asked]
-    own = "{}; it is the file's own: --loop default leaves the file's [loop] out"
-    faults = [Fault(each.field, own.format(each.sentence), each.value) for each in faults]
+    way_out = "{}; it is the file's own: --loop default leaves the file's [loop] out"
+    faults = [Fault(each.field, way_out.format(each.sentence), each.value) for each in faults]
     raise_if_any(InputError, click.get_current_context().command_path.partition(" ")[2], faults)
     return known | asked
+
+
+def _drive(loop: dict[str, Any]) -> str:
+    """What the gains of these keys are for; without a drive or a servo gain torques."""
+    return loop.get("drive") or ("velocity" if "servo_gain" in loop else "torque")
 
 
 @click.command("verdict", short_help="Does it pay to move, with this controller, on this ground?")

@@ -34,16 +34,11 @@ def stable_intervals(
         known: growth at these, where it is known.
         rounding: growth down to minus this is none: of a motion that nothing damps it is rounding alone.
     """
-
-    def above(x: float) -> float:
-        return growth(x) + rounding
-
     exponents = np.linspace(low, high, points).tolist()
-    values = [above(x) for x in exponents] if known is None else [value + rounding for value in known]
-    grid = _with_narrow(above, exponents, values)
-    stable = np.array([value < 0 for _, value in grid])
+    grid = _with_narrow(growth, exponents, [growth(x) for x in exponents] if known is None else known)
+    stable = np.array([value < -rounding for _, value in grid])
     edges = np.flatnonzero(stable[1:] != stable[:-1])
-    roots = [border(above, grid[i][0], grid[i + 1][0], xtol=BORDER) for i in edges.tolist()]
+    roots = [border(growth, grid[i][0], grid[i + 1][0], xtol=BORDER) for i in edges.tolist()]
     ends = ([low] if stable[0] else []) + roots + ([high] if stable[-1] else [])
     return tuple(zip(ends[::2], ends[1::2], strict=True))
 

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.rounding import ROUNDING
 from flexopt.loop.small_motions import BY, DEAD_TIME, INPUTS, SmallMotions
 from flexopt.plant.control import task_to_joints_transposed
 from flexopt.robustness.measures import Measures, build_measures
@@ -142,6 +143,12 @@ class LaggedModes:
         values = {name: x.full().ravel() for name, x in zip(self.NAMES, self.values.call(given), strict=True)}
         found = dict(zip(self.slopes.name_out(), self.slopes.call(given), strict=True))
         return values, {name: {by: np.array(found[f"{name}_{by}"]) for by in BY} for name in self.NAMES}
+
+    def unseen_rates(self, numbers: Mapping[str, Vector]) -> Vector:
+        """Decay, 1/s, of modes that neither move the end-point nor are excited by it: their own, whatever the loop."""
+        size = self.measures.w.call([numbers[name] for name in ("base", "posture", "p")])[1].full().ravel()
+        values, _ = self.at(numbers, 0.0)
+        return values["first_order_decay"][size <= ROUNDING**2 * size.max(initial=0.0)]
 
 
 @lru_cache(maxsize=64)

@@ -92,12 +92,13 @@ class SampledLoop:
 
     @property
     def stable(self) -> bool:
-        """Whether all multipliers lie inside the unit circle."""
-        return bool(np.abs(self.multipliers[0]) < 1.0)
+        """Whether all multipliers lie inside the unit circle, by more than rounding."""
+        return self.growth_rate < -self.rounding
 
     def __repr__(self) -> str:
         known = abs(self.growth_rate) > self.rounding
-        word = ("stable" if self.stable else "unstable") if known else "at the border of stability, to rounding"
+        word = "stable" if self.growth_rate < 0 else "unstable"
+        word = word if known else "at the border of stability, to rounding"
         how = "" if self.integrator == EXACT else f" by {self.integrator}"
         return (
             f"SampledLoop({word}{how}: decay {-self.growth_rate:+z.4g}/s at {self.frequency_hz:.4g} Hz, "

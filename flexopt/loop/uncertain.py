@@ -20,7 +20,7 @@ import numpy as np
 from flexopt.errors import Fault
 from flexopt.foundation.arrays import ComplexArray, Vector
 from flexopt.loop.many import decays
-from flexopt.loop.outcome import HIGH, LoopPoint, Measured
+from flexopt.loop.outcome import HIGH, UNDAMPED, LoopPoint, Measured
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.model import AnyMachine
@@ -218,7 +218,13 @@ class UncertainLoop:
         if factors is not None:
             times = np.repeat(factors, len(members))
             varied |= {name: np.outer(getattr(self.settings, name), times) for name in GAINS}
-        return decays(self.box.machine, self.settings, varied, gravity=self.gravity).decay
+        found = decays(self.box.machine, self.settings, varied, gravity=self.gravity).decay
+        return np.where(np.abs(found) <= self._rounding, 0.0, found)
+
+    @property
+    def _rounding(self) -> float:
+        """What decay of a motion that nothing damps is rounding, 1/s."""
+        return UNDAMPED * self.settings.rate
 
     def slowest(self, members: Vector, decays: Vector) -> tuple[float, Vector]:
         """The least decay found in the box, 1/s, and where: searched from the slowest members with exact gradients.
@@ -235,7 +241,7 @@ class UncertainLoop:
                 found = self._followed(start, motion)
                 if found[0] < best[0]:
                     best = min(found, self._least(LoopPoint.decay, found[1]), key=lambda each: each[0])
-        return best
+        return (0.0 if abs(best[0]) <= self._rounding else best[0]), best[1]
 
     def _promising(self, u: Vector, least: float) -> list[complex]:
         """Of a member's slowest motions, ln μ / T of those whose rates, `BENT` times as steep, fall below `least`."""

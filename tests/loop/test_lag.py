@@ -195,16 +195,22 @@ def test_a_plant_that_the_cache_has_dropped():
     assert found["lag"].size == evaluation.w.size
 
 
+def rolling(**spring):
+    """The excavator's base also rolls about the plane's own x."""
+    data = in_space(flexopt.load("excavator").model_dump(by_alias=True))
+    k = next(k for k, body in enumerate(data["bodies"]) if body["name"] == "base.rotation")
+    joint = {"name": "base.roll", "kind": "hinge", "axis": [1.0, 0.0, 0.0], "passive": True, "stiffness": 3e6} | spring
+    data["bodies"].insert(k, {"name": "base.roll", "parent": data["bodies"][k]["parent"], "joint": joint})
+    data["bodies"][k + 1]["parent"] = "base.roll"
+    return data
+
+
 def test_what_does_not_move_the_end_point_may_have_any_gain() -> None:
     """A base that also rolls about the plane's own x: no end-point feels it, no feedback excites it.
 
     Nothing damps the roll, so that the loop is stable at no gain, whatever the sign of the rounding.
     """
-    data = in_space(flexopt.load("excavator").model_dump(by_alias=True))
-    k = next(k for k, body in enumerate(data["bodies"]) if body["name"] == "base.rotation")
-    joint = {"name": "base.roll", "kind": "hinge", "axis": [1.0, 0.0, 0.0], "passive": True, "stiffness": 3e6}
-    data["bodies"].insert(k, {"name": "base.roll", "parent": data["bodies"][k]["parent"], "joint": joint})
-    data["bodies"][k + 1]["parent"] = "base.roll"
+    data = rolling()
     loop = {"kp": 1e4, "kv": 1e3, "drive": "torque"}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", flexopt.FlexoptWarning)
@@ -216,3 +222,26 @@ def test_what_does_not_move_the_end_point_may_have_any_gain() -> None:
     assert np.isfinite(found.outcome.allowance[~unmoved]).all()
     assert found.outcome.allowed_gain == 0.0
     assert found.outcome.gain_intervals == ()
+
+
+def test_what_no_feedback_excites_decays_as_the_machine_does() -> None:
+    """The roll of an arm that moves in a plane: at ζ ω, whatever the gains; of the others none is unseen."""
+    data = rolling(damping=2e3)
+    loop = {"kp": 1e3, "kv": 1e3, "drive": "torque"}
+    found = flexopt.evaluate(tree_from_dict(data), (0.9929, -2.6306), loop=loop)
+    point = found.outcome.settings.outcome(tree_from_dict(data), found.base, found.posture, gravity=False)
+    (rate,) = lagged_modes(point.motions).unseen_rates(point.numbers)
+    assert rate == pytest.approx(found.damping_ratios[1] * math.tau * found.frequencies_hz[1], rel=1e-9)
+    assert np.min(np.abs(np.log(np.abs(point.loop.multipliers)) / point.period + rate)) < 1e-9
+    settings = flexopt.outcome(EXCAVATOR, POSTURE_B, loop=loop).settings
+    plain = settings.outcome(EXCAVATOR, np.zeros(1), np.array(POSTURE_B), gravity=False)
+    assert lagged_modes(plain.motions).unseen_rates(plain.numbers).size == 0
+
+
+@pytest.mark.long
+def test_a_verdict_says_whose_its_slowest_motion_is() -> None:
+    machine = tree_from_dict(rolling(damping=10.0))
+    options = {"base": 0.0, "loop": {"kp": 1e3, "kv": 1e3, "drive": "torque"}, "members": 2, "runs": 0, "starts": 2}
+    found = flexopt.verdict(machine, (0.0, 1.6), **options)
+    assert any(place.unseen for place in found.places)
+    assert "one that the end-point does not show and no feedback excites" in repr(found)

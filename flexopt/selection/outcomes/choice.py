@@ -140,7 +140,10 @@ def _continua(program: OutcomeProgram, ends: list[Climbed]) -> list[list[Climbed
 
     Of one continuum are those that `flexopt.selection.continua` joins, with the same gains, and as much of the measure.
     """
-    near = [_nearest(program, each) for each in ends]
+    near = list[Climbed]()
+    for each in (_nearest(program, end) for end in ends):
+        if not any(separation(program, each.y, other.y) <= SAME_POINT for other in near):
+            near.append(each)
     found = list[list[Climbed]]()
     for group in grouped(program.problem, [program.z(each.y) for each in near]):
         members = [near[k] for k in group]
@@ -162,7 +165,9 @@ def _nearest(program: OutcomeProgram, end: Climbed) -> Climbed:
         return end
     y = np.append(near / program.problem.scale, end.y[program.n_z :])
     value = program.value(y)
-    moved = Climbed(y, end.value, *first_order(program, y, value), end.steps)
+    stationarity, active = first_order(program, y, value)
+    # On what it may rest at its new place it does not rest.
+    moved = Climbed(y, end.value, stationarity, tuple(name for name in active if name in end.active), end.steps)
     return moved if moved.holds and abs(value - program.value(end.y)) <= EQUAL * abs(value) else end
 
 

@@ -132,7 +132,7 @@ def known_quantities(machine: AnyMachine) -> Mapping[str, KnownQuantity]:
                  modal=True),
         KnownQuantity("damping_ratios", "", m, "of the modes, to first order in the damping", lambda s: s.modal.zeta,
                  modal=True),
-        KnownQuantity("allowance", "N s/m and the like", m,
+        KnownQuantity("allowance", "N s/m, N m s or 1", m,
                  "κ_i = 4 ζ_i ω_i / |w_i|: the largest velocity gain, whatever its directions, before mode i grows",
                  lambda s: s.modal.allowance, modal=True),
         KnownQuantity("end_point", "m", plant.n_task, f"end-point r, inertial frame, {rest}",

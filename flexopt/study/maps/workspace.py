@@ -84,7 +84,7 @@ def map_workspace(
     Over `"end_point"` an arm of two parallel hinges is mapped in closed form: end-points are those of the arm at rest
     in the *workspace frame*, the inertial frame's axes with the origin at the first joint at rest; nothing depends on
     the placement, which is 0. Any other machine needs a `posture` to start from, and these may have one: two task rows
-    then vary, in the inertial frame, and the posture is followed from point to point (see `study.follow`): within the
+    then vary, in the inertial frame, and the posture is followed from point to point: within the
     branch of `posture`, and of a redundant arm the one nearest to it. Over `"posture"` two joints vary. Over `"base"`
     two placement coordinates vary while the end-point is held, the posture followed likewise: the map tells where to
     stand. Under gravity the springs give way beneath the posture that belongs to the point at rest.

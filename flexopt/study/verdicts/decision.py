@@ -197,7 +197,7 @@ def _pays(place: Place, stay: Place) -> bool:
 
 
 def _rival(stay: Place, others: Sequence[Place]) -> tuple[float, Place]:
-    """The place that is better on the most members, of those alike the one with the least drive; and on what share."""
+    """The place that is better on the most members, then in the worst case; its share. Of alike ones the nearer."""
     shares = [place.better_than(stay) for place in others]
     if not shares:
         return 0.0, stay
@@ -209,7 +209,8 @@ def _rival(stay: Place, others: Sequence[Place]) -> tuple[float, Place]:
 def _slowest_alike(places: Sequence[Place]) -> list[Place]:
     """Those whose slowest decay is the largest, to rounding."""
     most = max(place.slowest for place in places)
-    return [place for place in places if place.slowest >= most - ALIKE * abs(most)]
+    least = most - ALIKE * abs(most) if np.isfinite(most) else most
+    return [place for place in places if not place.slowest < least]
 
 
 def _near(places: Sequence[Place]) -> Place:

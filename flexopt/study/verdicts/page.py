@@ -96,6 +96,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "left_out": sentence(verdict.left_out),
         "sought_by": sentence(verdict.sought_by),
         "drifts": sentence(verdict.drifts),
+        "unseen": sentence(verdict.unseen),
         "taken": verdict.taken and sentence(f"staying is judged in {verdict.taken}"),
         "present": verdict.present_told and sentence(f"{STAY}: {verdict.present_told}"),
         "where": _where(verdict),

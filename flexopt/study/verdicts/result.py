@@ -57,7 +57,8 @@ class PlaceVerdict(Result):
         decay: of the sampled loop, 1/s; its least is the slowest that a search with gradients found in the box, too.
         stable_share: of the members.
         slowest_at: the member with the slowest decay: factors and values by name;  slowest_hz: its frequency;
-            slowest_target: at which target, from 0.
+            slowest_target: at which target, from 0;  unseen: whether that is a mode which neither moves the end-point
+            nor is excited by any feedback: its rate is the machine's own.
         better: share of the members on which it decays a tenth faster than in the present place.
         allowed_gain, delay_margin: as of `evaluate`; the least over the members and, of the gain, where a search leads
             from there, the greatest that of few corners; NaN where there is no border.
@@ -79,6 +80,7 @@ class PlaceVerdict(Result):
     slowest_at: dict[str, float]
     slowest_hz: float
     slowest_target: int
+    unseen: bool
     better: float
     allowed_gain: Band
     delay_margin: Band
@@ -89,7 +91,7 @@ class PlaceVerdict(Result):
     rests_on: tuple[tuple[str, ...], ...]
 
     DOCUMENT = """
-    name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target
+    name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target unseen
     better allowed_gain delay_margin[s] settling[s] swing swing_unit runs rests_on
     """
 
@@ -406,6 +408,19 @@ class Verdict(Pictured, Printed, Result):
         return "\n".join(lines)
 
     @property
+    def unseen(self) -> str:
+        """That the slowest motion of places is none of the controller's, a sentence; empty where it is."""
+        names = [place.name for place in self.places if place.unseen]
+        if not names:
+            return ""
+        which = "every place" if len(names) == len(self.places) else ", ".join(names)
+        return (
+            f"the slowest motion of {which} is one that the end-point does not show and no feedback excites: its decay "
+            "is the machine's own; a base without its direction, as roll of an arm that moves in a plane, lets the "
+            "others be compared"
+        )
+
+    @property
     def drifts(self) -> str:
         """That nothing brakes the arm's self-motion, a sentence; empty where something does, or there is none."""
         if not self.settings.lets_drift:
@@ -450,6 +465,7 @@ class Verdict(Pictured, Printed, Result):
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
         lines += [f"  {place.rest}" for place in self.places if place.rest]
         lines += [f"  {self.drifts}"] * bool(self.drifts)
+        lines += [f"  {self.unseen}"] * bool(self.unseen)
         lines += [f"  {sentence}" for sentence in self.assumed]
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
         return "\n".join([*lines, *filter(None, (self.drawbacks, self.measure))])

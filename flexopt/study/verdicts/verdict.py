@@ -23,9 +23,10 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
 from flexopt.foundation.stages import Stages
 from flexopt.loop.evaluation import swing_unit
+from flexopt.loop.lag import lagged_modes
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.spectrum import from_sample_to_sample
-from flexopt.loop.uncertain import UncertaintyBox, matters_most
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.choices import asks_for_loop
 from flexopt.model.constraints import AnyConstraints
@@ -68,6 +69,8 @@ STAGES = 4
 EXCHANGES = 3
 # Length of a nonlinear run, s.
 DURATION = 20.0
+# Of a rate, by which the slowest motion is a mode that no loop changes.
+OWN = 1e-6
 UNPLACED = Fault("base", "is needed: where the machine stands now, from which it may pay to move")
 T = TypeVar("T")
 # Of values of a measure (targets, few members), and of others that are known, those of a search among all members.
@@ -418,8 +421,16 @@ def _place(
         swing=band("swing", factor=MOVE),
         swing_unit=swing_unit(outcomes[0][0]),
         runs=runs,
+        unseen=_is_unseen(place.loops[slowest.target], slowest),
         rests_on=tuple(resting_at(chosen, [(e.base, e.posture) for e in stands])),
     )
+
+
+def _is_unseen(loop: UncertainLoop, slowest: Slowest) -> bool:
+    """Whether the slowest motion is a mode that neither moves the end-point nor is excited by it, whatever the loop."""
+    point = loop.outcome(slowest.member)
+    rates = lagged_modes(point.motions).unseen_rates(point.numbers)
+    return bool(np.any(np.abs(rates - slowest.decay) <= OWN * np.abs(rates) + point.loop.rounding))
 
 
 def _rows(each: Sequence[Vector]) -> Vector:
