@@ -39,6 +39,7 @@ FLAT = 0.1  # height of the first joint over the base's length
 BASE_MASS = ("base.mass", "mass of the base")  # the field's name, of planar machines and in space
 ALIKE, UNLIKE = 3, 1.1  # bodies of one mass and inertia, and longest over shortest of these
 NAMED = 7  # of them, in a sentence
+BEYOND = 1.5  # times the way to the next joint, from which on capsules say how large a body is
 DISTANT = 10.0  # times that a range may lie away from the file's number
 
 
@@ -211,7 +212,8 @@ def _inertia(part: BodyNumbers, reach: float, planar: bool) -> Iterator[Implausi
     if not part.link:
         size = max(size, 0.25 * reach)
     # A slide has no pivot, and where its axis passes says nothing of where its mass is.
-    spans = part.link and part.hinge and part.length > 0
+    # Nor does the next joint where capsules say that the body reaches far beyond it, as a mast with its sledge.
+    spans = part.link and part.hinge and part.length > 0 and part.size < BEYOND * part.length
     if spans and part.across < part.variance / 3 and part.variance > _most_variance(part):
         words = (
             f"the radius of gyration, {radius:.3g} m, is beyond what a link of {part.length:.3g} m has, unless it is "

@@ -205,6 +205,8 @@ def draw_candidates(panels: Sequence[Axes], selection: Selection) -> None:
                 linestyle="none", label="other local optima" if k == 0 else "_", zorder=4,
             )  # fmt: skip
         panel.set_xticks(modes, labels if share else [""] * modes.size)
+        # A mode without a share has no bar in one of them; the labels are of both.
+        panel.set_xlim(-0.6, modes.size - 0.4)
         panel.axhline(0.0, color=inks.muted, linewidth=0.8, zorder=0)
         panel.set_ylabel(labelled("$w_i / |a_i||b_i|$", "") if share else measure_label(best))
     floor = min(float(e.w.min()) for e in (best, *others, *([initial] if initial is not None else [])))

@@ -34,8 +34,9 @@ ModeStatus = Literal[
 STATIONARY = 1e-8
 # A measure of at most this share of |a_i||b_i| below 0 is as good as 0, its greatest value.
 NOTHING = 1e-12
-# Singular values of the end-point's motion below this share of the largest are none; limits nearer than this hold.
-DEPENDENT, AT_LIMIT = 1e-9, 1e-9
+# Singular values of the end-point's motion below this share of the largest are none; limits nearer than this, m or rad,
+# hold: postures that were solved for stand beside theirs by rounding.
+DEPENDENT, AT_LIMIT = 1e-9, 1e-6
 # Modes whose frequencies are so near, as a share, trade their shapes where the posture changes by little.
 NEIGHBOURS = 0.01
 WHY: Mapping[ModeStatus, str] = {

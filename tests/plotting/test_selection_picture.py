@@ -12,7 +12,7 @@ from matplotlib.patches import Polygon
 
 import flexopt
 from flexopt.plotting.scene import Actor, draw_scene
-from flexopt.plotting.selection import _shares
+from flexopt.plotting.selection import _shares, draw_candidates
 from flexopt.plotting.shape import chain, views
 from tests.plotting.looking import drawn
 
@@ -134,3 +134,16 @@ def test_redundant_arm_and_two_intervals_are_drawn():
     lines = [line.get_xdata() for line in low.plot().axes[1].lines if np.size(line.get_xdata()) > 20]
     assert len(lines) == 4
     assert all(np.abs(np.diff(x)).max() < 0.1 for x in lines)
+
+
+def test_bars_of_a_mode_stand_over_its_label():
+    """Of both panels, also where a mode has no share and so no bar in one of them."""
+    found = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), starts=2)
+    stand = found.best.evaluation
+    hidden = replace(stand, scale=stand.scale * [1e-13, 1.0, 1.0], w=stand.w * [1e-13, 1.0, 1.0])
+    figure = Figure()
+    panels = figure.subplots(3)
+    best = replace(found.best, evaluate=lambda: hidden)
+    draw_candidates(panels, replace(found, best=best, candidates=(best,), initial=None))
+    assert panels[0].get_xlim() == panels[1].get_xlim()
+    assert panels[0].get_xlim()[0] < 0 < 2 < panels[0].get_xlim()[1]

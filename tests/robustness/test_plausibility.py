@@ -835,3 +835,15 @@ def test_rows_that_no_joint_moves_are_told() -> None:
     turned["end_point"]["rows"] = ["y", "z"]
     assert not [each for each in told(turned) if each.startswith("end_point.rows")]
     flexopt.evaluate(tree_from_dict(turned), [0.3, 0.8], base=[0.0, 0.0, math.pi / 2])
+
+
+def test_capsules_say_how_long_a_body_is() -> None:
+    """A mast with a sledge on it is longer than the way to its next joint, and has the inertia of its length."""
+    data = flexopt.load("excavator").to_dict()
+    boom = data["links"][0]
+    length, mass = boom["length"], boom["mass"]
+    mast = boom | {"inertia": mass * (2.2 * length) ** 2 / 12, "com": 0.6 * length}
+    data |= {"links": [mast, *data["links"][1:]], "capsules": []}
+    assert any(each.field.endswith("inertia") for each in _findings(data))
+    capsule = {"body": boom["name"], "start": [-0.5 * length, 0.0], "end": [1.7 * length, 0.0], "radius": 0.05}
+    assert _findings(data | {"capsules": [capsule]}) == ()
