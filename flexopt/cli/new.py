@@ -331,7 +331,7 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
         based = chain.floats or not chain.sprung
         questions = [
             Question("name", "Name of the machine", _name, lambda _: stem or chain.name),
-            *_of_ground("z,roll,pitch" if based else NONE, SPATIAL, 1 if based else 0, lambda _: chain.reach),
+            *_of_ground(chain.gives if based else NONE, SPATIAL, 1 if based else 0, lambda _: chain.reach),
         ]
         known = answers(questions, options, ask=not yes)
         path = target or _file_name(known["name"])

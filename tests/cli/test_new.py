@@ -593,3 +593,13 @@ def test_a_joint_that_follows_an_actuated_one_is_said_to_be_held(command: Comman
     assert made.code == 0
     assert "In the machine upright, which follows boom, is held: a coupling is not modelled." in made.stdout
     assert "upright, which follows boom, is held" in (command.folder / "own.toml").read_text(encoding="utf-8")
+
+
+def test_no_turn_out_of_its_plane_is_proposed_of_an_arm_that_moves_in_one(command: Command) -> None:
+    """Its end-point would not show it; of one that slews it does."""
+    command.write("digger.urdf", (ROBOTS / "slewing-excavator.urdf").read_text(encoding="utf-8"))
+    for actuated, proposed in (("slew,boom,stick,bucket", "z,roll,pitch"), ("boom,stick,bucket", "z,pitch")):
+        made = command("new", "own.toml", "--from", "digger.urdf", "--actuated", actuated, "--yes", "--force")
+        assert made.code == 0, made.stderr
+        table = tomllib.loads((command.folder / "own.toml").read_text(encoding="utf-8"))["base"]
+        assert ",".join(table["stiffness"]) == proposed

@@ -44,6 +44,8 @@ ROWS = (("x", "y", "z"), ("x", "z"), ("x", "y"), ("y", "z"), ("x",), ("y",), ("z
 JOINTS_SHOWN, HAND_SHOWN = 80, 4
 # Folders to climb from which on a path is written from the root.
 FAR_UP = 3
+# Of the cosine of an axis to a plane's normal, up to which an arm moves in the plane.
+IN_PLANE = 1e-6
 # What a hand may be of the way to a finger's tip.
 SHORT = 0.2
 # Of the names of joints that close a gripper, and of those that turn one.
@@ -98,6 +100,24 @@ class RobotChain:
         """Of the end-point from where the root stands, m, every step stretched out."""
         way = _way({link.name: link for link in self.robot.links}, self.end)
         return float(sum(np.linalg.norm(link.pose.position) for link in way[1:]))
+
+    @property
+    def gives(self) -> str:
+        """Directions in which a base is proposed to give: of an arm that moves in a vertical plane no turn out of it.
+
+        Its end-point would not show that turn, nor would feedback excite it, and its decay would be none of the loop's.
+        """
+        rotation, hinges, slides = np.eye(3), list[Array](), list[Array]()
+        for link in _way({link.name: link for link in self.robot.links}, self.end):
+            rotation = rotation @ link.pose.rotation
+            for joint in link.joints:
+                if joint.name in self.actuated:
+                    (hinges if joint.kind == "hinge" else slides).append(rotation @ joint.axis)
+        for normal, words in ((np.array([0.0, 1.0, 0.0]), "z,pitch"), (np.array([1.0, 0.0, 0.0]), "z,roll")):
+            along = all(abs(axis @ normal) > 1 - IN_PLANE for axis in hinges)
+            if along and all(abs(axis @ normal) < IN_PLANE for axis in slides):
+                return words
+        return "z,roll,pitch"
 
     @property
     def far_end(self) -> tuple[float, ...]:
