@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flexopt.study.verdicts.decision import Place, decide, deciding, faster, ranked
-from flexopt.study.verdicts.verdict import overlooked, shares_better
+from flexopt.study.verdicts.verdict import first_places, overlooked, shares_better
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
 
@@ -27,6 +27,24 @@ def test_a_place_that_is_better_everywhere_is_moved_to() -> None:
     assert decide(STAY, [also]).reason.endswith(", for a drive of 2 m, boom by -0.4 rad")
     # What solves leave of a base that stays is no way.
     assert decide(STAY, [place("near", 3 * GROUNDS, 6e-11)]).reason.endswith(", for a drive of 0 m")
+
+
+def test_places_that_a_search_finds_slower_than_their_members_give_way() -> None:
+    """Of random places the first three are those of all by what the search finds, which few are asked."""
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        decays = {f"candidate {k}": rng.uniform(-0.1, 1.0) + rng.uniform(0, 0.5, 12) for k in range(1, 10)}
+        found = {name: float(own.min() - rng.exponential(0.05)) for name, own in decays.items()}
+        asked = list[str]()
+
+        def slowest(name: str, asked: list[str] = asked, found: dict[str, float] = found) -> float:
+            asked.append(name)
+            return found[name]
+
+        first = first_places(ranked(decays), decays, slowest)
+        every = sorted(decays, key=lambda name: (np.mean(decays[name] > 0), found[name]), reverse=True)
+        assert first == every[:3]
+        assert len(set(asked)) == len(asked)
 
 
 def test_of_mirrored_places_the_nearer_one_is_spoken_of() -> None:

@@ -306,7 +306,7 @@ class Verdict(Pictured, Printed, Result):
         of_all = f" of {found}" if found > self.judged else ""
         return (
             f"{self.judged}{of_all} candidates were judged; shown are the {TOLD} that are stable on the most grounds "
-            f"and, of these, decay fastest on the worst of the {self.members} members{''.join(more)}"
+            f"and, of these, decay fastest in the worst case found{''.join(more)}"
         )
 
     @property
