@@ -224,7 +224,7 @@ def test_an_unstable_corner_is_never_certified() -> None:
 def test_of_a_loop_that_grows_as_it_is_that_is_told() -> None:
     region = flexopt.stable_region(EXCAVATOR, (0.9929, -2.6306), loop={"kp": 1e5, "kv": 2e3}, points=4, boxes=0)
     assert region.radius == 1.0
-    assert "it grows as it is in the file" in repr(region)
+    assert "as it is in the file it does not decay" in repr(region)
 
 
 def test_the_largest_radius_is_that_which_is_looked_up_to() -> None:

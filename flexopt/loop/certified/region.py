@@ -36,7 +36,7 @@ class Region(Result):
     """Whether a loop is stable over all that is uncertain, and how much more it would bear.
 
     Attributes:
-        stable: whether the loop decays everywhere: False where a point was found that grows; None where none was, and
+        stable: whether the loop decays everywhere: False where at a point it does not; None where none was found, and
             the boxes looked at prove nothing either; True where it is guaranteed, and of what the proof does not speak
             of (`rests_on` says why) where no point looked at grows.
         guaranteed: whether it is proven that the exact sampled loop decays, faster than 1e-6/s, everywhere in the
@@ -84,13 +84,14 @@ class Region(Result):
         word = {True: "stable", False: "not stable", None: "undecided"}[self.stable]
         at = ", ".join(f"{name} {value:.4g}" for name, value in self.critical.items())
         verb = "decays" if self.decay > 0 else "grows"
+        how = f"{verb} at {abs(self.decay):.4g}/s" if self.decay else "does not decay"
         lines = [f"{word}, {'guaranteed' if self.guaranteed else 'not guaranteed'}: {self.rests_on}"]
-        lines.append(f"  slowest found: {verb} at {abs(self.decay):.4g}/s, {self.frequency_hz:.4g} Hz, at {at}")
+        lines.append(f"  slowest found: {how}, {self.frequency_hz:.4g} Hz, at {at}")
         if self.stable is None:
             lines.append("  more `boxes` than it was allowed let the proof go on, in the shell --boxes")
         if not math.isnan(self.radius):
             first = ", ".join(f"{name} {value:.4g}" for name, value in self.radius_critical.items())
-            ends = f"none grows up to {self.radius:.4g}" if self.radius > 1 else "it grows as it is in the file"
+            ends = f"none grows up to {self.radius:.4g}" if self.radius > 1 else "as it is in the file it does not decay"
             ends = f"grows just outside {self.radius:.4g}, at {first}" if first else ends
             proven = self.radius_guaranteed
             bound = f"guaranteed up to a factor of {proven:.4g}" if proven > 1 else "no factor is guaranteed"
@@ -184,7 +185,7 @@ def _word(slowest: float, proof: RegionProof | None, *, guaranteed: bool) -> boo
 
 def _rests_on(proof: RegionProof | None, looked: int, slowest: float, *, guaranteed: bool) -> str:
     if slowest <= 0:
-        return "a point that grows"
+        return "a point that grows" if slowest < 0 else "a point that neither grows nor decays, to rounding"
     if proof is None:
         return f"sampled at {looked} points, no proof was asked for or possible"
     if proof.sentence:
