@@ -91,7 +91,8 @@ class Region(Result):
             lines.append("  more `boxes` than it was allowed let the proof go on, in the shell --boxes")
         if not math.isnan(self.radius):
             first = ", ".join(f"{name} {value:.4g}" for name, value in self.radius_critical.items())
-            ends = f"none grows up to {self.radius:.4g}" if self.radius > 1 else "as it is in the file it does not decay"
+            ends = "as it is in the file it does not decay"
+            ends = f"none grows up to {self.radius:.4g}" if self.radius > 1 else ends
             ends = f"grows just outside {self.radius:.4g}, at {first}" if first else ends
             proven = self.radius_guaranteed
             bound = f"guaranteed up to a factor of {proven:.4g}" if proven > 1 else "no factor is guaranteed"
