@@ -15,7 +15,7 @@ from flexopt.foundation.arrays import BaseLike, PostureLike, Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
 from flexopt.foundation.results import Result
-from flexopt.foundation.rounding import ROUNDING, without_rounding
+from flexopt.foundation.rounding import without_rounding
 from flexopt.loop.lag import LaggedModes, lagged_modes
 from flexopt.loop.outcome import HIGH, LOW, MEASURES, LoopPoint
 from flexopt.loop.settings import LoopSettings, loop_settings
@@ -23,7 +23,7 @@ from flexopt.loop.spectrum import from_sample_to_sample, slow_self_motion
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.robustness import Evaluation, build_measures, evaluate
-from flexopt.robustness.evaluation import evaluate_checked
+from flexopt.robustness.evaluation import evaluate_checked, unreached
 
 # Derivatives by measure, then by what: "base", "posture", "parameters", gains, dead time and drives.
 SlopesOfMeasures = Mapping[str, Mapping[str, Vector]]
@@ -260,9 +260,7 @@ def outcome_of(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *
     outcome = settings.outcome(machine, stand.base, stand.posture, gravity=gravity)
     of_modes: dict[str, Any]
     of_modes, gradient = lagged_modes(outcome.motions).at(outcome.numbers, settings.dead_time)
-    # Of a mode that does not move the end-point at all both a_i and b_i are rounding of the others'.
-    unmoved = stand.scale <= ROUNDING**2 * stand.scale.max(initial=0.0)
-    unexcited = unmoved | (without_rounding(stand.w, stand.scale) == 0)
+    unexcited = unreached(stand.scale) | (without_rounding(stand.w, stand.scale) == 0)
     for name in ("allowance", "allowance_isotropic"):
         of_modes[name][unexcited] = math.inf
         for slopes in gradient[name].values():

@@ -16,9 +16,9 @@ import casadi as ca
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.rounding import ROUNDING
 from flexopt.loop.small_motions import BY, DEAD_TIME, INPUTS, SmallMotions
 from flexopt.plant.control import task_to_joints_transposed
+from flexopt.robustness.evaluation import unreached
 from flexopt.robustness.measures import Measures, build_measures
 from flexopt.robustness.modal import ModalGraphs
 
@@ -148,7 +148,7 @@ class LaggedModes:
         """Decay, 1/s, of modes that neither move the end-point nor are excited by it: their own, whatever the loop."""
         size = self.measures.w.call([numbers[name] for name in ("base", "posture", "p")])[1].full().ravel()
         values, _ = self.at(numbers, 0.0)
-        return values["first_order_decay"][size <= ROUNDING**2 * size.max(initial=0.0)]
+        return values["first_order_decay"][unreached(size)]
 
 
 @lru_cache(maxsize=64)

@@ -253,7 +253,7 @@ def unreached(scale: Vector) -> NDArray[np.bool_]:
 
     Their w_i/|a_i||b_i| and phase have no meaning, and are not shown.
     """
-    return np.asarray(scale <= UNREACHED * scale.max())
+    return np.asarray(scale <= UNREACHED * scale.max(initial=0.0))
 
 
 def in_words(names: tuple[str, ...], values: Vector, units: tuple[str, ...]) -> str:
