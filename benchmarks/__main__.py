@@ -81,6 +81,8 @@ def main() -> int:
         every += found
         lines += [line(row, recorded) for row in found]
     print(table(f"Scores on {machine['processor']}, {machine['vectors']}", lines))
+    if options.quick:
+        print("quick: shows that all run; too few points and rounds for the ratios to be compared with their bars")
     if kept:
         print(f"the record is of {beside['machine']['processor']}, {beside['machine']['vectors']}", end="")
         print("" if own else ": another, whose ratios may be others")

@@ -25,7 +25,7 @@ from flexopt.robustness import evaluate
 from flexopt.study.maps.grid import Over
 from flexopt.study.maps.planes import read_plane, two_counts
 from flexopt.study.maps.points import evaluate_points, expect_points
-from flexopt.study.maps.workspace_map import WorkspaceMap, finished_map, workspace_dataset
+from flexopt.study.maps.workspace_map import WorkspaceMap, finished_map, import_xarray, workspace_dataset
 
 OVER: tuple[Over, ...] = ("end_point", "posture", "base")
 POINTS_MAX = 10_000
@@ -138,8 +138,9 @@ def map_workspace(
     if own is not None and own.control not in (None, control):
         fault = Fault("loop.control", f"is not the control of the map, {control}", repr(own.control))
         raise_if_any(InputError, "map_workspace", [fault])
-    # Compilers are at work while postures are followed.
+    # Compilers are at work while xarray is imported and postures are followed.
     expect_points(size[0] * size[1], machine, control=control, gravity=gravity, epsilon_max=epsilon_max)
+    import_xarray()
     # Postures that are followed count twice: there, and where they are computed.
     ahead = size[0] * size[1] if plane.followed else 0
     grid = plane.grid(machine, size, elbow, lambda done: None if progress is None else progress(done, 2 * ahead))

@@ -365,6 +365,13 @@ def loop_dataset(grid: Grid, loop: Decays, machine: AnyMachine) -> xr.Dataset:
     return _dataset(grid, {name: (plane, values.reshape(shape)) for name, values in fields.items()}, machine, "")
 
 
+def import_xarray() -> None:
+    """xarray, and what it imports with its first array."""
+    import xarray as xr  # noqa: PLC0415  (slow to import)
+
+    xr.Variable(("point",), [0.0])
+
+
 def _dataset(
     grid: Grid, fields: Mapping[str, tuple[tuple[str, ...], Any]], machine: AnyMachine, control: str
 ) -> xr.Dataset:
