@@ -47,7 +47,8 @@ class Outcome(Result):
         w_lagged: w_i with that lag, a_i·b_i cos ψ_i − sqrt(|a_i|²|b_i|² − (a_i·b_i)² sin² ψ_i), (m,), as w.
         frequencies_hz, damping_ratios: of the oscillation that each mode has become in the sampled loop, (m,).
         decay: of the slowest motion of the sampled loop, 1/s; negative where it grows. decay_rounding: one that is
-            nearer to 0 than this, 1/s, is neither growth nor decay. frequency_hz: of that motion.
+            nearer to 0 than this, 1/s, is neither growth nor decay. frequency_hz: of that motion. unseen: whether it is
+            a mode that neither moves the end-point nor is excited by it, which decays by itself, whatever the loop.
         drift: growth rates of a redundant arm's self-motion, which is no part of the decay, 1/s.
         allowed_gain: largest stable Kp along the present ratio of the gains, NaN where no row has one; gain_intervals:
             all stable intervals of it, (k, 2). Where the present gains lie in none, the largest stable ones below, 0
@@ -87,6 +88,7 @@ class Outcome(Result):
     decay: float
     decay_rounding: float
     frequency_hz: float
+    unseen: bool
     drift: tuple[float, ...]
     allowed_gain: float
     gain_intervals: tuple[tuple[float, float], ...]
@@ -102,7 +104,7 @@ class Outcome(Result):
 
     DOCUMENT = """
     settings allowance allowance_isotropic lag[rad] lag_reserve[rad] first_order_decay[1/s] w_lagged frequencies_hz[Hz]
-    damping_ratios decay[1/s] decay_rounding[1/s] frequency_hz[Hz] drift[1/s] allowed_gain gain_intervals
+    damping_ratios decay[1/s] decay_rounding[1/s] frequency_hz[Hz] unseen drift[1/s] allowed_gain gain_intervals
     delay_margin[s] disk_margin sensitivity_peak complementary_peak h2_norm settling[s] swing swing_unit gradient
     """
 
@@ -151,6 +153,7 @@ class Outcome(Result):
             -self.decay, self.decay_rounding, self.frequency_hz, self.settings.rate, self.settings.nullspace_damping
         )
         lines.append(f"  sampled loop: {self._word}, {self.frequency_hz:.4g} Hz{why}")
+        lines += [f"  {unseen_told('the loop')}"] * self.unseen
         if self.settings.lets_drift:
             lines.append(
                 "  the loop does not brake the arm's self-motion, no part of the decay; loop.nullspace_damping does"
@@ -179,6 +182,14 @@ class Outcome(Result):
                 f"  standard move: {settles}; the base swings by {self.swing:.4g} {self.swing_unit} for each m"
             )
         return "\n".join(lines)
+
+
+def unseen_told(whose: str) -> str:
+    """That no loop changes the slowest motion there, a sentence."""
+    return (
+        f"the slowest motion of {whose} is one that the end-point does not show and no feedback excites: its decay is "
+        "the machine's own; a base without its direction, as roll of an arm that moves in a plane, shows the others"
+    )
 
 
 def _told(value: float) -> str:
@@ -259,7 +270,8 @@ def outcome_of(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *
     """What a loop of these numbers does in a configuration that was evaluated."""
     outcome = settings.outcome(machine, stand.base, stand.posture, gravity=gravity)
     of_modes: dict[str, Any]
-    of_modes, gradient = lagged_modes(outcome.motions).at(outcome.numbers, settings.dead_time)
+    modes_of_loop = lagged_modes(outcome.motions)
+    of_modes, gradient = modes_of_loop.at(outcome.numbers, settings.dead_time)
     unexcited = unreached(stand.scale) | (without_rounding(stand.w, stand.scale) == 0)
     for name in ("allowance", "allowance_isotropic"):
         of_modes[name][unexcited] = math.inf
@@ -287,6 +299,7 @@ def outcome_of(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *
         damping_ratios=np.array([ratio.value for ratio in ratios]),
         decay_rounding=outcome.loop.rounding,
         frequency_hz=outcome.loop.frequency_hz,
+        unseen=modes_of_loop.is_unseen(outcome.numbers, scalars["decay"].value, outcome.loop.rounding),
         drift=outcome.loop.drift,
         swing_unit=swing_unit(outcome),
         gain_intervals=tuple((low * kp, high * kp) for low, high in outcome.gain_intervals if kp),

@@ -22,6 +22,8 @@ from flexopt.robustness.evaluation import unreached
 from flexopt.robustness.measures import Measures, build_measures
 from flexopt.robustness.modal import ModalGraphs
 
+# Of a rate, by which a motion of the loop is a mode that no loop changes.
+OWN = 1e-6
 # Real and imaginary part.
 RealImaginary = tuple[ca.SX, ca.SX]
 
@@ -139,16 +141,26 @@ class LaggedModes:
         self, numbers: Mapping[str, Vector], dead_time: float
     ) -> tuple[dict[str, Vector], dict[str, dict[str, Vector]]]:
         """Measures (m,), and the derivative of each by each of `INPUTS` and dead_time, (m, size)."""
-        given = [dead_time if name == DEAD_TIME else numbers[name] for name in self._symbols]
+        given = self._given(numbers, dead_time)
         values = {name: x.full().ravel() for name, x in zip(self.NAMES, self.values.call(given), strict=True)}
         found = dict(zip(self.slopes.name_out(), self.slopes.call(given), strict=True))
         return values, {name: {by: np.array(found[f"{name}_{by}"]) for by in BY} for name in self.NAMES}
 
-    def unseen_rates(self, numbers: Mapping[str, Vector]) -> Vector:
-        """Decay, 1/s, of modes that neither move the end-point nor are excited by it: their own, whatever the loop."""
+    def _given(self, numbers: Mapping[str, Vector], dead_time: float) -> list[Vector | float]:
+        return [dead_time if name == DEAD_TIME else numbers[name] for name in self._symbols]
+
+    def is_unseen(self, numbers: Mapping[str, Vector], decay: float, rounding: float) -> bool:
+        """Whether a motion of this decay, 1/s, is a mode that neither moves the end-point nor is excited by it.
+
+        Its decay is its own, whatever the loop.
+        """
         size = self.measures.w.call([numbers[name] for name in ("base", "posture", "p")])[1].full().ravel()
-        values, _ = self.at(numbers, 0.0)
-        return values["first_order_decay"][unreached(size)]
+        hidden = unreached(size)
+        if not hidden.any():
+            return False
+        given = self._given(numbers, 0.0)
+        own = self.values.call(given)[self.NAMES.index("first_order_decay")].full().ravel()[hidden]
+        return bool(np.any(np.abs(own - decay) <= OWN * np.abs(own) + rounding))
 
 
 @lru_cache(maxsize=64)

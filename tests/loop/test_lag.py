@@ -230,12 +230,26 @@ def test_what_no_feedback_excites_decays_as_the_machine_does() -> None:
     loop = {"kp": 1e3, "kv": 1e3, "drive": "torque"}
     found = flexopt.evaluate(tree_from_dict(data), (0.9929, -2.6306), loop=loop)
     point = found.outcome.settings.outcome(tree_from_dict(data), found.base, found.posture, gravity=False)
-    (rate,) = lagged_modes(point.motions).unseen_rates(point.numbers)
-    assert rate == pytest.approx(found.damping_ratios[1] * math.tau * found.frequencies_hz[1], rel=1e-9)
+    rate = found.damping_ratios[1] * math.tau * found.frequencies_hz[1]
+    modes, rounding = lagged_modes(point.motions), point.loop.rounding
+    assert modes.is_unseen(point.numbers, rate, rounding)
+    assert not modes.is_unseen(point.numbers, 1.001 * rate, rounding)
     assert np.min(np.abs(np.log(np.abs(point.loop.multipliers)) / point.period + rate)) < 1e-9
     settings = flexopt.outcome(EXCAVATOR, POSTURE_B, loop=loop).settings
     plain = settings.outcome(EXCAVATOR, np.zeros(1), np.array(POSTURE_B), gravity=False)
-    assert lagged_modes(plain.motions).unseen_rates(plain.numbers).size == 0
+    assert not lagged_modes(plain.motions).is_unseen(plain.numbers, plain.decay().value, 0.0)
+
+
+def test_who_chooses_by_the_decay_hears_that_no_loop_changes_it() -> None:
+    """Where the roll decays slowest at the best place; with more damping the loop's own motions are slower."""
+    loop = {"kp": 1e3, "kv": 1e3, "drive": "torque"}
+    for damping, hidden in ((10.0, True), (1e6, False)):
+        machine = tree_from_dict(rolling(damping=damping))
+        found = flexopt.select(machine, (0.0, 1.6), objective="decay", loop=loop, starts=2)
+        chosen = found.best.evaluation.outcome
+        told = "the slowest motion of the best is one that the end-point does not show" in repr(found)
+        assert (chosen.unseen, told) == (hidden, hidden)
+        assert ("slowest motion of the loop is one that the end-point" in repr(chosen)) == hidden
 
 
 @pytest.mark.long

@@ -14,9 +14,11 @@ from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.plain import counted
 from flexopt.foundation.turns import available_cores
 from flexopt.loop.certified.region import LARGEST
+from flexopt.loop.evaluation import Outcome, unseen_told
 from flexopt.loop.settings import LoopSettings
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import Uncertainty
+from flexopt.robustness import Evaluation
 from flexopt.selection.outcomes.asked import Asked, broken_told, documents_of
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.program import OutcomeProgram
@@ -73,6 +75,12 @@ class ChosenByLoop(ABC):
     @abstractmethod
     def _judged(self) -> tuple[Sequence[SelectionProblem], LoopSettings]:
         """The problem of each target, and the loop with the gains of the best candidate."""
+
+    def _unseen_told(self, stand: Evaluation) -> tuple[str, ...]:
+        """That no loop changes what decays slowest there, the configuration with the least; empty where one does."""
+        found = stand.outcome
+        assert isinstance(found, Outcome)
+        return (unseen_told("the best"),) if self.measure == "decay" and found.unseen else ()
 
     def loops_break(self, stand: Sequence[tuple[Vector, Vector]]) -> list[str]:
         """At each target what the loop does not do of what it must at least, base and posture there: "breaks …"."""
@@ -191,7 +199,8 @@ class OutcomeSelection(ChosenByLoop, Selection):
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the choice, those of the loop's measure."""
         unverified = unverified_told(self.measure, self.unverified)
-        return tuple(sentence for sentence in (unverified, self.nothing_to_gain) if sentence)
+        own = self._unseen_told(self.best.evaluation)
+        return tuple(sentence for sentence in (unverified, self.nothing_to_gain, *own) if sentence)
 
     def __repr__(self) -> str:
         best = self.best.evaluation

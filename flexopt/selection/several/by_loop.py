@@ -56,6 +56,11 @@ class ByLoop(ChosenByLoop, ConfigurationSet):
         return int((self.criterion.sign * self.V).argmin())
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """As of `ConfigurationSet`, and what no loop changes at the worst target."""
+        return (*super().remarks, *self._unseen_told(self.places[self.worst].evaluation))
+
+    @property
     def _judged(self) -> tuple[Sequence[SelectionProblem], LoopSettings]:
         return self.problems, self.settings
 

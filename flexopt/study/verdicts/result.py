@@ -15,6 +15,7 @@ from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.printing import Printed
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
+from flexopt.loop.evaluation import unseen_told
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
@@ -414,11 +415,7 @@ class Verdict(Pictured, Printed, Result):
         if not names:
             return ""
         which = "every place" if len(names) == len(self.places) else ", ".join(names)
-        return (
-            f"the slowest motion of {which} is one that the end-point does not show and no feedback excites: its decay "
-            "is the machine's own; a base without its direction, as roll of an arm that moves in a plane, lets the "
-            "others be compared"
-        )
+        return unseen_told(which)
 
     @property
     def drifts(self) -> str:

@@ -69,8 +69,6 @@ STAGES = 4
 EXCHANGES = 3
 # Length of a nonlinear run, s.
 DURATION = 20.0
-# Of a rate, by which the slowest motion is a mode that no loop changes.
-OWN = 1e-6
 UNPLACED = Fault("base", "is needed: where the machine stands now, from which it may pay to move")
 T = TypeVar("T")
 # Of values of a measure (targets, few members), and of others that are known, those of a search among all members.
@@ -449,8 +447,7 @@ def _place(
 def _is_unseen(loop: UncertainLoop, slowest: Slowest) -> bool:
     """Whether the slowest motion is a mode that neither moves the end-point nor is excited by it, whatever the loop."""
     point = loop.outcome(slowest.member)
-    rates = lagged_modes(point.motions).unseen_rates(point.numbers)
-    return bool(np.any(np.abs(rates - slowest.decay) <= OWN * np.abs(rates) + point.loop.rounding))
+    return lagged_modes(point.motions).is_unseen(point.numbers, slowest.decay, point.loop.rounding)
 
 
 def _rows(each: Sequence[Vector]) -> Vector:
