@@ -7,7 +7,7 @@ be turned about its target; a wall, a region or a cost of travel ends that.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,24 +105,47 @@ def same(problem: SelectionProblem, z: Vector, other: Vector) -> bool:
     return float(np.abs(between(problem, z, other)).max()) <= SAME_POSTURE
 
 
-def nearest(problem: SelectionProblem, z: Vector) -> Vector:
+def nearest(problem: SelectionProblem, z: Vector, keeps: Callable[[Vector], bool] | None = None) -> Vector:
     """Of configurations that no measure tells from z the one nearest to the present one, see `travel`.
 
     These are z after whole turns of joints, with joints at other angles that nothing depends on, such as the roll of a
     tool about its own axis, and turned about the target; and with a base elsewhere where the task does not see it. What
-    breaks a constraint is left out, and so is all where travel costs.
+    breaks a constraint is left out, and so is all where travel costs. `keeps`: whether a configuration does whatever
+    else is asked.
     """
     if problem.travel is not None:
         return z
-    here, now = unwound(problem, z), _now(problem)
+    here, now = unwound(problem, z, keeps), _now(problem)
     for k in (*range(len(problem.machine.base_coordinates)), *idle_joints(problem, here)):
         moved = here.copy()
         moved[k] = np.clip(now[k], problem.lower[k], problem.upper[k])
-        here = moved if _as_good(problem, z, moved) else here
-    return _turned(problem, here)
+        here = moved if _as_good(problem, z, moved, keeps) else here
+    return _turned(problem, here, keeps)
 
 
-def unwound(problem: SelectionProblem, z: Vector) -> Vector:
+def nearest_stand(
+    problems: Sequence[SelectionProblem], zs: list[Vector], keeps: Callable[[list[Vector]], bool] | None = None
+) -> list[Vector]:
+    """Of stands that no measure tells from zs, z (n_z,) at each target, the one nearest to the present configuration.
+
+    Its joints are whole turns nearer, and its base stands where it does now along coordinates that no target's task
+    sees. `keeps`: whether a stand does whatever else is asked.
+    """
+    if any(problem.travel is not None for problem in problems):
+        return zs
+    here, first = [unwound(problem, z) for problem, z in zip(problems, zs, strict=True)], problems[0]
+    here = here if keeps is None or keeps(here) else zs
+    now = _now(first)
+    for k in range(len(first.machine.base_coordinates)):
+        moved = [z.copy() for z in here]
+        for z in moved:
+            z[k] = np.clip(now[k], first.lower[k], first.upper[k])
+        if all(_as_good(*each) for each in zip(problems, here, moved, strict=True)):
+            here = moved if keeps is None or keeps(moved) else here
+    return here
+
+
+def unwound(problem: SelectionProblem, z: Vector, keeps: Callable[[Vector], bool] | None = None) -> Vector:
     """The configuration z with its joints whole turns nearer to the present ones, where travel does not cost."""
     if problem.travel is not None:
         return z
@@ -131,7 +154,7 @@ def unwound(problem: SelectionProblem, z: Vector) -> Vector:
         if problem.variables[k].unit == "rad" and not problem.turning[k]:
             turned = here.copy()
             turned[k] = _whole_turns(z[k], now[k], problem.lower[k], problem.upper[k])
-            here = turned if _as_good(problem, z, turned) else here
+            here = turned if _as_good(problem, z, turned, keeps) else here
     return here
 
 
@@ -142,12 +165,15 @@ def _whole_turns(angle: float, now: float, lower: float, upper: float) -> float:
     return min(others, key=lambda other: (round(abs(other - now), 5), -other), default=angle)
 
 
-def _as_good(problem: SelectionProblem, z: Vector, other: Vector) -> bool:
+def _as_good(
+    problem: SelectionProblem, z: Vector, other: Vector, keeps: Callable[[Vector], bool] | None = None
+) -> bool:
     """Whether the other is nearer, keeps everything, and has the same measures."""
     return (
         travel(problem, other) < travel(problem, z) + ALIKE
         and bool(np.abs(beyond_bounds(problem, other)).max() <= ON_ROWS)
         and _alike(problem, z, other)
+        and (keeps is None or keeps(other))
     )
 
 
@@ -167,7 +193,7 @@ def turned_about(problem: SelectionProblem, z: Vector, angles: Vector) -> Vector
     return problem.wrapped(places.T).T
 
 
-def _turned(problem: SelectionProblem, z: Vector) -> Vector:
+def _turned(problem: SelectionProblem, z: Vector, keeps: Callable[[Vector], bool] | None) -> Vector:
     """The configuration turned about its target to where it is nearest."""
     if not turns(problem):
         return z
@@ -182,7 +208,7 @@ def _turned(problem: SelectionProblem, z: Vector) -> Vector:
         angle, span = float(angles[int(np.argmin(far))]), 2 * span / count
     place = turned_about(problem, z, np.array([angle]))[:, 0]
     nearer = travel(problem, place) < travel(problem, z) - ALIKE
-    return place if nearer and _as_good(problem, z, place) else z
+    return place if nearer and _as_good(problem, z, place, keeps) else z
 
 
 def _joined(problem: SelectionProblem, z: Vector, other: Vector) -> bool:

@@ -159,16 +159,19 @@ def _continua(program: OutcomeProgram, ends: list[Climbed]) -> list[list[Climbed
 
 def _nearest(program: OutcomeProgram, end: Climbed) -> Climbed:
     """Of what nothing tells from an end, its loop neither, the nearest to the present configuration."""
-    z = program.z(end.y)
-    near = nearest(program.problem, z)
+    z, value = program.z(end.y), program.value(end.y)
+
+    def at(other: Vector) -> Vector:
+        return np.append(other / program.problem.scale, end.y[program.n_z :])
+
+    near = nearest(program.problem, z, lambda other: abs(program.value(at(other)) - value) <= EQUAL * abs(value))
     if near is z:
         return end
-    y = np.append(near / program.problem.scale, end.y[program.n_z :])
-    value = program.value(y)
-    stationarity, active = first_order(program, y, value)
+    y = at(near)
+    stationarity, active = first_order(program, y, program.value(y))
     # On what it may rest at its new place it does not rest.
     moved = Climbed(y, end.value, stationarity, tuple(name for name in active if name in end.active), end.steps)
-    return moved if moved.holds and abs(value - program.value(end.y)) <= EQUAL * abs(value) else end
+    return moved if moved.holds else end
 
 
 def _as_much(program: OutcomeProgram, end: Climbed, other: Climbed) -> bool:

@@ -14,8 +14,9 @@ import numpy as np
 from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.plant.inverse_kinematics import low_discrepancy
-from flexopt.selection.continua import unwound
+from flexopt.selection.continua import nearest_stand
 from flexopt.selection.outcomes.asked import Asked
+from flexopt.selection.outcomes.choice import EQUAL
 from flexopt.selection.outcomes.shared import SharedProgram
 from flexopt.selection.outcomes.starting import values_at
 from flexopt.selection.problem import SelectionProblem
@@ -57,8 +58,7 @@ def outcome_stand(
     chosen, optima, unverified, attempts = _climbed(problems, bases, asked, workers, progress)
     best, sign = optima[0], chosen.measure.sign
     ways = [_configurations(chosen, each.y) for each in optima]
-    own = zip(ways[0], chosen.parts(best.y), strict=True)
-    y = chosen.joined([np.append(z / target.problem.scale, part[z.size :]) for z, (target, part) in own])
+    y = joined_at(chosen, best.y, ways[0])
     found_at = [(sign * each.value, zs) for each, zs in zip(optima, ways, strict=True)]
     return OutcomeStand(
         places=places_by_loop(chosen, y),
@@ -108,8 +108,19 @@ def _climbed(
 
 
 def _configurations(program: SharedProgram, y: Vector) -> list[Vector]:
-    """[base, posture] at each target."""
-    return [unwound(target.problem, target.z(own)) for target, own in program.parts(y)]
+    """[base, posture] at each target, of those that have as much of the measure the nearest to the present ones."""
+    parts, value = program.parts(y), min(program.values(y))
+
+    def keeps(zs: list[Vector]) -> bool:
+        return abs(min(program.values(joined_at(program, y, zs))) - value) <= EQUAL * abs(value)
+
+    return nearest_stand(program.problems, [target.z(own) for target, own in parts], keeps)
+
+
+def joined_at(program: SharedProgram, y: Vector, zs: list[Vector]) -> Vector:
+    """The point y with these configurations [base, posture] at each target."""
+    parts = zip(zs, program.parts(y), strict=True)
+    return program.joined([np.append(z / target.problem.scale, own[z.size :]) for z, (target, own) in parts])
 
 
 def _looked(program: SharedProgram, found: list[Reached], whole: Any, workers: int) -> list[Vector]:

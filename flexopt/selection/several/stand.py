@@ -22,7 +22,7 @@ from flexopt.model.problem import SelectionOptions, StandKeywords
 from flexopt.model.targets import SOME_SHARES
 from flexopt.model.uncertainty import RangesLike
 from flexopt.robustness.plausibility import warn_implausible
-from flexopt.selection.continua import unwound, way_to
+from flexopt.selection.continua import nearest_stand, way_to
 from flexopt.selection.nlp.program import Program
 from flexopt.selection.outcomes.asked import Asked
 from flexopt.selection.result import TIE_TOLERANCE
@@ -119,8 +119,9 @@ def select_stand(
         program, bases, found, asked.starts or default_starts(program), asked.seed, count, progress,
         further=asked.starts is None and climbs(program.first),
     )  # fmt: skip
-    good = _nearest_first(program, good)
-    ways = [[unwound(problem, program.of(end.x, k)) for k, problem in enumerate(problems)] for end in good]
+    ways = [nearest_stand(problems, [program.of(end.x, k) for k in range(len(problems))]) for end in good]
+    order = _nearest_first(program, good, ways)
+    good, ways = [good[k] for k in order], [ways[k] for k in order]
     best = program.packed(ways[0])
     places, n_base = places_at(program, best), len(machine.base_coordinates)
     found_at = [(program.worth(end.x), zs) for end, zs in zip(good, ways, strict=True)]
@@ -145,14 +146,14 @@ def select_stand(
     )
 
 
-def _nearest_first(program: Program, good: list[End]) -> list[End]:
+def _nearest_first(program: Program, good: list[End], ways: list[list[Vector]]) -> list[int]:
     """Best first, and among those of equal worth what is nearest to where the base stands now, or to zeros."""
     first, n_b = program.first, program.first.measures.plant.n_base
     worth = [program.worth(end.x) for end in good]
-    away = [float(np.sum((way_to(first, program.of(end.x, 0)) / first.scale)[:n_b] ** 2)) for end in good]
+    away = [float(np.sum((way_to(first, way[0]) / first.scale)[:n_b] ** 2)) for way in ways]
     left, ordered = set(range(len(good))), list[int]()
     while left:
         least = max(worth[k] for k in left) - TIE_TOLERANCE * program.size
         ordered.append(min((k for k in sorted(left) if worth[k] >= least), key=away.__getitem__))
         left.remove(ordered[-1])
-    return [good[k] for k in ordered]
+    return ordered

@@ -11,6 +11,7 @@ import pytest
 from scipy.optimize import differential_evolution
 
 import flexopt
+from flexopt.model import tree_from_dict
 from flexopt.selection.outcomes.measures import Decay
 from flexopt.selection.outcomes.moves import OfMove
 from flexopt.selection.several import outcome_stand
@@ -19,6 +20,7 @@ from flexopt.selection.several.outcome_stand import OutcomeStand
 from flexopt.study.page import number
 from flexopt.study.reports import page
 from flexopt.study.verdicts.place_loops import configurations_of, held_at
+from tests.oracles.spatial import in_space
 from tests.selection.loops import EXCAVATOR, posture_at, worth
 
 TARGETS = [(0.0, 1.6), (0.3, 1.3)]
@@ -32,6 +34,20 @@ def worst(name: str, x: float, loop: dict[str, Any]) -> float:
     return min(
         max(worth(name, x, posture_at(x, elbow, target), loop) for elbow in ("up", "down")) for target in TARGETS
     )
+
+
+@pytest.mark.parametrize("objective", ["V", "decay"])
+def test_a_base_that_no_target_sees_stays_where_it_is(objective: str) -> None:
+    """Of tasks of the height alone placements are all alike: one stand is told, where the machine stands."""
+    data = in_space(EXCAVATOR.model_dump(by_alias=True))
+    data["end_point"]["rows"] = ["z"]
+    loop = LOOP | {"nullspace_damping": 3e3, "drive": "torque"}
+    options: dict[str, Any] = {"base": 0.7, "starts": 2, "workers": 1, "objective": objective}
+    given = options | ({"loop": loop} if objective == "decay" else {"weights": (1.0, 1.0, 1.0)})
+    found = flexopt.select_stand(tree_from_dict(data), [(1.6,), (1.3,)], **given)
+    assert found.base == 0.7
+    assert [place.evaluation.end_point[0] for place in found.places] == pytest.approx([1.6, 1.3], abs=1e-8)
+    assert not found.alternatives
 
 
 @pytest.mark.long
