@@ -243,6 +243,10 @@ class UncertainLoop:
                     best = min(found, self._least(LoopPoint.decay, found[1]), key=lambda each: each[0])
         return (0.0 if abs(best[0]) <= self._rounding else best[0]), best[1]
 
+    def slower(self, members: Vector) -> Vector:
+        """Where a search with exact gradients leads from the slowest of these members (n, k): (k,)."""
+        return self._least(LoopPoint.decay, members[int(np.argmin(self.decays(members)))])[1]
+
     def _promising(self, u: Vector, least: float) -> list[complex]:
         """Of a member's slowest motions, ln μ / T of those whose rates, `BENT` times as steep, fall below `least`."""
         at, found = self.outcome(u), list[complex]()

@@ -183,7 +183,8 @@ def _draw_objective(axes: Axes, selection: Selection) -> None:
         axes.margins(y=0.2)
     axes.set_ylabel(label)
     axes.locator_params(axis="y", nbins=5)
-    axes.set_title("what was sought", loc="right")
+    over = isinstance(selection, OutcomeSelection) and selection.uncertainty
+    axes.set_title("what was sought, the worst found" if over else "what was sought", loc="right")
 
 
 def draw_candidates(panels: Sequence[Axes], selection: Selection) -> None:

@@ -62,6 +62,27 @@ def test_a_base_that_the_task_does_not_see_stays_where_it_is() -> None:
 
 
 @pytest.mark.long
+def test_the_curve_behind_a_worst_case_is_the_worst_case() -> None:
+    """What a picture shows along the redundancy beside members of its own, drawn at random: they know little worse."""
+    ranges = [{"of": f"base.stiffness.{name}", "factor": (0.5, 2.0)} for name in ("x", "y", "rotation")]
+    ranges += [{"of": "damping", "factor": (0.3, 2.0)}, {"of": "dead_time", "value": (0.0, 0.02)}]
+    found = flexopt.select(EXCAVATOR, TARGET, base=0.0, objective="decay", loop=FIXED, ranges=ranges, starts=FEW)
+    assert isinstance(found, OutcomeSelection)
+    along = found.along_redundancy()
+    assert along is not None
+    scan, settings = found.problem.scan, found.settings[0]
+    box = UncertaintyBox(EXCAVATOR, found.uncertainty, settings.dead_time)
+    drawn, size = np.random.default_rng(0).random((256, len(ranges))), np.ptp(along[np.isfinite(along)])
+    for k in range(0, scan.size, scan.size // 9):
+        loop = UncertainLoop(settings, scan.base[:, k], scan.posture[:, k], False, box)
+        # Of the curve's height; the members were sought at some points alone.
+        assert along[k] <= loop.decays(drawn).min() + 1e-3 * size
+    best = found.best
+    at = int(np.argmin(np.linalg.norm(scan.z - best.z[:, None], axis=0)))
+    assert along[at] == pytest.approx(best.objective, abs=1e-3 * size)
+
+
+@pytest.mark.long
 def test_the_best_decay_of_given_gains_is_that_of_a_scan() -> None:
     """Placements along both elbows, 1,001 each; gains of the article's loop with 20 ms of dead time."""
     found = chosen(loop=FIXED | {"dead_time": 0.02}, starts=FEW)

@@ -20,8 +20,7 @@ from flexopt.foundation.turns import available_cores
 from flexopt.loop.certified.region import stability_radius
 from flexopt.loop.evaluation import with_outcome
 from flexopt.loop.settings import LoopSettings
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
-from flexopt.model.choices import DECAY
+from flexopt.loop.uncertain import UncertaintyBox
 from flexopt.model.uncertainty import GROUND
 from flexopt.robustness import Evaluation
 from flexopt.selection.constraint_values import ConstraintValue
@@ -29,17 +28,16 @@ from flexopt.selection.continua import grouped, nearest, travel
 from flexopt.selection.optima import SAME_POINT
 from flexopt.selection.outcomes.asked import Asked, MeasureBounds, least_values
 from flexopt.selection.outcomes.borders import RADIUS_POINTS
-from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.climb import Climbed, climbed, first_order
-from flexopt.selection.outcomes.program import OutcomeProgram
+from flexopt.selection.outcomes.program import OutcomeProgram, least_over
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import Seed, separation, starting_points
 from flexopt.selection.problem import SelectionProblem, reached
 from flexopt.selection.result import Attempt, Candidate, Kept
 from flexopt.selection.solve import constraint_values
 
-# Points that are looked at behind a climb, and how often what they find is added and climbed again.
-MEMBERS, ROUNDS = 32, 6
+# How often the worst member that is found behind a climb is added and climbed again.
+ROUNDS = 6
 # Of the value, by which two are equal.
 EQUAL = 1e-6
 # Of the value, by which a member that is slower than those that were climbed with is new.
@@ -211,12 +209,6 @@ def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Clim
     return found
 
 
-def least_over(program: OutcomeProgram, y: Vector, measure: Measure | None = None) -> tuple[float, Vector]:
-    """The least found over the uncertainty of a measure, by default of that which is largest, and where."""
-    every = (_worst(part.at(own), measure or program.measure) for part, own in program.parts(y))
-    return min(every, key=lambda found: found[0])
-
-
 def _broken(program: OutcomeProgram, y: Vector) -> Vector | None:
     """A member whose loop does less than it must."""
     for measure, least in program.least:
@@ -224,15 +216,6 @@ def _broken(program: OutcomeProgram, y: Vector) -> Vector | None:
         if value < least - NEW * abs(least):
             return at
     return None
-
-
-def _worst(loop: UncertainLoop, measure: Measure) -> tuple[float, Vector]:
-    members = loop.box.members(MEMBERS)
-    if measure.name == DECAY:
-        return loop.slowest(members, loop.decays(members))
-    values = [measure.value(loop, loop.outcome(u)) for u in members]
-    k = int(np.argmin(values))
-    return values[k], members[k]
 
 
 def kept_values(program: OutcomeProgram, y: Vector) -> dict[str, ConstraintValue]:

@@ -7,15 +7,16 @@ in scaled variables y = [z / scale, ln kp, ln kv].
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.processes import in_parallel
 from flexopt.loop.meeting import Nearest, nearest
 from flexopt.loop.outcome import UNDEFINED, LoopPoint
 from flexopt.loop.uncertain import UncertainLoop
@@ -30,6 +31,8 @@ from flexopt.selection.problem import SelectionProblem
 # this share of the size.
 TOGETHER, MEETS = 0.1, 0.1
 MEETING, ALIKE = "two motions that meet", "two oscillations that decay alike"
+# Members that the least over the uncertainty is looked for at.
+MEMBERS = 32
 # Share of what the loop must do at least that it may fall short by: that of steps.
 SHORT = 1e-6
 
@@ -288,3 +291,37 @@ class KeptPoint(ProgramPoint):
     def once(self, name: str, made: Callable[[], Any]) -> Any:
         """As of the place."""
         return self.parent.once(f"{name} kept by {self.bound!r}", made)
+
+
+def least_over(program: OutcomeProgram, y: Vector, measure: Measure | None = None) -> tuple[float, Vector]:
+    """The least found over the uncertainty of a measure, by default of that which is largest, and where."""
+    every = (_worst(part.at(own), measure or program.measure) for part, own in program.parts(y))
+    return min(every, key=lambda found: found[0])
+
+
+def with_slowest(
+    program: OutcomeProgram, told: Sequence[Vector], others: Sequence[Vector], workers: int
+) -> OutcomeProgram:
+    """The program with the members that are looked at, and those that decay slowest at points y.
+
+    At `told` as they are found for the answer itself; at `others` a search from the slowest that is known finds them.
+    """
+    if not len(program.members):
+        return program
+    found = in_parallel(partial(_worst_at, program, told), len(told), workers, None, at_once=True)
+    members = np.concatenate([program.loop.box.members(MEMBERS), found])
+    more = [program.at(y).slower(members) for y in others]
+    return replace(program, members=np.unique([*members, *more], axis=0))
+
+
+def _worst_at(program: OutcomeProgram, ys: Sequence[Vector], number: int) -> Vector:
+    return least_over(program, ys[number])[1]
+
+
+def _worst(loop: UncertainLoop, measure: Measure) -> tuple[float, Vector]:
+    members = loop.box.members(MEMBERS)
+    if measure.name == DECAY:
+        return loop.slowest(members, loop.decays(members))
+    values = [measure.value(loop, loop.outcome(u)) for u in members]
+    k = int(np.argmin(values))
+    return values[k], members[k]

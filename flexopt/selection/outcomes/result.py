@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -21,10 +22,12 @@ from flexopt.model.uncertainty import Uncertainty
 from flexopt.robustness import Evaluation
 from flexopt.selection.outcomes.asked import Asked, broken_told, documents_of
 from flexopt.selection.outcomes.branches import Measure
-from flexopt.selection.outcomes.program import OutcomeProgram
+from flexopt.selection.outcomes.program import OutcomeProgram, with_slowest
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import Selection, units_of_columns, unverified_told
 
+# Points along the redundancy whose worst members are sought.
+ALONG = 24
 # Of the best value, by which the present one may be less and nothing is to gain.
 ALIKE = 1e-3
 
@@ -128,7 +131,9 @@ class OutcomeSelection(ChosenByLoop, Selection):
     def along_redundancy(self) -> Vector | None:
         """The measure at the points of `problem.scan` with the gains of the best candidate, (N,).
 
-        NaN where a loop has none of it; None of measures that are not computed of many loops at once.
+        Over the uncertainty its least at members that are looked at, and at those that are the worst at some of the
+        points and at the candidates. NaN where a loop has none of it; None of measures that are not computed of many
+        loops at once.
         """
         scan, best = self.problem.scan, self.best.evaluation
         parts = self.asked.parts(self.problem, best)
@@ -136,7 +141,12 @@ class OutcomeSelection(ChosenByLoop, Selection):
         parts |= {"loop": replace(parts["loop"], settings=self.settings[0]), "ranges": {}}
         program = OutcomeProgram(**parts)
         ys = list((np.vstack([scan.base, scan.posture]) / self.problem.scale[:, None]).T)
-        found = self.criterion.values(program, ys, available_cores())
+        told = [candidate.z / self.problem.scale for candidate in self.candidates]
+        told += [] if self.initial is None else [self.initial.z / self.problem.scale]
+        workers = available_cores()
+        if self.criterion.of_rates:
+            program = with_slowest(program, told, ys[:: math.ceil(len(ys) / ALONG)], workers)
+        found = self.criterion.values(program, ys, workers)
         if found is None:
             return None
         return self.criterion.sign * np.where(np.isfinite(found), found, np.nan)

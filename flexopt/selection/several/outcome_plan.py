@@ -16,8 +16,8 @@ from flexopt.foundation.documents import provenance
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.selection.nlp.program import Program
 from flexopt.selection.outcomes.asked import Asked
-from flexopt.selection.outcomes.choice import least_over
 from flexopt.selection.outcomes.climb import Climbed, climbed
+from flexopt.selection.outcomes.program import least_over
 from flexopt.selection.outcomes.shared import SharedProgram, ShortestWay
 from flexopt.selection.outcomes.starting import values_at
 from flexopt.selection.several.by_loop import ByLoop, climbs_from, places_by_loop, shared_program
