@@ -195,6 +195,23 @@ def test_an_end_that_its_own_joint_does_not_move_is_put_at_the_links_far_end(com
     assert "twice as far as its centre of mass" in Path("arm.toml").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(("axis", "offset"), [("0 -1 0", [0.5, 0.0, 0.0]), ("1 0 0", [0.0, 0.0, 0.0])])
+def test_the_far_end_is_proposed_where_the_others_could_do_without_it(
+    command: Command, axis: str, offset: list[float]
+) -> None:
+    """A third hinge in the plane: its link's far end; a wrist that rolls about its own axis has none."""
+    body = "<link name='{}'><inertial><origin xyz='0.25 0 0'/><mass value='9'/><inertia ixx='1' ixy='0' ixz='0' iyy='1' iyz='0' izz='1'/></inertial></link>"
+    hinge = (
+        "<joint name='{}' type='revolute'><parent link='{}'/><child link='{}'/><origin xyz='0.5 0 0'/><axis xyz='{}'/>"
+        "<limit lower='-2' upper='2' effort='9' velocity='1'/></joint>"
+    )
+    names, axes = ("cart", "upper", "fore", "tool"), ("0 -1 0", "0 -1 0", axis)
+    joints = (hinge.format(f"j{k}", names[k], names[k + 1], axes[k]) for k in range(3))
+    command.write("arm.urdf", f"<robot name='arm'>{''.join(map(body.format, names))}{''.join(joints)}</robot>")
+    followed(command, "arm.toml", "--from", "arm.urdf")
+    assert tomllib.loads(Path("arm.toml").read_text(encoding="utf-8"))["end_point"]["offset"] == offset
+
+
 @pytest.mark.parametrize(
     ("axis", "rows", "placement"),
     [("0 1 0", ("x", "z"), ("x",)), ("1 0 0", ("y", "z"), ("y",)), ("0 0 1", ("x", "y"), ("x", "y", "yaw"))],

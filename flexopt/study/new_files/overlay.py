@@ -59,6 +59,7 @@ SENSING = ("cam", "optic", "imu", "sens", "depth", "laser", "lidar", "mark")
 FRAME = 2e-3
 # Shares by which masses and reaches of branches differ at most that are alike, and by which a frame is beside an axis.
 ALIKE, ON_AXIS = 0.1, 0.01
+ORIGIN = (0.0, 0.0, 0.0)
 WORDS = {"hinge": "turns, rad", "slide": "slides, m", "free": "is free"}
 
 
@@ -120,13 +121,22 @@ class RobotChain:
         return "z,roll,pitch"
 
     @property
-    def far_end(self) -> tuple[float, ...]:
-        """Of the end's own link, in its axes, m, to a millimetre, its centre of mass in the middle; of a tool none."""
-        link = next(link for link in self.robot.links if link.name == self.end)
+    def ends(self) -> tuple[tuple[float, ...], ...]:
+        """Where the end-point may be in the end's own axes, m, what is proposed first: its origin, and its far end.
+
+        The far end, to a millimetre, has the centre of mass in the middle; a tool has none. It is proposed where the
+        link's hinge turns it about its origin, and is no roll of a wrist.
+        """
+        link, origin = next(link for link in self.robot.links if link.name == self.end), np.zeros(3)
         if self.site or self.chosen or link.inertial is None or not link.joints:
-            return ()
-        end = (2 * link.inertial.com - link.joints[-1].anchor).round(3) + 0.0
-        return tuple(end.tolist()) if end.any() else ()
+            return (ORIGIN,)
+        joint = link.joints[-1]
+        far = (2 * link.inertial.com - joint.anchor).round(3) + 0.0
+        if not far.any():
+            return (ORIGIN,)
+        stays, swung = (np.linalg.norm(np.cross(point - joint.anchor, joint.axis)) for point in (origin, far))
+        turned = joint.kind == "hinge" and not stays > ON_AXIS * swung and swung > abs(far @ joint.axis)
+        return (tuple(far.tolist()), ORIGIN) if turned else (ORIGIN, tuple(far.tolist()))
 
 
 def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> RobotChain:
@@ -332,9 +342,8 @@ def overlay_file(chain: RobotChain, name: str, folder: Path, ground: Ground) -> 
         ModelError: no machine comes of it; the message says why.
     """
     faults: list[InputError] = []
-    # A link's joint may not move its origin; then its far end is tried before fewer rows are.
-    ends = ((0.0, 0.0, 0.0), *filter(None, [chain.far_end]))
-    for rows, end in ((some, end) for some in ROWS if len(some) <= len(chain.actuated) for end in ends):
+    # Either end is tried before fewer rows are.
+    for rows, end in ((some, end) for some in ROWS if len(some) <= len(chain.actuated) for end in chain.ends):
         text = _Text(chain, name, folder, ground, rows, end)
 
         def build(springs: Springs, text: _Text = text) -> AnyMachine:
