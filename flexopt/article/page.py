@@ -24,12 +24,11 @@ CAPTIONS = {
     "figure7": f"Fig. 7. w_i over the workspace: (a) to (c) transpose, (d) to (f) inverse control. {FRAME}",
     "figure8": "Fig. 8. ε_max and w_1 along y_d, elbow up. Red lines: Table 2's end-points, and where the measures "
     "printed for posture B are found.",
-    "figure9": "Fig. 9. Nonlinear closed loop at postures A and B of Table 2: end-point error on the left, the "
-    "article's (a), (b), base oscillation on the right, its (c) to (e). Gains and start are stated, not printed. The "
-    f"optimised posture is an addition. {DOUBT}",
+    "figure9": "Fig. 9. Nonlinear closed loop at postures A and B of Table 2: base oscillation on the right, "
+    "the article's (a) to (c). Gains and start are stated, not printed. The end-point error on the left and the "
+    f"optimised posture are additions. {DOUBT}",
     "figure10": "Fig. 10. The base's way by nullspace augmentation from posture A, with the article's stop and without "
-    "it: the machine on the left, the article's (a); on the right, from above, position and rate of the base and the "
-    "objective, its (b) to (d).",
+    "it: the machine on the left; on the right, from above, position and rate of the base and the objective.",
     "figures11and12": "Figs. 11 and 12. End-point error on the left, base oscillation on the right, with base "
     "adjustment from A to B along Fig. 10, and without at A. Gains and start are stated, not printed. "
     f"{DOUBT}",

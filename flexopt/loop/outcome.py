@@ -179,6 +179,12 @@ class LoopPoint:
         slopes = self.smooth.slopes(by_matrix) if np.all(np.isfinite(by_matrix)) else None
         return Measured(-math.log(abs(mu)) / self.period, slopes)
 
+    def frequency(self, branch: int) -> Measured:
+        """Arg μ / T, rad/s, of the multipliers (one of each pair) by size, the slowest first."""
+        mu, by_matrix = self._by_multiplier(self.upper[branch], lambda mu: -1j / (mu * self.period))
+        slopes = self.smooth.slopes(by_matrix) if np.all(np.isfinite(by_matrix)) else None
+        return Measured(float(np.angle(mu)) / self.period, slopes)
+
     def decay(self) -> Measured:
         """How fast the loop's slowest motion decays, 1/s; negative where it grows."""
         return self.rate()

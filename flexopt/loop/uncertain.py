@@ -32,6 +32,8 @@ from flexopt.plant import build_plant
 CORNERED, SEARCHES, STEPS = 6, 2, 12
 # So many of a member's slowest motions may come to be the slowest; of the box a step that follows one goes so far.
 MOTIONS, STRIDE = 5, 0.2
+# So many of the slowest members, and of the motions of each, tell where frequencies meet; so many places are followed.
+MET, PAIRED, SHARP = 12, 8, 4
 # Members looked at across the box through the slowest one, in each interval.
 ACROSS = 5
 # Rates are no straight lines: where motions come near to each other they fall more steeply than farther away.
@@ -42,6 +44,8 @@ WALK = 5
 LEVELS, SHORT = 12, 0.999
 # Parameters that a message names.
 NAMED = 4
+# A measure, and the member (k,) whose it is.
+Found = tuple[float, Vector]
 
 
 @dataclass(frozen=True)
@@ -226,17 +230,21 @@ class UncertainLoop:
         """What decay of a motion that nothing damps is rounding, 1/s."""
         return UNDAMPED * self.settings.rate
 
-    def slowest(self, members: Vector, decays: Vector) -> tuple[float, Vector]:
+    def slowest(self, members: Vector, decays: Vector) -> Found:
         """The least decay found in the box, 1/s, and where: searched from the slowest members with exact gradients.
 
         A motion may be the slowest in a narrow part of the box that holds no member: those that may become so by their
-        own gradients, in the middle of the box and across it through the slowest, are followed each by itself.
+        own gradients are followed each by itself, in the middle of the box, across it through the slowest, and where
+        two motions come to the same frequency, as there one of them loses what the other gains.
         """
-        starts = members[np.argsort(decays, kind="stable")[:SEARCHES]]
+        order = np.argsort(decays, kind="stable")
+        starts, middle = members[order[:SEARCHES]], np.full(members.shape[1], 0.5)
         best = float(decays.min()), members[int(np.argmin(decays))]
         for start in starts:
             best = min(best, self._least(LoopPoint.decay, start), key=lambda each: each[0])
-        for start in (np.full(members.shape[1], 0.5), *self.box.cross(best[1], ACROSS)):
+        sharp = np.concatenate([self._meeting(u) for u in (middle, *members[order[:MET]])])
+        sharp = sharp[np.argsort(self.decays(sharp), kind="stable")[:SHARP]] if len(sharp) else sharp
+        for start in (*sharp, middle, *self.box.cross(best[1], ACROSS)):
             for motion in self._promising(start, best[0]):
                 found = self._followed(start, motion)
                 if found[0] < best[0]:
@@ -246,6 +254,26 @@ class UncertainLoop:
     def slower(self, members: Vector) -> Vector:
         """Where a search with exact gradients leads from the slowest of these members (n, k): (k,)."""
         return self._least(LoopPoint.decay, members[int(np.argmin(self.decays(members)))])[1]
+
+    def _meeting(self, u: Vector) -> Vector:
+        """Members (N, k) on the lines through u along one interval each at which two motions have the same frequency.
+
+        By the slopes of ln ω at u: those of its slowest oscillations.
+        """
+        at = self.outcome(u)
+        motions = np.flatnonzero(_motions(at).imag > 0)[:PAIRED].tolist()
+        # Of two that meet at the real axis the refined one may be real.
+        each = [omega for omega in map(at.frequency, motions) if omega.value > 0]
+        logs = np.array([math.log(omega.value) for omega in each])
+        slopes = np.array([self.slopes(u, at, omega) / omega.value for omega in each]).reshape(-1, len(u))
+        first, second = np.triu_indices(len(logs), 1)
+        apart, by = (logs[first] - logs[second])[:, None], slopes[first] - slopes[second]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            moved = u - apart / by
+        inside = (moved >= 0) & (moved <= 1)
+        found = np.tile(u, (int(inside.sum()), 1))
+        found[np.arange(len(found)), np.nonzero(inside)[1]] = moved[inside]
+        return found
 
     def _promising(self, u: Vector, least: float) -> list[complex]:
         """Of a member's slowest motions, ln μ / T of those whose rates, `BENT` times as steep, fall below `least`."""
@@ -297,8 +325,8 @@ class UncertainLoop:
 
     def farther(
         self, measure: str, members: Sequence[Vector | None], values: Sequence[float], sense: float
-    ) -> list[float]:
-        """What a measure of `LoopPoint` comes to at the corners to which its exact gradient points.
+    ) -> list[Found]:
+        """What a measure of `LoopPoint` comes to at the corners to which its exact gradient points, and these.
 
         From the worst of its values on, as long as it becomes worse; NaN, where it is none, is the last.
 
@@ -306,7 +334,7 @@ class UncertainLoop:
             measure: by name;  values: of these members, None being the nominal one.
             sense: 1 where the least is the worst, −1 where the greatest is.
         """
-        found = list[float]()
+        found = list[Found]()
         if any(map(math.isnan, values)):
             return found
         first = min(range(len(values)), key=lambda k: sense * values[k])
@@ -319,20 +347,32 @@ class UncertainLoop:
             if np.array_equal(corner, u):
                 break
             u, at = corner, self.outcome(corner)
-            found.append(getattr(at, measure)().value)
-            if not sense * found[-1] < sense * worst:
+            found.append((getattr(at, measure)().value, u))
+            if not sense * found[-1][0] < sense * worst:
                 break
-            worst = found[-1]
+            worst = found[-1][0]
         return found
 
-    def lower_gains(self, members: Vector, least: float, slowest: Vector) -> list[float]:
+    def shorter_margins(self, members: Vector, least: float) -> list[Found]:
+        """`LoopPoint.delay_margin` of members (n, k), each less than all before; none of a loop that grows."""
+        found = list[Found]()
+        for u in members:
+            value = self.outcome(u).delay_margin(below=least).value
+            if not value >= least:
+                found.append((value, u))
+                least = value
+            if math.isnan(least):
+                break
+        return found
+
+    def lower_gains(self, members: Vector, least: float, slowest: Vector) -> list[Found]:
         """`LoopPoint.allowed_gain` of members (n, k), and of others across the box, each less than the one before.
 
         The loops of all are looked at in stacks, with gains up to the least that is known; of the one that grows first
         it is computed, and so on; from the last, and from the slowest member found, a search goes on. What is stable
         again between two of LEVELS gains is not seen.
         """
-        present, found, u = self.settings.kp[int(np.argmax(self.settings.kp > 0))], list[float](), members[:0]
+        present, found = self.settings.kp[int(np.argmax(self.settings.kp > 0))], list[Found]()
         members = np.concatenate([members, self.box.cross(slowest, 2 * ACROSS)])
         while len(members) and present > 0 and least > 0:
             factor = SHORT * min(least / present, 10.0**HIGH)
@@ -345,11 +385,11 @@ class UncertainLoop:
             first = int(np.argmin(grows[:, grows.any(axis=0)].argmax(axis=0)))
             value = self.outcome(members[first]).allowed_gain().value
             if value < least:
-                found.append(value)
-                least, u = value, members[first]
+                found.append((value, members[first]))
+                least = value
             members = np.delete(members, first, axis=0)
-        starts = [slowest, u] if found else [slowest]
-        return found + [self._least(LoopPoint.allowed_gain, start)[0] for start in starts if present > 0 and least > 0]
+        starts = [slowest, found[-1][1]] if found else [slowest]
+        return found + [self._least(LoopPoint.allowed_gain, start) for start in starts if present > 0 and least > 0]
 
 
 def matters_most(box: UncertaintyBox, members: Vector, values: Sequence[float]) -> tuple[str, float]:

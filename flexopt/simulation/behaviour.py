@@ -144,13 +144,15 @@ class Grounds:
     swing_hz: float | None = None
 
 
-def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Grounds) -> Behaviour:
+def behaviour(
+    times: Vector, monitors: Vector, end_error: Vector, grounds: Grounds, end_rotation: Vector | float = 0.0
+) -> Behaviour:
     """Judge N runs.
 
     Args:
         times: (windows + 1,) edges of the windows, s.
         monitors: (windows, 2 + m, N) maxima of `Sample.monitor`; (windows, 2 + 2 m, N) where the arm drifts.
-        end_error: |e| at the end, (N,).
+        end_error, end_rotation: |e|, m, and the base's, rad, at the end, which is in no window, (N,).
         grounds: of the judgement.
     """
     squared_error, rotation, energy = monitors[:, 0], monitors[:, 1], monitors[:, 2:]
@@ -179,8 +181,10 @@ def behaviour(times: Vector, monitors: Vector, end_error: Vector, grounds: Groun
     loud = ~(squared_error <= np.maximum(SETTLED**2 * squared_error[:1], STILL**2))
     last_loud = len(loud) - 1 - np.argmax(loud[::-1], axis=0)
     settling = np.where(np.any(loud, axis=0), times[1:][last_loud], times[0])
-    peak = np.sqrt(np.max(np.where(alive, squared_error, -np.inf), axis=0, initial=0.0))
-    turn = np.sqrt(np.max(np.where(alive, rotation, -np.inf), axis=0, initial=0.0))
+    peak, turn = (
+        np.fmax(np.sqrt(np.max(np.where(alive, squares, -np.inf), axis=0, initial=0.0)), end)
+        for squares, end in ((squared_error, end_error), (rotation, end_rotation))
+    )
     return Behaviour(
         grows=diverged | np.any(growing, axis=0),
         grown=np.max(times_larger, axis=0, initial=1.0),

@@ -347,16 +347,16 @@ def _group(plan: Plan, rows: slice, runner: Recurrence, shown: Batch, threads: i
     until = _followed(plan, rows, runner, records.monitor)
     end = np.zeros((0, 1)) if e is None else signals_at_end(s, e if e.ndim == 3 else e[:, :, None])[0]
     names = shown.function.name_out()
-    error = shown(records.last, end, c, threads=threads)[names.index("error")]
+    at_end = shown(records.last, end, c, threads=threads)[names.index("monitor")]
     edges = np.concatenate([[0.0], records.k * s.period])
     watched = records.monitor[:, :-1] if structure.method == "gauss" else records.monitor
     outgrown, last = until <= s.samples, records.last
     if outgrown.any():
         unknown = outgrown & (np.arange(len(watched))[:, None] >= until // stride)
         watched = np.where(unknown[:, None], np.nan, watched)
-        error, last = np.where(outgrown, np.nan, error), np.where(outgrown, np.nan, last)
-    end_error = np.sqrt(np.sum(error**2, axis=0))
-    measures = behaviour(edges, watched, end_error, grounds_of(s))
+        at_end, last = np.where(outgrown, np.nan, at_end), np.where(outgrown, np.nan, last)
+    end_error, end_rotation = np.sqrt(at_end[:2])
+    measures = behaviour(edges, watched, end_error, grounds_of(s), end_rotation)
     measures = replace(measures, finite_until=np.where(outgrown, until * s.period, measures.finite_until))
     samples: dict[str, Vector] = {}
     if plan.keep == "trajectories":

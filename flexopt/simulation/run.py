@@ -128,10 +128,10 @@ def simulate_checked(
             check_residual(loop.structure, records.monitor, None if moves(s) else ended)
         x[:, breaks + 1 :], left = math.nan, OUTGREW
         outputs = shown_at(s, shown, x, signals)
-    end_error = np.sqrt(np.sum(outputs["error"][:, -1:] ** 2, axis=0))
+    end_error, end_rotation = np.sqrt(outputs["monitor"][:2, -1:])
     # As in a watched loop, what is watched at a sample's start stands for the sample.
     watched = outputs["monitor"][:, :-1].T[:, :, None]
-    verdict = behaviour(s.times, watched, end_error, grounds_of(s))
+    verdict = behaviour(s.times, watched, end_error, grounds_of(s), end_rotation)
     if signals is not None and moves(s):
         ended = Ended(s.machine, s.options, x[:, -1].copy(), signals_at_end(s, signals)[0])
     return _trajectory(s, outputs, verdict, ended, settings, sentences, left)

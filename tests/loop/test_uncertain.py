@@ -106,7 +106,7 @@ def test_no_member_of_a_grid_allows_less_than_the_least_gain(
     corners = min(loop.outcome(u).allowed_gain().value for u in box.corners(2))
     members = box.members(64)
     _, slowest = loop.slowest(members, loop.decays(members))
-    least = min([corners, *loop.lower_gains(members, corners, slowest)])
+    least = min([corners, *(gain for gain, _ in loop.lower_gains(members, corners, slowest))])
     side = np.linspace(0.0, 1.0, 6)
     grid = min(loop.outcome(np.array([a, b])).allowed_gain().value for a in side for b in side)
     assert least <= grid * (1 + 1e-9)

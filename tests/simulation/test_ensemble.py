@@ -22,6 +22,17 @@ def with_payload(mass):
     return machine_from_dict(EXCAVATOR.to_dict() | {"payload": {"mass": float(mass)}})
 
 
+def test_peaks_are_the_largest_of_all_samples():
+    """Also where a run grows until its end: the last sample is in no window."""
+    one = flexopt.simulate(EXCAVATOR, POSTURE_A, kp=1e4, kv=1e3, duration=30.0)
+    assert one.verdict == "grows"
+    largest = np.abs(one.dataset["deflection"].to_numpy()).max(axis=0)[2]
+    assert one.peak_base_rotation == pytest.approx(largest, rel=1e-12)
+    many = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_A, vary={"kp": [1e4]}, kv=1e3, duration=30.0).dataset
+    assert float(many["peak_base_rotation"][0]) == pytest.approx(largest, rel=1e-9)
+    assert float(many["peak_error"][0]) == pytest.approx(np.linalg.norm(one.dataset["error"], axis=1).max(), rel=1e-9)
+
+
 def test_members_are_the_runs_of_simulate():
     kp, kv = np.linspace(2e4, 2e5, 21), np.linspace(1e3, 4e3, 21)
     many = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"offset": OFFSETS, "kp": kp, "kv": kv}).dataset

@@ -25,7 +25,7 @@ from flexopt.robustness import Evaluation
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.measures import MEASURES, OfModes
-from flexopt.selection.outcomes.program import points_of
+from flexopt.selection.outcomes.program import worst_of
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.solve import least_of
 
@@ -135,7 +135,8 @@ class Asked:
         if not bounds:
             return {}
         box, corners = self._box_and_corners(problem.machine, settings.dead_time)
-        return least_values(bounds, UncertainLoop(settings, base, posture, problem.gravity, box), corners)
+        loop = UncertainLoop(settings, base, posture, problem.gravity, box)
+        return least_values(bounds, loop, worst=len(corners) > 0)
 
     def _box_and_corners(self, machine: AnyMachine, dead_time: float) -> tuple[UncertaintyBox, Vector]:
         """What is not known, of the radius its factors; the members (n, k) over which the measure is the worst."""
@@ -176,11 +177,12 @@ def documents_of(uncertainty: Sequence[Uncertainty]) -> list[dict[str, Any]]:
     return [each.model_dump(exclude_none=True) for each in uncertainty]
 
 
-def least_values(bounds: MeasureBounds, loop: UncertainLoop, members: Vector) -> dict[str, ConstraintValue]:
-    """What the worst loop of members (n, k) of what is uncertain does of what it must at least."""
-    points, found = points_of(loop, members), dict[str, ConstraintValue]()
+def least_values(bounds: MeasureBounds, loop: UncertainLoop, *, worst: bool) -> dict[str, ConstraintValue]:
+    """What a loop does of what it must at least; `worst`: over what is uncertain the worst found."""
+    point, found = loop.outcome(), dict[str, ConstraintValue]()
     for measure, least in bounds:
-        value = measure.sign * min(measure.value(loop, point) for point in points)
+        value = measure.value(loop, point)
+        value = measure.sign * (min(value, worst_of(loop, measure)[0]) if worst else value)
         ends = (least, math.inf) if measure.sign > 0 else (-math.inf, -least)
         found[measure.told] = ConstraintValue(value, *ends, measure.unit_of(loop.settings))
     return found

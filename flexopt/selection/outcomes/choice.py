@@ -37,7 +37,7 @@ from flexopt.selection.result import Attempt, Candidate, Kept
 from flexopt.selection.solve import constraint_values
 
 # How often the worst member that is found behind a climb is added and climbed again.
-ROUNDS = 6
+ROUNDS = 10
 # Of the value, by which two are equal.
 EQUAL = 1e-6
 # Of the value, by which a member that is slower than those that were climbed with is new.
@@ -189,23 +189,22 @@ def _feasible(problem: SelectionProblem, initial: Evaluation | None) -> Vector:
 
 
 def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Climbed | None:
-    """The optimum from a start, members added for which it is not one."""
+    """The optimum from a start, members added for which it is not one; without end where some are left."""
     found: Climbed | None = climbed(program, starts[number])
-    worst = len(program.members) > 0
-    for _ in range(ROUNDS if worst else 0):
-        if found is None:
-            return None
+    if found is None or not len(program.members):
+        return found
+    for left in reversed(range(ROUNDS + 1)):
         value, at = least_over(program, found.y)
+        broken = _broken(program, found.y)
         if value >= found.value - NEW * abs(found.value):
-            broken = _broken(program, found.y)
             if broken is None:
-                break
+                return replace(found, value=min(found.value, value))
             at = broken
-        program = replace(program, members=np.concatenate([program.members, at[None]]))
-        again = climbed(program, found.y)
-        found = again if again is not None else replace(found, value=value)
-    if found is not None and worst:
-        return replace(found, value=min(found.value, least_over(program, found.y)[0]))
+        more = replace(program, members=np.concatenate([program.members, at[None]]))
+        again = climbed(more, found.y) if left else None
+        if again is None:
+            return None if broken is not None else replace(found, value=value, stationarity=math.inf)
+        program, found = more, again
     return found
 
 
@@ -220,13 +219,15 @@ def _broken(program: OutcomeProgram, y: Vector) -> Vector | None:
 
 def kept_values(program: OutcomeProgram, y: Vector) -> dict[str, ConstraintValue]:
     """What the worst member's loop does of what it must at least."""
-    return least_values(program.least, program.at(y), program.members)
+    return least_values(program.least, program.at(y), worst=len(program.members) > 0)
 
 
 def _attempt(program: OutcomeProgram, start: Vector, end: Climbed | None) -> Attempt:
     if end is None:
         return Attempt(tuple(program.z(start).tolist()), "led off the constraints")
     value = program.measure.sign * end.value
+    if math.isinf(end.stationarity):
+        return Attempt(tuple(program.z(start).tolist()), f"came to {value:.6g}, which others of what is uncertain undo")
     if not end.holds:
         sentence = f"came to {value:.6g}, where the gradient is not zero, {end.stationarity:.1e}"
         return Attempt(tuple(program.z(start).tolist()), sentence)
@@ -238,7 +239,7 @@ def _none(program: OutcomeProgram, found: list[Climbed | None]) -> NoSolutionFou
     best = max(ends, key=lambda each: each.value, default=None)
     names = program.names[: program.n_z]
     iterate = {} if best is None else dict(zip(names, program.z(best.y).tolist(), strict=True))
-    left = {} if best is None else {"first-order optimality": best.stationarity}
+    left = {"first-order optimality": best.stationarity} if best and math.isfinite(best.stationarity) else {}
     return NoSolutionFound(
         f"select: none of {len(found)} climbs ended at a stationary point; more starts may",
         violations=left, iterate=iterate,

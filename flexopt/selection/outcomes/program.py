@@ -19,8 +19,8 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.loop.meeting import Nearest, nearest
 from flexopt.loop.outcome import UNDEFINED, LoopPoint
-from flexopt.loop.uncertain import UncertainLoop
-from flexopt.model.choices import DECAY
+from flexopt.loop.uncertain import Found, UncertainLoop
+from flexopt.model.choices import ALLOWED_GAIN, DECAY, DELAY_MARGIN
 from flexopt.model.loop import logarithms
 from flexopt.selection.nlp.program import row_gradients
 from flexopt.selection.outcomes.branches import Branches, Measure
@@ -31,8 +31,8 @@ from flexopt.selection.problem import SelectionProblem
 # this share of the size.
 TOGETHER, MEETS = 0.1, 0.1
 MEETING, ALIKE = "two motions that meet", "two oscillations that decay alike"
-# Members that the least over the uncertainty is looked for at.
-MEMBERS = 32
+# Members that the least over the uncertainty is looked for at; intervals whose corners are first.
+MEMBERS, FEW = 64, 3
 # Share of what the loop must do at least that it may fall short by: that of steps.
 SHORT = 1e-6
 
@@ -293,9 +293,9 @@ class KeptPoint(ProgramPoint):
         return self.parent.once(f"{name} kept by {self.bound!r}", made)
 
 
-def least_over(program: OutcomeProgram, y: Vector, measure: Measure | None = None) -> tuple[float, Vector]:
+def least_over(program: OutcomeProgram, y: Vector, measure: Measure | None = None) -> Found:
     """The least found over the uncertainty of a measure, by default of that which is largest, and where."""
-    every = (_worst(part.at(own), measure or program.measure) for part, own in program.parts(y))
+    every = (worst_of(part.at(own), measure or program.measure) for part, own in program.parts(y))
     return min(every, key=lambda found: found[0])
 
 
@@ -318,10 +318,17 @@ def _worst_at(program: OutcomeProgram, ys: Sequence[Vector], number: int) -> Vec
     return least_over(program, ys[number])[1]
 
 
-def _worst(loop: UncertainLoop, measure: Measure) -> tuple[float, Vector]:
+def worst_of(loop: UncertainLoop, measure: Measure) -> Found:
+    """The least of a measure that is found over what is uncertain, and where: as verdicts look for it."""
     members = loop.box.members(MEMBERS)
+    slowest = loop.slowest(members, loop.decays(members))
     if measure.name == DECAY:
-        return loop.slowest(members, loop.decays(members))
-    values = [measure.value(loop, loop.outcome(u)) for u in members]
-    k = int(np.argmin(values))
-    return values[k], members[k]
+        return slowest
+    searched = {ALLOWED_GAIN: partial(loop.lower_gains, slowest=slowest[1]), DELAY_MARGIN: loop.shorter_margins}
+    looked = [slowest[1], *(loop.box.corners(FEW) if measure.name in searched else members)]
+    found = [(measure.value(loop, loop.outcome(u)), u) for u in looked]
+    least = min(found, key=lambda each: each[0])
+    if measure.name not in searched or not math.isfinite(least[0]):
+        return least
+    more = [(-math.inf if math.isnan(value) else value, u) for value, u in searched[measure.name](members, least[0])]
+    return min([least, *more], key=lambda each: each[0])

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
-from itertools import product
 from typing import Any, TypeVar, Unpack, cast
 
 import numpy as np
@@ -402,7 +401,7 @@ def _place(
         sense, worst = (1.0, np.min) if least else (-1.0, np.max)
         # Not every corner is among the few, nor is the worst always a corner.
         rows = list(zip(place.loops, values.tolist(), strict=True))
-        more = [value for loop, own in rows for value in loop.farther(measure, few, own, sense)]
+        more = [value for loop, own in rows for value, _ in loop.farther(measure, few, own, sense)]
         more += [] if search is None else search(values, more)
         found = _band(factor * worst(values, axis=0))
         end = float(worst([found.least if least else found.greatest, *(factor * value for value in more)]))
@@ -410,14 +409,16 @@ def _place(
 
     def lower_gains(values: Vector, _: Sequence[float]) -> list[float]:
         rows = zip(place.loops, values.tolist(), strict=True)
-        return [value for loop, own in rows for value in loop.lower_gains(points, min(own), slowest.member)]
+        return [value for loop, own in rows for value, _ in loop.lower_gains(points, min(own), slowest.member)]
 
     def shorter_margins(values: Vector, known: Sequence[float]) -> list[float]:
         """Each looked for up to the least that is known; none of a loop that grows."""
-        seen, found = {np.asarray(u).tobytes() for u in few[1:]}, list[float]()
-        others = [] if np.isnan(values).any() else [u for u in points if u.tobytes() not in seen]
-        for loop, u in product(place.loops, others):
-            found.append(loop.outcome(u).delay_margin(below=min([*values.ravel(), *known, *found])).value)
+        if np.isnan(values).any():
+            return []
+        found = [float(values.min()), *known]
+        for loop in place.loops:
+            if not any(map(math.isnan, found)):
+                found += [value for value, _ in loop.shorter_margins(points, min(found))]
         return found
 
     return PlaceVerdict(
