@@ -15,6 +15,7 @@ import numpy as np
 from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import provenance
+from flexopt.foundation.plain import counted
 from flexopt.foundation.processes import in_parallel
 from flexopt.foundation.turns import available_cores
 from flexopt.loop.certified.region import stability_radius
@@ -31,13 +32,14 @@ from flexopt.selection.outcomes.borders import RADIUS_POINTS
 from flexopt.selection.outcomes.climb import Climbed, climbed, first_order
 from flexopt.selection.outcomes.program import OutcomeProgram, least_over
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.selection.outcomes.starting import Seed, separation, starting_points
+from flexopt.selection.outcomes.starting import ALIKE, Seed, lifted, separation, starting_points
 from flexopt.selection.problem import SelectionProblem, reached
 from flexopt.selection.result import Attempt, Candidate, Kept
 from flexopt.selection.solve import constraint_values
 
 # How often the worst member that is found behind a climb is added and climbed again.
 ROUNDS = 10
+UNDONE = "where others of what is uncertain make the loop grow"
 # Of the value, by which two are equal.
 EQUAL = 1e-6
 # Of the value, by which a member that is slower than those that were climbed with is new.
@@ -75,6 +77,10 @@ def outcome_selection(
     program = OutcomeProgram(**asked.parts(problem, stand, bounds))
     count = workers or available_cores()
     program, starts = starting_points(program, pool, count, seeds)
+    if initial is not None and not program.ranges:
+        now = initial.z / problem.scale
+        if math.isfinite(program.value(now)) and all(separation(program, now, y) > ALIKE for y in starts):
+            starts.append(now)
     found = climbs(program, starts, count, progress)
     attempts = tuple(_attempt(program, start, each) for start, each in zip(starts, found, strict=True))
     ends, unverified = distinct_optima(program, found)
@@ -201,7 +207,9 @@ def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Clim
                 return replace(found, value=min(found.value, value))
             at = broken
         more = replace(program, members=np.concatenate([program.members, at[None]]))
-        again = climbed(more, found.y) if left else None
+        # Where a member breaks what the loop must do at least, that is climbed first.
+        begun = [found.y] if broken is None or not left else lifted(more, [found.y], 1)
+        again = climbed(more, begun[0]) if left and begun else None
         if again is None:
             return None if broken is not None else replace(found, value=value, stationarity=math.inf)
         program, found = more, again
@@ -226,6 +234,8 @@ def _attempt(program: OutcomeProgram, start: Vector, end: Climbed | None) -> Att
     if end is None:
         return Attempt(tuple(program.z(start).tolist()), "led off the constraints")
     value = program.measure.sign * end.value
+    if math.isinf(value):
+        return Attempt(tuple(program.z(start).tolist()), f"led to {UNDONE}")
     if math.isinf(end.stationarity):
         return Attempt(tuple(program.z(start).tolist()), f"came to {value:.6g}, which others of what is uncertain undo")
     if not end.holds:
@@ -240,8 +250,11 @@ def _none(program: OutcomeProgram, found: list[Climbed | None]) -> NoSolutionFou
     names = program.names[: program.n_z]
     iterate = {} if best is None else dict(zip(names, program.z(best.y).tolist(), strict=True))
     left = {"first-order optimality": best.stationarity} if best and math.isfinite(best.stationarity) else {}
+    why = ""
+    if any(math.isinf(each.value) for each in ends):
+        why = f": some led to {UNDONE}; a least decay beside it, constraints.outcome.decay, keeps them from there"
     return NoSolutionFound(
-        f"select: none of {len(found)} climbs ended at a stationary point; more starts may",
+        f"select: none of {counted(len(found), 'climb')} ended at a stationary point{why}",
         violations=left, iterate=iterate,
     )  # fmt: skip
 

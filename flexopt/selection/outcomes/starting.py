@@ -18,7 +18,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.selection.outcomes.climb import ahead
-from flexopt.selection.outcomes.program import OutcomeProgram
+from flexopt.selection.outcomes.program import MEMBERS, OutcomeProgram
 
 # How far starts stand apart, in scaled variables, and how many climb to the end. Basins are narrow: a measure's stages,
 # few steps from many starts, find more than many from few.
@@ -27,6 +27,8 @@ APART, CLIMBED = 0.5, 8
 ALIKE = 0.1
 # Points that a process looks at together.
 BLOCK = 50
+# How often members are sought at the best points; two that are nearer to each other are one.
+WIDENED, SAME_MEMBER = 2, 0.05
 
 
 # With gains that are chosen, so many of them for a seed that has none.
@@ -56,10 +58,15 @@ def starting_points(
 
 
 def starts_from(program: OutcomeProgram, looked: list[Vector], workers: int) -> tuple[OutcomeProgram, list[Vector]]:
-    """The like from points y that are looked at."""
-    known = _known(program, looked, workers)
-    if known is None and program.least:
-        known = _known(program, _lifted(program, looked, workers), workers)
+    """The like from points y that are looked at; the program then has the slowest members at the best of them, too."""
+    known = _raised(program, looked, workers)
+    for _ in range(WIDENED):
+        if known is None or not len(program.members):
+            break
+        wider = _widened(*known, workers)
+        if wider is None:
+            break
+        known = _raised(wider, looked, workers)
     if known is None:
         measure, asked = program.measure, ", ".join(each.asked(x) for each, x in program.least)
         what = f"leads to what it must do, {asked}" if asked else f"has a {measure.name}: {measure.lacking}"
@@ -68,6 +75,30 @@ def starts_from(program: OutcomeProgram, looked: list[Vector], workers: int) -> 
     program, ys, values = known
     ys, values, distance = _some_steps(program, ys, values, workers)
     return program, [ys[k] for k in _apart(program, ys, values, CLIMBED, distance)]
+
+
+def _raised(
+    program: OutcomeProgram, looked: list[Vector], workers: int
+) -> tuple[OutcomeProgram, list[Vector], list[float]] | None:
+    """As of `_known`; where no point does what the loop must at least, points are climbed to where it does."""
+    known = _known(program, looked, workers)
+    return _known(program, lifted(program, looked, workers), workers) if known is None and program.least else known
+
+
+def _widened(program: OutcomeProgram, ys: list[Vector], values: list[float], workers: int) -> OutcomeProgram | None:
+    """The program with members that are the slowest at the best points y; None where it has them."""
+    best = [ys[k] for k in _apart(program, ys, values, CLIMBED, APART)]
+    found = in_parallel(partial(_slower, program, best), len(best), workers, at_once=len(best) > 1)
+    members = list(program.members)
+    for u in (u for each in found for u in each):
+        if all(np.abs(u - other).max() > SAME_MEMBER for other in members):
+            members.append(u)
+    return replace(program, members=np.array(members)) if len(members) > len(program.members) else None
+
+
+def _slower(program: OutcomeProgram, ys: list[Vector], number: int) -> list[Vector]:
+    known = np.concatenate([program.members, program.loop.box.members(MEMBERS)])
+    return [part.at(own).slower(known) for part, own in program.parts(ys[number])]
 
 
 def _looked(program: OutcomeProgram, pool: Vector) -> list[Vector]:
@@ -133,7 +164,7 @@ def _some_steps(
     return ys, values, distance
 
 
-def _lifted(program: OutcomeProgram, ys: list[Vector], workers: int) -> list[Vector]:
+def lifted(program: OutcomeProgram, ys: list[Vector], workers: int) -> list[Vector]:
     """Points where the loop does what it must at least, by climbing one of these after another; none where none is."""
     for k, (measure, least) in enumerate(program.least):
         known = _known(replace(program, measure=measure, least=program.least[:k]), ys, workers)
