@@ -39,11 +39,14 @@ OPERATIONS = {
 
 
 def balls(values) -> list[arb]:
+    # Whatever else works with balls in this process may have left another precision.
+    flint.ctx.prec = BITS
     return [x if isinstance(x, arb) else arb(float(x)) for x in np.asarray(values, dtype=object).ravel()]
 
 
 def evaluate_graph(function: ca.Function, inputs: list[list[arb]]) -> list[arb_mat]:
     """Outputs of an expanded, dense Function."""
+    flint.ctx.prec = BITS
     work: dict[int, arb] = {}
     outputs = [[arb(0)] * function.numel_out(k) for k in range(function.n_out())]
     for k in range(function.n_instructions()):
@@ -153,7 +156,6 @@ class MarginOracle:
 
     def value(self, shift: list[np.ndarray] | None = None) -> arb:
         """ε_max at the point moved by STEP · shift (base, posture, p, kr)."""
-        flint.ctx.prec = BITS
         at = self.point
         if shift is not None:
             at = [[x + STEP * float(s) for x, s in zip(xs, ss, strict=True)] for xs, ss in zip(at, shift, strict=True)]
