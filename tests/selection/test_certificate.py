@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flint import arb, arb_poly
+from flint import arb, arb_poly, ctx
 
 import flexopt
 from flexopt.model import machine_from_dict
@@ -136,8 +136,9 @@ def test_constraints_leave_cells_out() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("number", [0, 5, 17, 51])
-def test_w_over_cells(number: int) -> None:
+def test_w_over_cells(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """V of random places in random cells, by balls of 128 bits and other formulas, lies between the bounds."""
+    monkeypatch.setattr(ctx, "prec", checking.BITS)
     case = random_case(number)
     options: dict[str, Any] = case.options | {"constraints": None}
     problem = flexopt.build_selection(case.machine, case.target, **options)
@@ -157,6 +158,13 @@ def test_w_over_cells(number: int) -> None:
             place = BallSeries(arb_poly([arb(x)]), arb(0))
             value = checking.objective(machine.terms(place, int(elbow[k])), arb(0), log["weights"][-1])
             assert seen.low[k] - rounding <= float(checking.span(value).mid()) <= seen.high[k] + rounding
+
+
+def test_the_checker_leaves_the_precision_of_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ctx, "prec", 77)
+    faults, _ = checking.check(json.loads(json.dumps(flexopt.certify(selected(**SUM)).log)))
+    assert not faults
+    assert ctx.prec == 77
 
 
 def test_a_worse_configuration_is_refuted() -> None:

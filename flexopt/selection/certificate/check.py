@@ -390,7 +390,16 @@ def uncovered(log: dict[str, Any]) -> list[str]:
 
 def check(log: dict[str, Any]) -> tuple[list[str], int]:
     """What is wrong with a log, a sentence each; and how many cells were left out for constraints it does not tell."""
+    # The library has one precision for all that a process does with it.
+    before = ctx.prec, ctx.cap
     ctx.prec = BITS
+    try:
+        return _faults(log)
+    finally:
+        ctx.prec, ctx.cap = before
+
+
+def _faults(log: dict[str, Any]) -> tuple[list[str], int]:
     if not log["cells"]:
         zero_is_most = all(weight >= 0 for weight in log["weights"][-1])
         reached = -ROUNDING * log["scale"] <= log["value"] <= 0 == log["upper"]
