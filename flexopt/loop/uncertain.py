@@ -45,7 +45,7 @@ LEVELS, SHORT = 12, 0.999
 # Parameters that a message names.
 NAMED = 4
 # A measure, and the member (k,) whose it is.
-Found = tuple[float, Vector]
+ValueAt = tuple[float, Vector]
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ class UncertainLoop:
         """What decay of a motion that nothing damps is rounding, 1/s."""
         return UNDAMPED * self.settings.rate
 
-    def slowest(self, members: Vector, decays: Vector) -> Found:
+    def slowest(self, members: Vector, decays: Vector) -> ValueAt:
         """The least decay found in the box, 1/s, and where: searched from the slowest members with exact gradients.
 
         A motion may be the slowest in a narrow part of the box that holds no member: those that may become so by their
@@ -325,7 +325,7 @@ class UncertainLoop:
 
     def farther(
         self, measure: str, members: Sequence[Vector | None], values: Sequence[float], sense: float
-    ) -> list[Found]:
+    ) -> list[ValueAt]:
         """What a measure of `LoopPoint` comes to at the corners to which its exact gradient points, and these.
 
         From the worst of its values on, as long as it becomes worse; NaN, where it is none, is the last.
@@ -334,7 +334,7 @@ class UncertainLoop:
             measure: by name;  values: of these members, None being the nominal one.
             sense: 1 where the least is the worst, −1 where the greatest is.
         """
-        found = list[Found]()
+        found = list[ValueAt]()
         if any(map(math.isnan, values)):
             return found
         first = min(range(len(values)), key=lambda k: sense * values[k])
@@ -353,9 +353,9 @@ class UncertainLoop:
             worst = found[-1][0]
         return found
 
-    def shorter_margins(self, members: Vector, least: float) -> list[Found]:
+    def shorter_margins(self, members: Vector, least: float) -> list[ValueAt]:
         """`LoopPoint.delay_margin` of members (n, k), each less than all before; none of a loop that grows."""
-        found = list[Found]()
+        found = list[ValueAt]()
         for u in members:
             value = self.outcome(u).delay_margin(below=least).value
             if not value >= least:
@@ -365,14 +365,14 @@ class UncertainLoop:
                 break
         return found
 
-    def lower_gains(self, members: Vector, least: float, slowest: Vector) -> list[Found]:
+    def lower_gains(self, members: Vector, least: float, slowest: Vector) -> list[ValueAt]:
         """`LoopPoint.allowed_gain` of members (n, k), and of others across the box, each less than the one before.
 
         The loops of all are looked at in stacks, with gains up to the least that is known; of the one that grows first
         it is computed, and so on; from the last, and from the slowest member found, a search goes on. What is stable
         again between two of LEVELS gains is not seen.
         """
-        present, found = self.settings.kp[int(np.argmax(self.settings.kp > 0))], list[Found]()
+        present, found = self.settings.kp[int(np.argmax(self.settings.kp > 0))], list[ValueAt]()
         members = np.concatenate([members, self.box.cross(slowest, 2 * ACROSS)])
         while len(members) and present > 0 and least > 0:
             factor = SHORT * min(least / present, 10.0**HIGH)

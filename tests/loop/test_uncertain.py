@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ import flexopt
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
+from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import Uncertainty
 
@@ -87,6 +90,90 @@ def test_no_member_is_slower_than_the_slowest(name: str) -> None:
     slowest, where = loop.slowest(members, loop.decays(members))
     assert slowest == pytest.approx(loop.outcome(where).decay().value, rel=1e-9)
     assert slowest <= loop.decays(loop.box.members(200, seed=5)).min() + 1e-9
+
+
+# Name, mass, inertia about its axes, centre of mass; joint, kind, origin, axis.
+SPRAYER = (
+    ("carrier", 13000, (9000, 26000, 28000), "0.1 0 1.05", None),
+    ("column", 500, (40, 45, 35), "0.05 0 0.2", ("slew", "revolute", "1.2 0 1.5", "0 0 1")),
+    ("boom", 820, (30, 720, 720), "1.6 0 0.05", ("lift", "revolute", "0.1 0 0.4", "0 -1 0")),
+    ("tele", 310, (8, 150, 150), "0.9 0 0", ("telescope", "prismatic", "1.6 0 0", "1 0 0")),
+    ("second", 190, (4, 55, 55), "0.8 0 0.02", ("tilt", "revolute", "2 0 0", "0 -1 0")),
+    ("nozzle", 75, (1, 3.5, 3.5), "0.25 0 0", ("swing", "revolute", "1.7 0 0", "0 -1 0")),
+)
+
+
+def sprayer(folder: Path) -> AnyMachine:
+    """A manipulator for tunnel linings: five joints on a carrier that gives in six directions."""
+    text, parent = "<robot name='sprayer'>", ""
+    for name, mass, (xx, yy, zz), com, joint in SPRAYER:
+        text += f"<link name='{name}'><inertial><origin xyz='{com}'/><mass value='{mass}'/><inertia ixx='{xx}' "
+        text += f"iyy='{yy}' izz='{zz}' ixy='0' ixz='0' iyz='0'/></inertial></link>"
+        if joint is not None:
+            own, kind, origin, axis = joint
+            text += f"<joint name='{own}' type='{kind}'><parent link='{parent}'/><child link='{name}'/><origin "
+            text += (
+                f"xyz='{origin}'/><axis xyz='{axis}'/><limit lower='-2' upper='2.2' effort='1e5' velocity='1'/></joint>"
+            )
+        parent = name
+    (folder / "sprayer.urdf").write_text(text + "</robot>", encoding="utf-8")
+    (folder / "sprayer.toml").write_text(
+        """
+name = "sprayer"
+robot = "sprayer.urdf"
+actuated = ["slew", "lift", "telescope", "tilt", "swing"]
+placement = ["x", "y", "yaw"]
+[base]
+stiffness = { x = 5.0e6, y = 4.0e6, z = 9.0e6, roll = 1.4e7, pitch = 2.6e7, yaw = 2.0e7 }
+damping = { x = 1.2e4, y = 1.1e4, z = 2.2e4, roll = 3.5e4, pitch = 7.0e4, yaw = 4.0e4 }
+[end_point]
+link = "nozzle"
+offset = [0.5, 0.0, 0.0]
+rows = ["x", "y", "z"]
+""",
+        encoding="utf-8",
+    )
+    return flexopt.load(folder / "sprayer.toml")
+
+
+def test_a_pocket_in_which_two_frequencies_meet_is_found(tmp_path: Path) -> None:
+    """At a stiffness of 1.2 a mode of the base comes to the frequency of the loop's own motion, which then grows.
+
+    The slowest members lie elsewhere, at another payload; a line of members through the pocket knows how slow it is.
+    """
+    machine, posture = sprayer(tmp_path), np.array([0.23, 0.70, 0.60, -1.30, 0.60])
+    loop = {"kp": 3.65e4, "kv": 1.369e4, "ki": 9125.0, "drive": "torque", "feedback": "pid", "rate": 100.0}
+    settings = flexopt.outcome(machine, posture, loop=loop | {"dead_time": 0.03, "nullspace_damping": 80.0}).settings
+    known = (
+        Uncertainty(of="stiffness", factor=(0.5, 1.6)),
+        Uncertainty(of="damping", factor=(0.4, 2.0)),
+        Uncertainty(of="payload.mass", value=(0.0, 90.0)),
+        Uncertainty(of="dead_time", value=(0.02, 0.05)),
+    )
+    uncertain = UncertainLoop(settings, np.zeros(3), posture, False, UncertaintyBox(machine, known, 0.03))
+    members = uncertain.box.members(32)
+    line = np.zeros((81, 4))
+    line[:, 0], line[:, 3] = np.linspace(0.0, 1.0, 81), 1.0
+    least = float(uncertain.decays(line).min())
+    assert least < 0 < uncertain.decays(members).min()
+    slowest, where = uncertain.slowest(members, uncertain.decays(members))
+    assert slowest <= least
+    assert slowest == pytest.approx(uncertain.outcome(where).decay().value, rel=1e-9)
+
+
+def test_slopes_of_a_frequency() -> None:
+    """Of each oscillation, by the box, beside differences."""
+    loop, u, step = made("excavator"), np.array([0.31, 0.42, 0.33]), 1e-5
+    at = loop.outcome(u)
+    for k in np.flatnonzero(at.upper.imag > 0)[:3].tolist():
+        omega = at.frequency(k)
+        beside = [
+            min((loop.outcome(u + sign * step * e).frequency(j).value for j in range(len(at.upper))),
+                key=lambda value: abs(value - omega.value))
+            for e in np.eye(3) for sign in (1, -1)
+        ]  # fmt: skip
+        central = (np.array(beside[::2]) - beside[1::2]) / (2 * step)
+        assert loop.slopes(u, at, omega) == pytest.approx(central, rel=1e-4, abs=1e-5 * np.abs(central).max())
 
 
 @pytest.mark.long("posture1-gains1")

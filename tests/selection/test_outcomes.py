@@ -20,7 +20,8 @@ from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model import machine_from_dict, tree_from_dict
 from flexopt.model.loop import Loop
 from flexopt.selection.outcomes.climb import first_order
-from flexopt.selection.outcomes.program import OutcomeProgram
+from flexopt.selection.outcomes.measures import MEASURES
+from flexopt.selection.outcomes.program import OutcomeProgram, worst_of
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.scan import FEASIBLE
 from flexopt.selection.starts import moved
@@ -298,3 +299,30 @@ def test_a_problem_file_and_the_command(tmp_path: Any, monkeypatch: pytest.Monke
     words = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--loop", "dead_time=0.02", "--starts", "2", "--json")
     same = command("select", "article", "--objective", "decay", *words).document
     assert same["best"]["objective"] == pytest.approx(found.best.objective, rel=1e-9)
+
+
+@pytest.mark.parametrize(("objective", "gain"), [("allowed_gain", 200.0), ("delay_margin", 50.0)])
+def test_the_worst_of_a_gain_and_of_a_margin_is_that_of_the_verdict(objective: str, gain: float) -> None:
+    """Of the same place; and no member drawn at random knows a worse one."""
+    ground = [{"of": f"base.stiffness.{name}", "factor": (0.5, 2.0)} for name in ("x", "y", "rotation")]
+    ground += [{"of": "damping", "factor": (0.3, 2.0)}, {"of": "dead_time", "value": (0.0, 0.02)}]
+    posture, gains = (0.9929, -2.6306), {"kp": gain, "kv": 0.2 * gain}
+    options: dict[str, Any] = {"base": 0.0, "posture": posture, "ranges": ground, "loop": gains}
+    told = flexopt.verdict(EXCAVATOR, TARGET, runs=0, starts=1, **options)
+    box = UncertaintyBox(EXCAVATOR, told.uncertainty, told.settings.dead_time)
+    loop = UncertainLoop(told.settings, np.zeros(1), np.array(posture), False, box)
+    worst, where = worst_of(loop, MEASURES[objective])
+    assert worst == pytest.approx(getattr(told.places[0], objective).least, rel=1e-6)
+    assert worst == pytest.approx(getattr(loop.outcome(where), objective)().value, rel=1e-9)
+    drawn = np.random.default_rng(0).random((60, len(ground)))
+    assert worst <= min(getattr(loop.outcome(u), objective)().value for u in drawn)
+
+
+def test_the_present_configuration_is_climbed_from() -> None:
+    """A choice from where its own optimum stands has no less than that."""
+    options: dict[str, Any] = {"objective": "decay", "loop": FIXED | {"dead_time": 0.02}, "starts": 1}
+    best = flexopt.select(EXCAVATOR, TARGET, base=0.0, **options).candidates[-1]
+    at = best.evaluation
+    again = flexopt.select(EXCAVATOR, TARGET, base=at.base, posture=at.posture, **options)
+    assert again.best.objective >= best.objective - 1e-9
+    assert any(np.abs(each.z - best.z).max() < 1e-4 for each in again.candidates)

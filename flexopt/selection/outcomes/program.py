@@ -19,7 +19,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.loop.meeting import Nearest, nearest
 from flexopt.loop.outcome import UNDEFINED, LoopPoint
-from flexopt.loop.uncertain import Found, UncertainLoop
+from flexopt.loop.uncertain import UncertainLoop, ValueAt
 from flexopt.model.choices import ALLOWED_GAIN, DECAY, DELAY_MARGIN
 from flexopt.model.loop import logarithms
 from flexopt.selection.nlp.program import row_gradients
@@ -293,7 +293,7 @@ class KeptPoint(ProgramPoint):
         return self.parent.once(f"{name} kept by {self.bound!r}", made)
 
 
-def least_over(program: OutcomeProgram, y: Vector, measure: Measure | None = None) -> Found:
+def least_over(program: OutcomeProgram, y: Vector, measure: Measure | None = None) -> ValueAt:
     """The least found over the uncertainty of a measure, by default of that which is largest, and where."""
     every = (worst_of(part.at(own), measure or program.measure) for part, own in program.parts(y))
     return min(every, key=lambda found: found[0])
@@ -318,7 +318,7 @@ def _worst_at(program: OutcomeProgram, ys: Sequence[Vector], number: int) -> Vec
     return least_over(program, ys[number])[1]
 
 
-def worst_of(loop: UncertainLoop, measure: Measure) -> Found:
+def worst_of(loop: UncertainLoop, measure: Measure) -> ValueAt:
     """The least of a measure that is found over what is uncertain, and where: as verdicts look for it."""
     members = loop.box.members(MEMBERS)
     slowest = loop.slowest(members, loop.decays(members))

@@ -29,6 +29,10 @@ ALIKE = 0.1
 BLOCK = 50
 # How often members are sought at the best points; two that are nearer to each other are one.
 WIDENED, SAME_MEMBER = 2, 0.05
+# Of points whose values are not found in stacks so many, the best, are kept when members are added.
+KEPT = 128
+# The program, points y that have a value, and these.
+Valued = tuple[OutcomeProgram, list[Vector], list[float]]
 
 
 # With gains that are chosen, so many of them for a seed that has none.
@@ -59,14 +63,12 @@ def starting_points(
 
 def starts_from(program: OutcomeProgram, looked: list[Vector], workers: int) -> tuple[OutcomeProgram, list[Vector]]:
     """The like from points y that are looked at; the program then has the slowest members at the best of them, too."""
-    known = _raised(program, looked, workers)
+    known = _raised(program, looked, _values_of(program, looked, workers), workers)
     for _ in range(WIDENED):
-        if known is None or not len(program.members):
-            break
-        wider = _widened(*known, workers)
+        wider = None if known is None else _widened(*known, workers)
         if wider is None:
             break
-        known = _raised(wider, looked, workers)
+        known = _raised(*wider, workers)
     if known is None:
         measure, asked = program.measure, ", ".join(each.asked(x) for each, x in program.least)
         what = f"leads to what it must do, {asked}" if asked else f"has a {measure.name}: {measure.lacking}"
@@ -77,23 +79,37 @@ def starts_from(program: OutcomeProgram, looked: list[Vector], workers: int) -> 
     return program, [ys[k] for k in _apart(program, ys, values, CLIMBED, distance)]
 
 
-def _raised(
-    program: OutcomeProgram, looked: list[Vector], workers: int
-) -> tuple[OutcomeProgram, list[Vector], list[float]] | None:
-    """As of `_known`; where no point does what the loop must at least, points are climbed to where it does."""
-    known = _known(program, looked, workers)
-    return _known(program, lifted(program, looked, workers), workers) if known is None and program.least else known
+def _raised(program: OutcomeProgram, ys: list[Vector], values: list[float], workers: int) -> Valued | None:
+    """Points that have the measure; where none does what the loop must at least, some are climbed to where it does."""
+    known = _known(program, ys, values)
+    if known is not None or not program.least:
+        return known
+    ys = lifted(program, ys, workers)
+    return _known(program, ys, _values_of(program, ys, workers))
 
 
-def _widened(program: OutcomeProgram, ys: list[Vector], values: list[float], workers: int) -> OutcomeProgram | None:
-    """The program with members that are the slowest at the best points y; None where it has them."""
+def _widened(program: OutcomeProgram, ys: list[Vector], values: list[float], workers: int) -> Valued | None:
+    """The program with members that are the slowest at the best points y, too, and the values; None where it has them.
+
+    Where values are not found in stacks only the best points are kept.
+    """
+    if not len(program.members):
+        return None
     best = [ys[k] for k in _apart(program, ys, values, CLIMBED, APART)]
     found = in_parallel(partial(_slower, program, best), len(best), workers, at_once=len(best) > 1)
     members = list(program.members)
     for u in (u for each in found for u in each):
         if all(np.abs(u - other).max() > SAME_MEMBER for other in members):
             members.append(u)
-    return replace(program, members=np.array(members)) if len(members) > len(program.members) else None
+    more = np.array(members[len(program.members) :])
+    if not len(more):
+        return None
+    kept: list[int] = np.argsort(-np.array(values), kind="stable").tolist()
+    kept = kept if program.measure.of_rates and not program.least else kept[:KEPT]
+    ys = [ys[k] for k in kept]
+    own = _values_of(replace(program, members=more), ys, workers)
+    both = [min(values[k], value) for k, value in zip(kept, own, strict=True)]
+    return replace(program, members=np.array(members)), ys, both
 
 
 def _slower(program: OutcomeProgram, ys: list[Vector], number: int) -> list[Vector]:
@@ -123,17 +139,18 @@ def _sown(program: OutcomeProgram, seeds: Sequence[Seed]) -> list[Vector]:
     return found
 
 
-def _known(
-    program: OutcomeProgram, ys: list[Vector], workers: int
-) -> tuple[OutcomeProgram, list[Vector], list[float]] | None:
+def _known(program: OutcomeProgram, ys: list[Vector], values: list[float]) -> Valued | None:
     """The program with the size of its values, points that have one, and these; None where none has."""
-    # In stacks nothing is known of what the loop must do at least.
-    values = (_in_blocks if program.least else values_at)(program, ys, workers)
     known = [k for k, value in enumerate(values) if math.isfinite(value)]
     if not known:
         return None
     program = replace(program, size=max(abs(max(values)), np.finfo(float).tiny))
     return program, [ys[k] for k in known], [values[k] for k in known]
+
+
+def _values_of(program: OutcomeProgram, ys: list[Vector], workers: int) -> list[float]:
+    # In stacks nothing is known of what the loop must do at least.
+    return (_in_blocks if program.least else values_at)(program, ys, workers)
 
 
 def values_at(program: OutcomeProgram, ys: list[Vector], workers: int) -> list[float]:
@@ -167,7 +184,8 @@ def _some_steps(
 def lifted(program: OutcomeProgram, ys: list[Vector], workers: int) -> list[Vector]:
     """Points where the loop does what it must at least, by climbing one of these after another; none where none is."""
     for k, (measure, least) in enumerate(program.least):
-        known = _known(replace(program, measure=measure, least=program.least[:k]), ys, workers)
+        part = replace(program, measure=measure, least=program.least[:k])
+        known = _known(part, ys, _values_of(part, ys, workers))
         if known is None:
             return []
         ys, values, _ = _some_steps(*known, workers)
