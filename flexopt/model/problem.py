@@ -100,7 +100,9 @@ class SelectionOptions(BuiltByCall):
         starts: how many starts are tried at most. By default of a single target 32, and in space, where these leave it
             open what is best, rounds of 8 more for as long as they find better; in the plane every peak of the scan, up
             to 64; of a stand 8 placements where targets leave one degree of freedom, else 32; of a plan 3 ways, besides
-            standing still and postures carried along. Points seen on the way to be better are climbed from, too.
+            standing still and postures carried along. Points seen on the way to be better are climbed from, too. By
+            what the loop does so many of the points that are looked at make some steps, 96 by default; the best 8 of
+            where these lead, and the present configuration, are climbed to the end.
         seed: of the sample that the starts come from.
         assume: what holds where nothing else is asked for: `"everything"`, `"nothing"`, or some of
             `"ground,limits,reach"`, see `flexopt.selection.assumed`. `"ground"`: above the ground on which the machine

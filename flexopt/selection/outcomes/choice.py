@@ -44,6 +44,8 @@ UNDONE = "where others of what is uncertain make the loop grow"
 EQUAL = 1e-6
 # Of the value, by which a member that is slower than those that were climbed with is new.
 NEW = 1e-3
+# Of what the loop must do at least, by which a member may do less: tables show four digits.
+LESS = 1e-5
 
 
 def outcome_selection(
@@ -220,7 +222,7 @@ def _broken(program: OutcomeProgram, y: Vector) -> Vector | None:
     """A member whose loop does less than it must."""
     for measure, least in program.least:
         value, at = least_over(program, y, measure)
-        if value < least - NEW * abs(least):
+        if value < least - LESS * abs(least):
             return at
     return None
 
