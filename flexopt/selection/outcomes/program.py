@@ -321,6 +321,8 @@ def _worst_at(program: OutcomeProgram, ys: Sequence[Vector], number: int) -> Vec
 def worst_of(loop: UncertainLoop, measure: Measure) -> ValueAt:
     """The least of a measure that is found over what is uncertain, and where: as verdicts look for it."""
     members = loop.box.members(MEMBERS)
+    if measure.of_modes:  # of the machine's own numbers, whatever the member
+        return measure.value(loop, loop.outcome()), members[0]
     slowest = loop.slowest(members, loop.decays(members))
     if measure.name == DECAY:
         return slowest
