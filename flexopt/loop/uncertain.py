@@ -38,6 +38,8 @@ MET, PAIRED, SHARP = 12, 8, 4
 ACROSS = 5
 # Rates are no straight lines: where motions come near to each other they fall more steeply than farther away.
 BENT = 3.0
+# Members that a worst case is looked for at.
+MEMBERS = 64
 # From corner to corner towards the worst of a measure.
 WALK = 5
 # Gains at which loops are looked at for one that grows, as far as this share of the least that is known to be allowed.
@@ -250,6 +252,12 @@ class UncertainLoop:
                 if found[0] < best[0]:
                     best = min(found, self._least(LoopPoint.decay, found[1]), key=lambda each: each[0])
         return (0.0 if abs(best[0]) <= self._rounding else best[0]), best[1]
+
+    @cached_property
+    def least_decay(self) -> ValueAt:
+        """`slowest` of `MEMBERS` members: every worst case of one loop begins there."""
+        members = self.box.members(MEMBERS)
+        return self.slowest(members, self.decays(members))
 
     def slower(self, members: Vector) -> Vector:
         """Where a search with exact gradients leads from the slowest of these members (n, k): (k,)."""

@@ -30,7 +30,7 @@ from flexopt.selection.optima import SAME_POINT
 from flexopt.selection.outcomes.asked import Asked, MeasureBounds, least_values
 from flexopt.selection.outcomes.borders import RADIUS_POINTS
 from flexopt.selection.outcomes.climb import Climbed, climbed, first_order
-from flexopt.selection.outcomes.program import OutcomeProgram, least_over
+from flexopt.selection.outcomes.program import OutcomeProgram, least_over, worst_of
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import ALIKE, Seed, lifted, separation, starting_points
 from flexopt.selection.problem import SelectionProblem, reached
@@ -220,10 +220,12 @@ def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Clim
 
 def _broken(program: OutcomeProgram, y: Vector) -> Vector | None:
     """A member whose loop does less than it must."""
-    for measure, least in program.least:
-        value, at = least_over(program, y, measure)
-        if value < least - LESS * abs(least):
-            return at
+    for part, own in program.parts(y) if program.least else []:
+        loop = part.at(own)
+        for measure, least in program.least:
+            value, at = worst_of(loop, measure)
+            if value < least - LESS * abs(least):
+                return at
     return None
 
 

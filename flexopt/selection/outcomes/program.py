@@ -19,7 +19,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.loop.meeting import Nearest, nearest
 from flexopt.loop.outcome import UNDEFINED, LoopPoint
-from flexopt.loop.uncertain import UncertainLoop, ValueAt
+from flexopt.loop.uncertain import MEMBERS, UncertainLoop, ValueAt
 from flexopt.model.choices import ALLOWED_GAIN, DECAY, DELAY_MARGIN
 from flexopt.model.loop import logarithms
 from flexopt.selection.nlp.program import row_gradients
@@ -31,8 +31,8 @@ from flexopt.selection.problem import SelectionProblem
 # this share of the size.
 TOGETHER, MEETS = 0.1, 0.1
 MEETING, ALIKE = "two motions that meet", "two oscillations that decay alike"
-# Members that the least over the uncertainty is looked for at; intervals whose corners are first.
-MEMBERS, FEW = 64, 3
+# Intervals whose corners are looked at first.
+FEW = 3
 # Share of what the loop must do at least that it may fall short by: that of steps.
 SHORT = 1e-6
 
@@ -293,9 +293,9 @@ class KeptPoint(ProgramPoint):
         return self.parent.once(f"{name} kept by {self.bound!r}", made)
 
 
-def least_over(program: OutcomeProgram, y: Vector, measure: Measure | None = None) -> ValueAt:
-    """The least found over the uncertainty of a measure, by default of that which is largest, and where."""
-    every = (worst_of(part.at(own), measure or program.measure) for part, own in program.parts(y))
+def least_over(program: OutcomeProgram, y: Vector) -> ValueAt:
+    """The least found over the uncertainty of what is largest, and where."""
+    every = (worst_of(part.at(own), program.measure) for part, own in program.parts(y))
     return min(every, key=lambda found: found[0])
 
 
@@ -323,7 +323,7 @@ def worst_of(loop: UncertainLoop, measure: Measure) -> ValueAt:
     members = loop.box.members(MEMBERS)
     if measure.of_modes:  # of the machine's own numbers, whatever the member
         return measure.value(loop, loop.outcome()), members[0]
-    slowest = loop.slowest(members, loop.decays(members))
+    slowest = loop.least_decay
     if measure.name == DECAY:
         return slowest
     searched = {ALLOWED_GAIN: partial(loop.lower_gains, slowest=slowest[1]), DELAY_MARGIN: loop.shorter_margins}

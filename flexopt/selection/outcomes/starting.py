@@ -16,9 +16,10 @@ import numpy as np
 from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
+from flexopt.loop.uncertain import MEMBERS
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.selection.outcomes.climb import ahead
-from flexopt.selection.outcomes.program import MEMBERS, OutcomeProgram
+from flexopt.selection.outcomes.program import OutcomeProgram
 
 # How far starts stand apart, in scaled variables, and how many climb to the end. Basins are narrow: a measure's stages,
 # few steps from many starts, find more than many from few.
