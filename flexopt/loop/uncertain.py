@@ -24,6 +24,7 @@ from flexopt.loop.outcome import HIGH, UNDAMPED, LoopPoint, Measured
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.model import AnyMachine
+from flexopt.model.choices import ALLOWED_GAIN, DELAY_MARGIN, SETTLING, SWING
 from flexopt.model.loop import DELAY_MAX, GAINS
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
 from flexopt.plant import build_plant
@@ -44,10 +45,16 @@ MEMBERS = 64
 WALK = 5
 # Gains at which loops are looked at for one that grows, as far as this share of the least that is known to be allowed.
 LEVELS, SHORT = 12, 0.999
+# Intervals at whose corners a measure is looked at, 2³ at most; gradients lead to others.
+FEW = 3
+# Measures of `LoopPoint` whose worst is searched for: 1 where that is the least, −1 where it is the greatest.
+SENSES = {ALLOWED_GAIN: 1.0, DELAY_MARGIN: 1.0, SETTLING: -1.0, SWING: -1.0}
 # Parameters that a message names.
 NAMED = 4
 # A measure, and the member (k,) whose it is.
 ValueAt = tuple[float, Vector]
+# A loop, and the member (k,) whose it is; None of the nominal one.
+PointAt = tuple[LoopPoint, Vector | None]
 
 
 @dataclass(frozen=True)
@@ -331,23 +338,44 @@ class UncertainLoop:
         )
         return float(found.fun), np.clip(found.x, 0.0, 1.0)
 
-    def farther(
-        self, measure: str, members: Sequence[Vector | None], values: Sequence[float], sense: float
-    ) -> list[ValueAt]:
-        """What a measure of `LoopPoint` comes to at the corners to which its exact gradient points, and these.
+    def worst(
+        self, measure: str, few: Sequence[PointAt], members: Vector, slowest: Vector, known: float = math.inf
+    ) -> tuple[list[float], list[ValueAt]]:
+        """One of `SENSES`' measures at a few members, and what a search from there finds of worse ones.
+
+        Gradients lead to corners; of gains and dead times that the loop bears all members are looked at, up to the
+        least that is known. NaN, where a loop grows, is as bad as can be, and ends the search.
+
+        Args:
+            measure: by name.
+            few: loops whose values are told, and their members.
+            members: (n, k);  slowest: the member that decays slowest.
+            known: the least that is known of other loops; of these only what is less is looked for.
+        """
+        values: list[float] = [getattr(point, measure)().value for point, _ in few]
+        further = self.farther(measure, few, values)
+        told = [*values, *(value for value, _ in further), known]
+        if any(map(math.isnan, told)):
+            return values, further
+        if measure == ALLOWED_GAIN:
+            further += self.lower_gains(members, min(told), slowest)
+        elif measure == DELAY_MARGIN:
+            further += self.shorter_margins(members, min(told))
+        return values, further
+
+    def farther(self, measure: str, few: Sequence[PointAt], values: Sequence[float]) -> list[ValueAt]:
+        """What one of `SENSES`' measures comes to at the corners to which its exact gradient points, and these.
 
         From the worst of its values on, as long as it becomes worse; NaN, where it is none, is the last.
 
         Args:
-            measure: by name;  values: of these members, None being the nominal one.
-            sense: 1 where the least is the worst, −1 where the greatest is.
+            measure: by name;  values: at these few.
         """
-        found = list[ValueAt]()
+        found, sense = list[ValueAt](), SENSES[measure]
         if any(map(math.isnan, values)):
             return found
         first = min(range(len(values)), key=lambda k: sense * values[k])
-        u, worst = members[first], values[first]
-        at = self.outcome(u)
+        (at, u), worst = few[first], values[first]
         u = np.full(len(self.box.uncertainty), 0.5) if u is None else u
         for _ in range(WALK):
             slopes = sense * np.nan_to_num(self.slopes(u, at, getattr(at, measure)()))

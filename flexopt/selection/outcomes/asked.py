@@ -15,7 +15,7 @@ import numpy as np
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.loop.settings import LoopSettings, loop_settings
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import FEW, UncertainLoop, UncertaintyBox
 from flexopt.model import AnyMachine
 from flexopt.model.choices import ALLOWANCE, ALLOWED_GAIN, RADIUS
 from flexopt.model.constraints import LeastOutcomes
@@ -29,8 +29,6 @@ from flexopt.selection.outcomes.program import worst_of
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.solve import least_of
 
-# Intervals whose corners are members from the beginning.
-CORNERED = 3
 # How near to what it must be at least a measure is just that, as a share of it.
 JUST = 1e-6
 MeasureBounds = tuple[tuple[Measure, float], ...]
@@ -142,7 +140,7 @@ class Asked:
         """What is not known, of the radius its factors; the members (n, k) over which the measure is the worst."""
         radius = self.name == RADIUS
         box = UncertaintyBox(machine, (self.uncertainty or GROUND) if radius else self.uncertainty, dead_time)
-        return box, box.corners(CORNERED) if self.uncertainty and not radius else np.zeros((0, 0))
+        return box, box.corners(FEW) if self.uncertainty and not radius else np.zeros((0, 0))
 
     def _unfit(self, bounds: MeasureBounds, settings: LoopSettings, varied: tuple[Uncertainty, ...]) -> list[Fault]:
         """What measures cannot be had of."""

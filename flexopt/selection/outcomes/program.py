@@ -19,7 +19,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.loop.meeting import Nearest, nearest
 from flexopt.loop.outcome import UNDEFINED, LoopPoint
-from flexopt.loop.uncertain import MEMBERS, UncertainLoop, ValueAt
+from flexopt.loop.uncertain import FEW, MEMBERS, SENSES, UncertainLoop, ValueAt
 from flexopt.model.choices import ALLOWED_GAIN, DECAY, DELAY_MARGIN
 from flexopt.model.loop import logarithms
 from flexopt.selection.nlp.program import row_gradients
@@ -31,8 +31,6 @@ from flexopt.selection.problem import SelectionProblem
 # this share of the size.
 TOGETHER, MEETS = 0.1, 0.1
 MEETING, ALIKE = "two motions that meet", "two oscillations that decay alike"
-# Intervals whose corners are looked at first.
-FEW = 3
 # Share of what the loop must do at least that it may fall short by: that of steps.
 SHORT = 1e-6
 
@@ -326,11 +324,11 @@ def worst_of(loop: UncertainLoop, measure: Measure) -> ValueAt:
     slowest = loop.least_decay
     if measure.name == DECAY:
         return slowest
-    searched = {ALLOWED_GAIN: partial(loop.lower_gains, slowest=slowest[1]), DELAY_MARGIN: loop.shorter_margins}
-    looked = [slowest[1], *(loop.box.corners(FEW) if measure.name in searched else members)]
-    found = [(measure.value(loop, loop.outcome(u)), u) for u in looked]
-    least = min(found, key=lambda each: each[0])
-    if measure.name not in searched or not math.isfinite(least[0]):
-        return least
-    more = [(-math.inf if math.isnan(value) else value, u) for value, u in searched[measure.name](members, least[0])]
-    return min([least, *more], key=lambda each: each[0])
+    looked = [slowest[1], *(loop.box.corners(FEW) if measure.name in (ALLOWED_GAIN, DELAY_MARGIN) else members)]
+    few = [(loop.outcome(u), u) for u in looked]
+    if measure.name not in SENSES:
+        return min(((measure.value(loop, point), u) for point, u in few), key=lambda each: each[0])
+    values, further = loop.worst(measure.name, few, members, slowest[1])
+    told = [(measure.sign * value, u) for value, u in [*zip(values, looked, strict=True), *further]]
+    _, worst = min(told, key=lambda each: -math.inf if math.isnan(each[0]) else each[0])
+    return measure.value(loop, loop.outcome(worst)), worst

@@ -25,9 +25,9 @@ from flexopt.loop.evaluation import swing_unit
 from flexopt.loop.lag import lagged_modes
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.spectrum import from_sample_to_sample
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
+from flexopt.loop.uncertain import FEW, SENSES, UncertainLoop, UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
-from flexopt.model.choices import asks_for_loop
+from flexopt.model.choices import ALLOWED_GAIN, DELAY_MARGIN, SETTLING, SWING, asks_for_loop
 from flexopt.model.constraints import AnyConstraints
 from flexopt.model.loop import Loop, LoopLike, gain_ranges, under_control
 from flexopt.model.problem import SelectionKeywords, SelectionOptions, judged_by
@@ -60,8 +60,6 @@ from flexopt.study.verdicts.result import Band, PlaceVerdict, Verdict
 MEMBERS, RUNS = 64, 16
 # How many points and runs a verdict may take.
 SIZES = {"members": whole(2, 100_000), "runs": whole(0, 100_000)}
-# Intervals at whose corners gains, margins and moves are looked at, 2³ at most; gradients lead to others.
-CORNERED = 3
 # Choosing places, decays there, runs, and gains.
 STAGES = 4
 # So often gains are sought again for a member that was not among the few.
@@ -70,8 +68,6 @@ EXCHANGES = 3
 DURATION = 20.0
 UNPLACED = Fault("base", "is needed: where the machine stands now, from which it may pay to move")
 T = TypeVar("T")
-# Of values of a measure (targets, few members), and of others that are known, those of a search among all members.
-Further = Callable[[Vector, Sequence[float]], list[float]]
 
 
 def _judged(arguments: Arguments, field: str, value: Any) -> Any:
@@ -360,7 +356,7 @@ def _changed(
     """
     found = list[tuple[Place, PlaceLoops]]()
     for name, place in known.items():
-        few = np.concatenate([loops[name].box.corners(CORNERED), slowest[name].member[None]])
+        few = np.concatenate([loops[name].box.corners(FEW), slowest[name].member[None]])
         tried = list[tuple[Place, PlaceLoops]]()
         for _ in range(EXCHANGES):
             best = best_gains(loops[name], asked, few)
@@ -392,34 +388,21 @@ def _place(
     runs: Runs | None,
     chosen: Chosen,
 ) -> PlaceVerdict:
-    few = [None, *place.box.corners(CORNERED), slowest.member]
-    outcomes = [[loop.outcome(u) for u in few] for loop in place.loops]
-    nominal = min(each[0].decay().value for each in outcomes)
+    members = [None, *place.box.corners(FEW), slowest.member]
+    looked = [[(loop.outcome(u), u) for u in members] for loop in place.loops]
 
-    def band(measure: str, search: Further | None = None, *, least: bool = False, factor: float = 1.0) -> Band:
-        values = np.array([[getattr(outcome, measure)().value for outcome in each] for each in outcomes])
-        sense, worst = (1.0, np.min) if least else (-1.0, np.max)
-        # Not every corner is among the few, nor is the worst always a corner.
-        rows = list(zip(place.loops, values.tolist(), strict=True))
-        more = [value for loop, own in rows for value, _ in loop.farther(measure, few, own, sense)]
-        more += [] if search is None else search(values, more)
-        found = _band(factor * worst(values, axis=0))
-        end = float(worst([found.least if least else found.greatest, *(factor * value for value in more)]))
-        return replace(found, least=end) if least else replace(found, greatest=end)
-
-    def lower_gains(values: Vector, _: Sequence[float]) -> list[float]:
-        rows = zip(place.loops, values.tolist(), strict=True)
-        return [value for loop, own in rows for value, _ in loop.lower_gains(points, min(own), slowest.member)]
-
-    def shorter_margins(values: Vector, known: Sequence[float]) -> list[float]:
-        """Each looked for up to the least that is known; none of a loop that grows."""
-        if np.isnan(values).any():
-            return []
-        found = [float(values.min()), *known]
-        for loop in place.loops:
-            if not any(map(math.isnan, found)):
-                found += [value for value, _ in loop.shorter_margins(points, min(found))]
-        return found
+    def band(measure: str, factor: float = 1.0) -> Band:
+        sense, each, further = SENSES[measure], list[list[float]](), list[float]()
+        for loop, few in zip(place.loops, looked, strict=True):
+            known = float(np.min([math.inf, *further, *np.ravel(each)]))
+            values, more = loop.worst(measure, few, points, slowest.member, known)
+            each.append(values)
+            further += [value for value, _ in more]
+        # Of each member the worst target's; NaN where it is none: of a loop that grows there is no margin.
+        told = sense * np.min(sense * np.array(each), axis=0)
+        every = np.append(told, further)
+        ends = (every.min(), told.max()) if sense > 0 else (told.min(), every.max())
+        return Band(*(factor * float(value) for value in (told[0], *ends)))
 
     return PlaceVerdict(
         name=name,
@@ -428,17 +411,17 @@ def _place(
         w=_rows([each.w for each in stands]),
         drive=drive[0],
         turn=drive[1],
-        decay=Band(nominal, slowest.decay, float(decays.max())),
+        decay=Band(min(few[0][0].decay().value for few in looked), slowest.decay, float(decays.max())),
         stable_share=float(np.mean(decays > 0)),
         slowest_at=place.box.told(slowest.member),
-        slowest_hz=outcomes[slowest.target][-1].loop.frequency_hz,
+        slowest_hz=looked[slowest.target][-1][0].loop.frequency_hz,
         slowest_target=slowest.target,
         better=better,
-        allowed_gain=band("allowed_gain", lower_gains, least=True),
-        delay_margin=band("delay_margin", shorter_margins, least=True),
-        settling=band("settling"),
-        swing=band("swing", factor=MOVE),
-        swing_unit=swing_unit(outcomes[0][0]),
+        allowed_gain=band(ALLOWED_GAIN),
+        delay_margin=band(DELAY_MARGIN),
+        settling=band(SETTLING),
+        swing=band(SWING, factor=MOVE),
+        swing_unit=swing_unit(looked[0][0][0]),
         runs=runs,
         unseen=_is_unseen(place.loops[slowest.target], slowest),
         rests_on=tuple(resting_at(chosen, [(e.base, e.posture) for e in stands])),
@@ -454,11 +437,6 @@ def _is_unseen(loop: UncertainLoop, slowest: Slowest) -> bool:
 def _rows(each: Sequence[Vector]) -> Vector:
     """Of one target the numbers themselves, of several a row for each."""
     return each[0] if len(each) == 1 else np.array(each)
-
-
-def _band(values: Vector) -> Band:
-    """NaN at an end where one of them is none: of a loop that grows there is no margin, and no settling."""
-    return Band(float(values[0]), float(values.min()), float(values.max()))
 
 
 def _measure(
