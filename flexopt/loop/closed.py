@@ -19,7 +19,7 @@ from flexopt.loop.directions import Carried, Computed, stacked
 from flexopt.loop.feedback import FeedbackLaw
 from flexopt.loop.flow import Flow
 from flexopt.loop.integrators import State, classical_step, explicit_step, implicit_step
-from flexopt.loop.sample import Layouts, Sample
+from flexopt.loop.sample import Layouts, Sample, SampleModel
 from flexopt.loop.structure import LoopStructure, constant_sizes, signal_sizes, state_sizes
 from flexopt.loop.tableaus import dormand_prince, gauss, radau
 from flexopt.plant.machine_motion import motion_of
@@ -153,30 +153,36 @@ class ClosedLoop:
         return ca.Function("sampling", [x, d, e, c], outputs, ["x", "d", "e", "c"], names, {"cse": not self._short})
 
     def _substep(self, *, carried: bool) -> ca.Function:
-        """One integration step by an explicit method. Inputs s = [u, w, z], d, command, t, e, c."""
-        s, d, command, t, e, c = self._substep_symbols(carried=carried)
+        """One integration step by an explicit method. Inputs s = [u, w, z], d, command, t, h, e, c."""
+        s, d, command, t, h, e, c = self._substep_symbols(carried=carried)
         state = self.state(s)
         frame: Computed | Carried = Carried(d) if carried else Computed(self.shape.angles(state.u))
         flow = Flow(self.structure, self.layouts, command, e, c)
         if self.structure.method == "rk4":
-            after, heading = classical_step(flow, flow.of["h"], t, state, frame)
+            after, heading = classical_step(flow, h, t, state, frame)
         else:
-            after, heading = explicit_step(flow, dormand_prince(), flow.of["h"], t, state, frame)
+            after, heading = explicit_step(flow, dormand_prince(), h, t, state, frame)
         turned = stacked(heading.pairs) if carried else d
         turn = frame.turn if isinstance(frame, Carried) else ca.SX(0)
-        outputs = [after.column, turned, turn]
-        names = ["s", "d", "command", "t", "e", "c"]
-        return ca.Function(
-            "substep", [s, d, command, t, e, c], outputs, names, ["s_next", "d_next", "turn"], {"cse": not self._short}
-        )
+        inputs, outputs = [s, d, command, t, h, e, c], [after.column, turned, turn]
+        names = ["s", "d", "command", "t", "h", "e", "c"]
+        return ca.Function("substep", inputs, outputs, names, ["s_next", "d_next", "turn"], {"cse": not self._short})
+
+    def _measuring(self) -> ca.Function:
+        """The newest measurement of a sample. Inputs s, t, e, c."""
+        s, _, _, t, _, e, c = self._substep_symbols(carried=False)
+        state, model = self.state(s), SampleModel(self.structure, self.layouts, e, c)
+        along = model.motion.with_base(Computed(self.shape.angles(state.u)).start.pairs)
+        measured = ca.densify(model.measurement(t, state.u, state.w, along))
+        return ca.Function("measuring", [s, t, e, c], [measured], ["s", "t", "e", "c"], ["measured"], {"cse": True})
 
     def _gauss(self) -> tuple[ca.Function, ca.Function, ca.Function]:
         """Start, iteration and end of an implicit integration step."""
-        s, _, command, t, e, c = self._substep_symbols(carried=False)
+        s, _, command, t, h, e, c = self._substep_symbols(carried=False)
         flow = Flow(self.structure, self.layouts, command, e, c)
         tableau = radau() if self.structure.stiff else gauss()
-        parts = implicit_step(flow, tableau, flow.of["h"], t, self.state(s), damped=self.structure.damped)
-        inputs, names, cse = [s, command, t, e, c], ["s", "command", "t", "e", "c"], {"cse": True}
+        parts = implicit_step(flow, tableau, h, t, self.state(s), damped=self.structure.damped)
+        inputs, names, cse = [s, command, t, h, e, c], ["s", "command", "t", "h", "e", "c"], {"cse": True}
         iterated, known = [parts.unknowns, parts.known, *inputs], ["k", "factors", *names]
         end = parts.finish.column
         return (
@@ -185,12 +191,12 @@ class ClosedLoop:
             ca.Function("end", iterated, [end, parts.residual], known, ["s_next", "residual"], cse),
         )
 
-    def _substep_symbols(self, *, carried: bool) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+    def _substep_symbols(self, *, carried: bool) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
         _, e, c = self._symbols()
         s = ca.SX.sym("s", self.n_continuous)
         d = ca.SX.sym("d", self.directions if carried else 0)
         command = ca.SX.sym("command", self.shape.n_joints if self.structure.sampled else 0)
-        return s, d, command, ca.SX.sym("t"), e, c
+        return s, d, command, ca.SX.sym("t"), ca.SX.sym("h"), e, c
 
     @property
     def n_continuous(self) -> int:
@@ -208,6 +214,16 @@ class ClosedLoop:
         """Whether a sample becomes one graph, whose common parts are then found at once."""
         return self.structure.substeps == 1 and self.structure.method == "rk4"
 
+    def _times(self, c: ca.MX) -> tuple[list[ca.MX], list[ca.MX]]:
+        """When each integration step of a sample begins, and its length, s: the newest measurement falls between."""
+        s, h = self.structure, c[self.constants.slices["h"]]
+        if not s.after:
+            return [i * h for i in range(s.substeps)], [h] * s.substeps
+        early, before = c[self.constants.slices["early"]], s.substeps - s.after
+        first, last = (s.substeps * h - early) / before, early / s.after
+        begins = [i * first for i in range(before)] + [before * first + i * last for i in range(s.after)]
+        return begins, [first] * before + [last] * s.after
+
     def _stepped(self, name: str, *, carried: bool) -> ca.Function:
         """Sampling and integration together: calls in a row, made one SX graph where that is short."""
         s = self.structure
@@ -218,20 +234,21 @@ class ClosedLoop:
         d = ca.MX.sym("d", self.directions if carried else 0)
         command, law, queue, monitor, turn = self._sampling(carried=carried)(x, d, e, c)
         state, turned, residual = x[: self.n_continuous], d, ca.MX(0)
-        h = c[self.constants.slices["h"]]
+        times, steps = self._times(c)
         parts = self._gauss() if s.method == "gauss" else None
         substep = None if parts else self._substep(carried=carried)
-        for i in range(s.substeps):
-            t = i * h
+        for i, (t, h) in enumerate(zip(times, steps, strict=True)):
+            if s.after and i == s.substeps - s.after:
+                queue = ca.vertcat(queue[: -2 * s.n_task], self._measuring()(state, t, e, c))
             if parts:
                 start, iterate, finish = parts
-                k, factors = start(state, command, t, e, c)
+                k, factors = start(state, command, t, h, e, c)
                 for _ in range(s.iterations):
-                    k = iterate(k, factors, state, command, t, e, c)
-                state, rest = finish(k, factors, state, command, t, e, c)
+                    k = iterate(k, factors, state, command, t, h, e, c)
+                state, rest = finish(k, factors, state, command, t, h, e, c)
                 residual = ca.fmax(residual, rest)
             elif substep:
-                state, turned, more = substep(state, turned, command, t, e, c)
+                state, turned, more = substep(state, turned, command, t, h, e, c)
                 turn = ca.fmax(turn, more) if carried else turn
         x_next = ca.vertcat(state, law, queue) if s.sampled else ca.vertcat(state, queue)
         monitor = ca.vertcat(monitor, residual) if s.method == "gauss" else monitor

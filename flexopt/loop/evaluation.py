@@ -61,7 +61,8 @@ class Outcome(Result):
         settling, swing: of the standard move, in which the end-point starts beside its target along one task row, the
             worst row: after which time |e| stays below 2 % of its start, s, NaN where it does not in a minute; and the
             base's largest turn about one of its axes, rad (of a base that cannot turn a shift, m: `swing_unit`), for
-            each m of the move. The commands show the error from the start, so that the first dead time does not count.
+            each m of the move. The commands show the error from the start, so that the first dead time does not count;
+            the move starts where one of them changes.
         gradient: exact derivatives of each of these by `base`, `posture`, `parameters`, `kp`, `kv`, `ki`, `dead_time`
             and the drives' numbers; (m, size) of what there is for each mode. NaN where eigenvalues meet. By a dead
             time of whole samples those are of a longer one; of settling and swing NaN where
@@ -164,6 +165,8 @@ class Outcome(Result):
         most = f"above {self.settings.highest_kp:.4g}" if math.isinf(self.allowed_gain) else _told(self.allowed_gain)
         unit = f" {self.settings.gain_units[0]} (stable: {stable})"
         lines.append(f"  allowed gain Kp {most}{'' if math.isnan(self.allowed_gain) else unit}")
+        if any(rate > 0 for rate in self.drift) and any(word.startswith("from") for word in self._stable):
+            lines.append("    from: with less, the drift may move the end-point, too, and then counts as the loop's")
         margin = f"{_told(1e3 * self.delay_margin)}{' ms' if math.isfinite(self.delay_margin) else ''}"
         lines.append(
             f"  delay margin {margin}; disk margin {_told(self.disk_margin)}; "

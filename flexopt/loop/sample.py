@@ -55,6 +55,24 @@ class SampleModel:
             return self.e["target"] + t * self.e["target_rate"], self.e["target_rate"]
         return self.of["target"], ca.SX.zeros(self.s.n_task, 1)
 
+    @property
+    def period(self) -> ca.SX:
+        """Of a sample, s."""
+        return self.s.substeps * self.of["h"]
+
+    def measurement(self, t: ca.SX, u: ca.SX, w: ca.SX, along: Directions) -> ca.SX:
+        """What sensors tell at a time after the start of the sample: the end-point and its rate."""
+        base, _ = self.base_at(t)
+        fresh = ca.vertcat(self.motion.end_point(u, along, base), self.motion.end_point_rate(u, w, along, base))
+        if self.s.noisy:
+            fresh += self.e["noise"]
+        if self.s.quantised:
+            # A resolution of zero means none.
+            size = ca.vertcat(self.of["resolution"], self.of["rate_resolution"])
+            rounded = size * ca.floor(fresh / ca.if_else(size > 0, size, 1) + 0.5)
+            fresh = ca.if_else(size > 0, rounded, fresh)
+        return fresh
+
     def torque_for(self, force: ca.SX, u: ca.SX, w: ca.SX, along: Directions, base: ca.SX) -> ca.SX:
         """Joint torques of a force at the end-point, with what gravity compensation and nullspace damper add.
 
@@ -117,26 +135,11 @@ class Sample(SampleModel):
 
     def _measured(self) -> ca.SX:
         """What the controller gets to see now: end-point and its rate."""
-        u, w = self.x["u"], self.x["w"]
-        point = self.motion.end_point(u, self.along, self.base)
-        fresh = ca.vertcat(point, self.motion.end_point_rate(u, w, self.along, self.base))
-        if self.s.noisy:
-            fresh += self.e["noise"]
-        if self.s.quantised:
-            # A resolution of zero means none.
-            size = ca.vertcat(self.of["resolution"], self.of["rate_resolution"])
-            rounded = size * ca.floor(fresh / ca.if_else(size > 0, size, 1) + 0.5)
-            fresh = ca.if_else(size > 0, rounded, fresh)
-        self.fresh = fresh
-        arrived = self.x["queue"][: 2 * self.s.n_task] if self.s.delay else fresh
+        self.fresh = self.measurement(ca.SX(0), self.x["u"], self.x["w"], self.along)
+        arrived = self.x["queue"][: 2 * self.s.n_task] if self.s.delay else self.fresh
         if not self.s.filtered:
             return arrived
         return low_pass(arrived, self.x["filter"], self.of["filter"], self.period)
-
-    @property
-    def period(self) -> ca.SX:
-        """Of a sample, s."""
-        return self.s.substeps * self.of["h"]
 
     @property
     def error(self) -> tuple[ca.SX, ca.SX]:

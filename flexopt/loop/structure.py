@@ -31,7 +31,8 @@ class LoopStructure:
         stiff: whether the implicit method is Radau's, which brings to rest in a step what dampers brake in a small part
             of it; Gauss's would leave it swinging from step to step.
         gravity, compensated: whether weight acts, and whether the command carries the arm's.
-        delay: whole samples between measurement and command.
+        delay: measurements on their way to the command.
+        after: integration steps of a sample behind the newest of them; 0 where it is taken at the sample's start.
         quantised, noisy, filtered: of the measurement.
         limited, lagging, rate_limited, dead_band: of the actuators.
         nullspace_damped: whether a damper acts on the arm's self-motion.
@@ -56,6 +57,7 @@ class LoopStructure:
     gravity: bool = False
     compensated: bool = False
     delay: int = 0
+    after: int = 0
     quantised: bool = False
     noisy: bool = False
     filtered: bool = False
@@ -106,6 +108,7 @@ def constant_sizes(structure: LoopStructure, law: FeedbackLaw) -> dict[str, int]
     sizes |= law.constants
     sizes |= {"resolution": s.n_task, "rate_resolution": s.n_task} if s.quantised else {}
     for part, name, size in (
+        (s.after > 0, "early", 1),
         (s.filtered, "filter", 1),
         (s.limited, "torque_limit", n),
         (s.dead_band, "dead_band", n),

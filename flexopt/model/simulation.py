@@ -61,7 +61,7 @@ class Sensor(BuiltByCall):
     Attributes:
         noise, rate_noise: standard deviation of white noise on each sample of position, m, and rate, m/s.
         resolution, rate_resolution: steps to which they are rounded, m and m/s; 0: not rounded.
-        delay: from the end-point's measurement to the command, s; a whole number of samples.
+        delay: from the end-point's measurement to the command, s; any time up to 100 samples.
         filter_hz: corner of a first-order low-pass that the samples run through, Hz; none by default.
 
     Example:
@@ -282,14 +282,16 @@ def placement_of(options: SimulationOptions, machine: AnyMachine) -> Numbers:
     return (0.0,) * len(machine.base_coordinates) if options.base is None else options.base
 
 
+def on_their_way(delay: float, rate: float) -> int:
+    """How many measurements a delay, s, keeps waiting at a rate of samples, Hz."""
+    return math.ceil(delay * rate - PART_OF_SAMPLE)
+
+
 def dead_time(options: SimulationOptions) -> tuple[int, float]:
-    """Measurements on their way, and how long before a sample the newest was taken, s, of a delay of any length."""
-    waits = options.sensor.delay * options.rate
-    whole = round(waits)
-    if abs(waits - whole) <= PART_OF_SAMPLE:
-        return whole, 0.0
-    whole = int(waits)
-    return whole + 1, (waits - whole) / options.rate
+    """Measurements on their way, and how long before a sample the newest was taken, s; 0 of whole samples."""
+    waits, rate = on_their_way(options.sensor.delay, options.rate), options.rate
+    early = options.sensor.delay - (waits - 1) / rate
+    return waits, 0.0 if early * rate >= 1 - PART_OF_SAMPLE else early
 
 
 class NullspaceOptions(FileModel):

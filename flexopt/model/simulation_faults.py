@@ -31,9 +31,9 @@ BROUGHT_BY_TABLES = {
 }
 
 
-def simulation_faults(options: SimulationOptions, machine: AnyMachine, *, any_delay: bool = False) -> list[Fault]:
-    """What does not fit together, or not this machine; `any_delay`: the linear loop takes parts of a sample."""
-    found = _posture_faults(options, machine) + _controller_faults(options, machine) + _time_faults(options, any_delay)
+def simulation_faults(options: SimulationOptions, machine: AnyMachine) -> list[Fault]:
+    """What does not fit together, or not this machine."""
+    found = _posture_faults(options, machine) + _controller_faults(options, machine) + _time_faults(options)
     for name, path, names in (
         ("base_path", options.base_path, machine.base_coordinates),
         ("target_path", options.target_path, machine.task_rows),
@@ -91,21 +91,16 @@ def _lever_faults(options: SimulationOptions, machine: AnyMachine) -> list[Fault
     return found
 
 
-def _time_faults(options: SimulationOptions, any_delay: bool) -> list[Fault]:
+def _time_faults(options: SimulationOptions) -> list[Fault]:
     found: list[Fault] = []
     samples, waits = options.duration * options.rate, options.sensor.delay * options.rate
     if not 0.5 <= samples <= SAMPLES_MAX:
         sentence = f"must give between 1 and {SAMPLES_MAX} samples"
         sentence += "; is the rate the period in s?" if samples < 1 and options.rate < 1 else ""
         found.append(Fault("duration, rate", sentence, f"{options.duration:g} s at {options.rate:g} Hz, {samples:g}"))
-    if any_delay and waits > DELAY_MAX:
+    if waits > DELAY_MAX + PART_OF_SAMPLE:
         hint = milliseconds_hint(options.sensor.delay)
         sentence = f"must be at most {DELAY_MAX} samples of {1 / options.rate:g} s{hint}"
-        found.append(Fault("sensor.delay", sentence, f"{options.sensor.delay:g}"))
-    elif not any_delay and (abs(waits - round(waits)) > PART_OF_SAMPLE or waits > DELAY_MAX):
-        sentence = f"must be a whole number (0 to {DELAY_MAX}) of samples of {1 / options.rate:g} s"
-        sentence += milliseconds_hint(options.sensor.delay)
-        sentence += "; sampled_loop and stability_border take any time"
         found.append(Fault("sensor.delay", sentence, f"{options.sensor.delay:g}"))
     if not options.hold and options.sensor != Sensor():
         sentence = "noise, resolution, delay and filter belong to a sampled controller: give hold = true"

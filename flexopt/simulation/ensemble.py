@@ -33,7 +33,7 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.loop import GAINS, Loop, LoopLike
 from flexopt.model.parameter_ranges import parameter_range
-from flexopt.model.simulation import SimulationKeywords, SimulationOptions
+from flexopt.model.simulation import SimulationKeywords, SimulationOptions, on_their_way
 from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Behaviour, behaviour
@@ -183,7 +183,7 @@ def _vary(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> 
     parameters = {parameter.name: parameter.unit for parameter in machine.parameters}
     widths: dict[str, tuple[int, ...]] = {
         "offset": (plant.n_actuated,), "deflection": (plant.n_passive,), "rates": (plant.n_coordinates,),
-        "kp": (0, plant.n_task), "kv": (0, plant.n_task), "ki": (0, plant.n_task),
+        "kp": (0, plant.n_task), "kv": (0, plant.n_task), "ki": (0, plant.n_task), "delay": (0,),
     }  # fmt: skip
     widths |= dict.fromkeys(parameters, (0,))
     arrays: dict[str, Vector] = {}
@@ -193,7 +193,7 @@ def _vary(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> 
     for name, given in cast(Mapping[Any, Any], value).items():
         where = f"{field}[{shown(name)}]"
         if name not in widths:
-            words = ", ".join([*list(widths)[:6], "or a parameter of the machine: " + ", ".join(parameters)])
+            words = ", ".join([*list(widths)[:7], "or a parameter of the machine: " + ", ".join(parameters)])
             arguments.faults.append(Fault(where, f"is not something that varies; known are {words}"))
             continue
         shapes = [("members",) if width == 0 else ("members", width) for width in widths[name]]
@@ -229,7 +229,8 @@ def simulate_ensemble(
             nothing.
         vary: arrays with one row for each of N members, by name: `"offset"` (N, n), rad or m; `"deflection"` (N, m),
             passive coordinates at the start less their equilibrium, m or rad; `"rates"` (N, n_q), rates at the start;
-            `"kp"`, `"kv"`, `"ki"` (N,) or (N, n_task); any of the machine's parameters, `"payload.mass"` for example
+            `"kp"`, `"kv"`, `"ki"` (N,) or (N, n_task); `"delay"` (N,), `sensor.delay` of each, s, all within one sample
+            (l, l + 1] / rate; any of the machine's parameters, `"payload.mass"` for example
             (N,). Where parameters vary, the controller keeps the numbers of `machine`: it does not know.
         keep: `"measures"` (default), or `"trajectories"` for every sample of every member, too.
         threads: among how many the members are divided; all cores by default. The results do not depend on it.
@@ -256,9 +257,7 @@ def simulate_ensemble(
     settings: LoopSettings | None = None
     own = machine
     if real is not None:
-        machine, given, settings, sentences = with_loop(machine, real, given, "simulate_ensemble")
-        for sentence in sentences:
-            warn_user(sentence, FlexoptWarning)
+        machine, given, settings = with_loop(machine, real, given, "simulate_ensemble")
         # What drives brake is brake in every member, on top of its own damping.
         pairs = zip(own.parameters, machine.parameters, strict=True)
         brakes = {before.name: after.value - before.value for before, after in pairs}
@@ -268,12 +267,20 @@ def simulate_ensemble(
 
     def run(given: dict[str, Any]) -> Ensemble:
         checked = checked_options("simulate_ensemble", machine, given)
+        delays = varied.get("delay")
+        if delays is not None:
+            sensor = checked.sensor.model_dump(exclude_unset=True) | {"delay": float(delays.max())}
+            checked = checked_options("simulate_ensemble", machine, given | {"sensor": sensor})
+            if len({on_their_way(delay, checked.rate) for delay in delays.tolist()}) > 1:
+                sentence = f"must lie within one sample of {1 / checked.rate:g} s; make an ensemble for each"
+                between = f"{delays.min():g} to {delays.max():g}"
+                raise_if_any(InputError, "simulate_ensemble", [Fault("vary['delay']", sentence, between)])
         if checked.feedback != "pid" and np.any(varied.get("ki", 0.0)):
             raise_if_any(InputError, "simulate_ensemble", [Fault("vary['ki']", 'goes with feedback = "pid"')])
         n = len(next(iter(varied.values())))
         names = [parameter.name for parameter in machine.parameters]
         zeros, motion = motion_constants(machine, {k: v for k, v in varied.items() if k in names}, n)
-        s = build_scenario(machine, checked, zeros, watched=True, settings=settings)
+        s = build_scenario(machine, checked, zeros, watched=True, settings=settings, delays=delays)
         plan = Plan(s, zeros, varied, motion, n, keep)
         _check_room(plan)
         shares = _run(plan, threads or available_cores(), progress)
@@ -425,7 +432,7 @@ def _dataset(plan: Plan, varied: Mapping[str, Vector], shares: list[_Share]) -> 
     left = np.concatenate([share.measures.residual_oscillation for share in shares], axis=1).T
     variables["residual_oscillation"] = (("member", "mode"), left, {"units": "J"})
     axis = {"offset": "joint", "deflection": "passive", "rates": "coordinate", "kp": "axis", "kv": "axis", "ki": "axis"}
-    unit = {parameter.name: parameter.unit for parameter in s.machine.parameters}
+    unit = {parameter.name: parameter.unit for parameter in s.machine.parameters} | {"delay": "s"}
     for name, values in varied.items():
         dims = ("member", axis.get(name, "axis"))[: values.ndim]
         variables[name if name not in variables else f"varied.{name}"] = (dims, values, {"units": unit.get(name, "")})
@@ -452,7 +459,7 @@ def _dataset(plan: Plan, varied: Mapping[str, Vector], shares: list[_Share]) -> 
 
 def _range_faults(machine: AnyMachine, name: str, array: Vector) -> list[Fault]:
     """Values that a machine file would not be allowed to have, or negative gains."""
-    if name in ("kp", "kv", "ki") and np.any(array < 0):
+    if name in ("kp", "kv", "ki", "delay") and np.any(array < 0):
         return [Fault(f"vary[{name!r}]", "must not be negative", f"{array.min():g}")]
     parameter = next((parameter for parameter in machine.parameters if parameter.name == name), None)
     if parameter is None:

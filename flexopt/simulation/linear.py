@@ -26,7 +26,7 @@ from flexopt.loop.spectrum import EXACT, OwnMotion, SampledLoop, neutral_directi
 from flexopt.loop.structure import LoopStructure
 from flexopt.loop.tangent import Tangent, still, tangent
 from flexopt.model import AnyMachine
-from flexopt.model.simulation import LinearKeywords, SimulationOptions, dead_time
+from flexopt.model.simulation import LinearKeywords, SimulationOptions
 from flexopt.plant import build_plant
 from flexopt.simulation.scenario import Scenario, build_scenario, checked_options, given_options
 
@@ -82,7 +82,7 @@ def sampled_loop(
     Args:
         machine, posture, options, keywords: as for `flexopt.simulate`, but `integrator`: `"exact"` (default), or a
             method whose own error is then part of the loop (`"rk4"` is the article's; at 5 ms it damps modes of 13 Hz
-            and more); and `sensor.delay`, which may be any time (with `"exact"`).
+            and more).
 
     Raises:
         InputError: as `simulate`; or the design posture is no equilibrium (weight without compensation).
@@ -159,8 +159,7 @@ def linearised(scenario: Scenario) -> SampledLoop:
 
 def exactly(scenario: Scenario, here: Tangent) -> SampledLoop:
     """The loop about a state of rest, advanced exactly."""
-    _, early = dead_time(scenario.options)
-    return _spectrum(scenario, here.sample(scenario.period, early), EXACT)
+    return _spectrum(scenario, here.sample(scenario.period, float(np.ravel(scenario.parts["early"])[0])), EXACT)
 
 
 def _spectrum(scenario: Scenario, matrix: Vector, integrator: str) -> SampledLoop:
@@ -182,7 +181,7 @@ def linear_options(machine: AnyMachine | None, given: Mapping[str, Any], call: s
     method = given.get("integrator")
     exact = method is None or (isinstance(method, str) and method == EXACT)
     rest = {name: value for name, value in given.items() if not (exact and name == "integrator")}
-    options = checked_options(call, machine, rest, any_delay=exact)
+    options = checked_options(call, machine, rest)
     return options.model_copy(update={"substeps": None}) if exact else options, exact
 
 

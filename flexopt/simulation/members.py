@@ -47,6 +47,9 @@ class Plan:
         for name in ("kp", "kv", "ki"):
             if name in self.varied:
                 parts[name] = np.broadcast_to(self.varied[name].reshape(self.n, -1).T[:, rows], (n_task, count(rows)))
+        if "delay" in self.varied:
+            queued = max(0, self.scenario.loop.structure.delay - 1) * self.scenario.period
+            parts["early"] = (self.varied["delay"][rows] - queued)[None, :]
         return parts
 
     def start(self, rows: slice) -> Vector:

@@ -5,7 +5,6 @@ In: a machine and `LoopSettings`. Out: options of a run, and what drives that se
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
@@ -19,7 +18,6 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop
 from flexopt.model.parameter_values import with_parameters
-from flexopt.model.simulation import PART_OF_SAMPLE
 from flexopt.model.simulation_faults import BROUGHT_BY_TABLES, brought_twice, table_entries
 from flexopt.simulation.scenario import checked_options, design_configuration
 
@@ -28,21 +26,8 @@ T = TypeVar("T")
 SHORTER = (8, 64)
 
 
-def whole_samples(dead_time: float, rate: float) -> int:
-    """How many samples a run waits: measurements come by whole ones, the next longer time."""
-    return math.ceil(dead_time * rate - PART_OF_SAMPLE)
-
-
-def late_sentence(dead_time: float, rate: float) -> str:
-    """What a run makes of a dead time between its samples; empty where it makes nothing of it."""
-    late = whole_samples(dead_time, rate) / rate
-    if abs(late - dead_time) * rate <= PART_OF_SAMPLE:
-        return ""
-    return f"runs wait whole samples: the dead time of {dead_time:g} s is taken as {late:g} s"
-
-
-def run_options(machine: AnyMachine, settings: LoopSettings, waits: int) -> dict[str, Any]:
-    """Options of `flexopt.simulate` for this loop, by a measurement `waits` samples old; see `braked_by`.
+def run_options(machine: AnyMachine, settings: LoopSettings) -> dict[str, Any]:
+    """Options of `flexopt.simulate` for this loop; see `braked_by`.
 
     Exact between the samples: by Gauss's method, which adds no damping.
     """
@@ -54,7 +39,7 @@ def run_options(machine: AnyMachine, settings: LoopSettings, waits: int) -> dict
     actuator |= {name: limit.tolist() for name, limit in limits.items() if limit is not None}
     if s.drive == "velocity" and not machine.joints_without_speed:
         actuator |= {"levers": "each", "servo_gain": s.servo_gain}
-    sensor: dict[str, Any] = {"delay": waits / s.rate} | ({} if s.filter_hz is None else {"filter_hz": s.filter_hz})
+    sensor: dict[str, Any] = {"delay": s.dead_time} | ({} if s.filter_hz is None else {"filter_hz": s.filter_hz})
     gains = {"kp": (gain * s.kp).tolist(), "kv": (gain * s.kv).tolist(), "ki": (gain * s.ki).tolist()}
     return gains | {
         "control": s.control, "feedback": s.feedback, "rate": s.rate, "sensor": sensor, "actuator": actuator,
@@ -99,16 +84,14 @@ def in_shorter_steps(run: Callable[[dict[str, Any]], T], given: dict[str, Any], 
 
 def with_loop(
     machine: AnyMachine, loop: Loop, given: Mapping[str, Any], call: str
-) -> tuple[AnyMachine, dict[str, Any], LoopSettings, tuple[str, ...]]:
-    """The machine as its drives brake it, the options of a call with those of a loop, the loop's numbers, sentences."""
+) -> tuple[AnyMachine, dict[str, Any], LoopSettings]:
+    """The machine as its drives brake it, the options of a call with those of a loop, the loop's numbers."""
     told = {name: value for name, value in given.items() if value is not None}
     options = checked_options(call, machine, told)
     posture, base = (np.array(each) for each in design_configuration(machine, options))
     control = options.control if "control" in told else None
     settings, _ = settings_at(machine, posture, base, control, loop, gravity=options.gravity, call=call)
-    waits = whole_samples(settings.dead_time, settings.rate)
-    brought = run_options(machine, settings, waits)
+    brought = run_options(machine, settings)
     more = {name: brought[name] | table_entries(told.get(name)) for name in BROUGHT_BY_TABLES}
     machine = braked(machine, braked_by(machine, settings, gravity=options.gravity))
-    late = late_sentence(settings.dead_time, settings.rate)
-    return machine, brought | told | more, settings, (late,) if late else ()
+    return machine, brought | told | more, settings

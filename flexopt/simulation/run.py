@@ -72,8 +72,8 @@ def simulate(
         posture: actuated joints (n,), rad or m, about which to work; or give `end_point`.
         loop: the real controller, as of `flexopt.evaluate`, in place of the options that say of it; by default, where
             none of these is given, the machine's own `[loop]`, if it has one. What it leaves out
-            follows from the machine, `Trajectory.loop` names it. Its dead time is rounded up to whole samples, which a
-            warning tells. Drives that serve rates brake their joints, whose damping is so much more in the run.
+            follows from the machine, `Trajectory.loop` names it. Drives that serve rates brake their joints, whose
+            damping is so much more in the run.
         options: the loop and its run, see `flexopt.SimulationOptions`;  keywords: its fields, in place of its:
             end_point, elbow, base, control, feedback, kp, kv, ki, integral_limit, gain, offset, duration, rate, hold,
             integrator, substeps, gravity, gravity_compensation, nullspace_damping, sensor, actuator, base_path,
@@ -96,24 +96,22 @@ def simulate(
         'converges'
     """
     given: dict[str, Any] = {"posture": posture} | keywords
-    settings, sentences, real = None, tuple[str, ...](), cast("Loop | None", loop) or own_loop(machine, given)
+    settings, real = None, cast("Loop | None", loop) or own_loop(machine, given)
     own = machine
     if real is not None:
-        machine, given, settings, sentences = with_loop(machine, real, given, "simulate")
+        machine, given, settings = with_loop(machine, real, given, "simulate")
 
     def run(given: dict[str, Any]) -> Trajectory:
         scenario = build_scenario(machine, checked_options("simulate", machine, given), settings=settings)
-        found = simulate_checked(scenario, settings, sentences)
+        found = simulate_checked(scenario, settings)
         # What its drives brake makes no other machine of it.
         return replace(found, provenance=found.provenance | {"machine_sha256": own.content_hash})
 
     return in_shorter_steps(run, given, real)
 
 
-def simulate_checked(
-    scenario: Scenario, settings: LoopSettings | None = None, sentences: tuple[str, ...] = ()
-) -> Trajectory:
-    """`simulate` for a scenario that is known to be good; of a `[loop]` its numbers, and what is to be warned of."""
+def simulate_checked(scenario: Scenario, settings: LoopSettings | None = None) -> Trajectory:
+    """`simulate` for a scenario that is known to be good; of a `[loop]` its numbers."""
     s, loop = scenario, scenario.loop
     constants, signals = s.constants, s.signals()
     runner, shown, folded = runners(loop.structure, constants if s.options.baked else None, steps=s.samples)
@@ -134,7 +132,7 @@ def simulate_checked(
     verdict = behaviour(s.times, watched, end_error, grounds_of(s), end_rotation)
     if signals is not None and moves(s):
         ended = Ended(s.machine, s.options, x[:, -1].copy(), signals_at_end(s, signals)[0])
-    return _trajectory(s, outputs, verdict, ended, settings, sentences, left)
+    return _trajectory(s, outputs, verdict, ended, settings, left)
 
 
 def moves(scenario: Scenario) -> bool:
@@ -247,14 +245,13 @@ def _trajectory(
     of: Behaviour,
     ended: Ended,
     settings: LoopSettings | None,
-    sentences: tuple[str, ...],
     left: str,
 ) -> Trajectory:
     plant, loop = build_plant(s.machine), s.loop.structure
     brake = "nullspace_damping" if settings is None else "loop.nullspace_damping"
     if settings is not None and settings.drive == "velocity":
         brake = ""
-    sentences += _warnings(s, plant, outputs, of, brake, left)
+    sentences = _warnings(s, plant, outputs, of, brake, left)
     saturating = "actuator.torque_limit" if settings is None else "loop.torque_limit"
     joints, rates, torques = (outputs[name][-plant.n_actuated :] for name in ("q", "v", "torque"))
     saturating = "" if s.options.actuator.torque_limit is not None or s.loop.structure.served else saturating

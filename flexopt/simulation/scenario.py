@@ -28,7 +28,14 @@ from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
 from flexopt.model import AnyMachine
 from flexopt.model.file_model import read_table, validated
 from flexopt.model.plausibility import warn_weightless
-from flexopt.model.simulation import Path, SimulationKeywords, SimulationOptions, dead_time, placement_of
+from flexopt.model.simulation import (
+    PART_OF_SAMPLE,
+    Path,
+    SimulationKeywords,
+    SimulationOptions,
+    dead_time,
+    placement_of,
+)
 from flexopt.model.simulation_faults import simulation_faults
 from flexopt.plant import build_plant, inverse_kinematics
 from flexopt.plant.machine_motion import constant_values, constants_at, motion_of
@@ -81,6 +88,14 @@ class Scenario:
     def constants(self) -> Vector:
         """Constants c (n_c,)."""
         return self.loop.constants.packed(self.parts)[:, 0]
+
+    @property
+    def longest_step(self) -> float:
+        """Of the integration steps in a sample, s."""
+        structure, early = self.loop.structure, np.max(self.parts["early"])
+        if not structure.after:
+            return float(self.parts["h"])
+        return float(max((self.period - early) / (structure.substeps - structure.after), early / structure.after))
 
     @property
     def resting(self) -> Vector:
@@ -157,18 +172,12 @@ def note_options(arguments: Arguments, given: Mapping[str, Any]) -> None:
     arguments.collect("", lambda: checked_options(arguments.call, arguments.of, given_options(given)))
 
 
-def checked_options(
-    call: str, machine: AnyMachine | None, given: Mapping[str, Any], *, any_delay: bool = False
-) -> SimulationOptions:
-    """Options of a call, or one error with every fault; without a machine, with those that need none.
-
-    `any_delay`: dead times need be no whole samples.
-    """
+def checked_options(call: str, machine: AnyMachine | None, given: Mapping[str, Any]) -> SimulationOptions:
+    """Options of a call, or one error with every fault; without a machine, with those that need none."""
     table = {name: value for name, value in given.items() if value is not None}
     options = validated(SimulationOptions, read_table(table, call, "[simulation]", InputError), call, kind=InputError)
     if machine is not None:
-        faults = simulation_faults(options, machine, any_delay=any_delay)
-        raise_if_any(InputError, call, faults + path_faults(machine, options))
+        raise_if_any(InputError, call, simulation_faults(options, machine) + path_faults(machine, options))
     return options
 
 
@@ -180,6 +189,7 @@ def build_scenario(
     watched: bool = False,
     exact: bool = False,
     settings: LoopSettings | None = None,
+    delays: Vector | None = None,
 ) -> Scenario:
     """The scenario of checked options.
 
@@ -191,6 +201,7 @@ def build_scenario(
         watched: whether steps give what is judged.
         exact: whether it is there to be linearised and advanced exactly: no step is then too long.
         settings: of a real loop, whose drives may brake their joints, within the machine's damping.
+        delays: of the members of an ensemble, as many samples begun as the options', s; by default all as these.
 
     Raises:
         SingularPosture: Jv loses rank in the design posture.
@@ -207,7 +218,14 @@ def build_scenario(
     servo = 2 * math.pi * max(options.actuator.bandwidth_hz or (0.0,))
     fastest = Fastest(design.poles, 2 * math.pi * float(design.frequencies_hz[-1]), servo, design.damper)
     steps = Stepping(1) if exact else stepping(options, fastest)
-    structure = _structure(machine, options, steps)
+    waits, early = dead_time(options)
+    each = np.array([early]) if delays is None else delays - (waits - 1) * period
+    structure = replace(_structure(machine, options, steps), delay=waits)
+    # Of whole samples alone the newest measurement is that of the sample's start.
+    if not exact and waits and np.any((each > 0) & (each * options.rate < 1 - PART_OF_SAMPLE)):
+        shares = steps.substeps * options.rate * np.array([period - each.min(), each.max()]) - PART_OF_SAMPLE
+        before, after = (max(1, math.ceil(share)) for share in shares.tolist())
+        structure = replace(structure, substeps=before + after, after=after)
     structure = replace(structure, watched=watched, method="rk4" if exact else structure.method, served=braking > 0)
     if zeros is not None:
         structure = replace(structure, motion=replace(structure.motion, zeros=zeros), own_model=True)
@@ -216,7 +234,8 @@ def build_scenario(
     shape = motion_of(structure.motion, {})
     n, rows = shape.n_joints, shape.n_task
     parts |= {
-        "h": period / steps.substeps,
+        "h": period / structure.substeps,
+        "early": early,
         "target": design.target - _place(shape, design.base),
     }
     held = design_constants(shape, ca.SX(design.q[:-n]), ca.SX(design.base))
@@ -361,7 +380,6 @@ def _structure(machine: AnyMachine, options: SimulationOptions, steps: Stepping)
         stiff=steps.stiff,
         gravity=options.gravity,
         compensated=options.gravity and options.gravity_compensation,
-        delay=dead_time(options)[0],
         quantised=bool(sensor.resolution or sensor.rate_resolution),
         noisy=bool(sensor.noise or sensor.rate_noise),
         filtered=sensor.filter_hz is not None,

@@ -24,6 +24,7 @@ class Loop:
 
     Attributes:
         law: A, B, C, D of ż = A z + B e, f = C z + D e, or of its sampled twin.
+        delay, early: measurements on their way, and how long before a sample the newest is taken, s.
         noise: (samples, 4) on position and rate.
         base_path, target_path: functions of time.
     """
@@ -46,6 +47,7 @@ class Loop:
     bandwidth: Any = None  # rad/s
     rate_limit: Any = np.inf
     delay: int = 0
+    early: float = 0.0
     filter: float | None = None  # rad/s
     resolution: float = 0.0
     rate_resolution: float = 0.0
@@ -187,9 +189,20 @@ class Loop:
         return np.concatenate([v, acceleration, swift, z_rate])
 
     def run(
-        self, offset: Any, *, period: float, samples: int, substeps: int = 1, hold: bool = True, exact: bool = False
+        self,
+        offset: Any,
+        *,
+        period: float,
+        samples: int,
+        substeps: int = 1,
+        after: int = 0,
+        hold: bool = True,
+        exact: bool = False,
     ) -> Vector:
-        """States [q, v] (samples + 1, 2 n_q); by the classical Runge–Kutta method, or `exact` to the 13th digit."""
+        """States [q, v] (samples + 1, 2 n_q); by the classical Runge–Kutta method, or `exact` to the 13th digit.
+
+        `after` of the substeps lie behind a measurement that is taken within the sample.
+        """
         q, v, torque, z = self.start(np.asarray(offset))
         y = np.concatenate([q, v, torque, z])
         n_q, lag = len(q), len(torque)
@@ -197,6 +210,14 @@ class Loop:
         self.torques: list[Vector] = []  # that act at the start of each sample
         smooth = (self.tip(q, self.base_at(0.0))[0], np.zeros(2))
         waiting = [smooth] * self.delay
+
+        def measured(k: int, t: float, y: Vector, here: Loop) -> tuple[Vector, Vector]:
+            point, jacobian = self.tip(y[:n_q], here.base_at(t))
+            rate = jacobian @ y[n_q : 2 * n_q]
+            if self.noise is not None:
+                point, rate = point + self.noise[k, :2], rate + self.noise[k, 2:]
+            return _rounded(point, self.resolution), _rounded(rate, self.rate_resolution)
+
         for k in range(samples):
             t = k * period
             here, base_rate, target_rate = self._within(t, period)
@@ -204,11 +225,8 @@ class Loop:
             if hold:
                 q, v, torque, z = np.split(y, [n_q, 2 * n_q, 2 * n_q + lag])
                 target = here.target if here.target_path is None else here.target_path(t)
-                point, jacobian = self.tip(q, here.base_at(t))
-                rate = jacobian @ v
-                if self.noise is not None:
-                    point, rate = point + self.noise[k, :2], rate + self.noise[k, 2:]
-                waiting.append((_rounded(point, self.resolution), _rounded(rate, self.rate_resolution)))
+                if not self.early:
+                    waiting.append(measured(k, t, y, here))
                 point, rate = waiting.pop(0)
                 if self.filter is not None:
                     new = 1 - np.exp(-self.filter * period)
@@ -221,12 +239,15 @@ class Loop:
             def rates(t: float, y: Vector, here: Loop = here, given: tuple = (held, base_rate, target_rate)) -> Vector:
                 return here.rates(t, y, *given)
 
-            if exact:
-                span = (t, t + period)
-                y = solve_ivp(rates, span, y, method="DOP853", rtol=2.3e-14, atol=1e-14).y[:, -1]
-            else:
-                for i in range(substeps):
-                    y = _runge_kutta(rates, t + i * period / substeps, y, period / substeps)
+            first = period - self.early
+            for begin, length, steps in ((t, first, substeps - after), (t + first, self.early, after)):
+                if begin > t and self.early:
+                    waiting.append(measured(k, begin, y, here))
+                if exact and length:
+                    span = (begin, begin + length)
+                    y = solve_ivp(rates, span, y, method="DOP853", rtol=2.3e-14, atol=1e-14).y[:, -1]
+                for i in range(0 if exact else steps):
+                    y = _runge_kutta(rates, begin + i * length / steps, y, length / steps)
             states.append(y[: 2 * n_q])
         return np.array(states)
 

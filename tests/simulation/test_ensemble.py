@@ -70,6 +70,21 @@ def test_what_was_measured_before_the_start_is_of_the_member():
     assert abs(now[0, 0, 0] - now[1, 0, 0]) > 100.0
 
 
+def test_dead_times_vary_within_a_sample():
+    """Up to a whole one; each is the run of its own, and its eigenvalues those of its own loop."""
+    delays, options = [0.0051, 0.0073, 0.01], {"kp": 1e4, "kv": 1e3, "duration": 1.0, "integrator": "gauss"}
+    many = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"delay": delays}, keep="trajectories", **options)
+    for k, delay in enumerate(delays):
+        one = flexopt.simulate(EXCAVATOR, POSTURE_B, sensor={"delay": delay}, **options)
+        # Of other steps: what is left is the integrator's error.
+        np.testing.assert_allclose(many.dataset["error"][k], one.error, atol=1e-8)
+        assert many.linear_growth_rate[k] == pytest.approx(one.linear_growth_rate, abs=1e-10)
+    with pytest.raises(InputError, match=r"vary\['delay'\] = 0.001 to 0.006: must lie within one sample of 0.005 s"):
+        flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"delay": [0.001, 0.006]}, **options)
+    with pytest.raises(InputError, match=r"vary\['delay'\].*must not be negative"):
+        flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"delay": [-0.001]}, **options)
+
+
 def test_members_start_in_the_same_posture_whatever_varies():
     """On a base that cannot turn, too, whose angle at rest then varies."""
     base = EXCAVATOR.to_dict()["base"] | {"stiffness": {"x": 4e7}, "damping": {"x": 50.0}}

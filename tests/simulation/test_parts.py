@@ -38,9 +38,8 @@ def both(options: dict, words: dict, *, machine=EXCAVATOR, posture=POSTURE_B, of
     arrays = {name: np.array(value) for name, value in gains.items()}
     loop = Loop(machine, np.array(posture), **(arrays | words))
     np.testing.assert_allclose(loop.q_design, made.q_design, atol=1e-13)
-    states = loop.run(
-        offset, period=1 / rate, samples=samples, substeps=made.loop.structure.substeps, hold=made.options.hold
-    )
+    steps = {"substeps": made.loop.structure.substeps, "after": made.loop.structure.after}
+    states = loop.run(offset, period=1 / rate, samples=samples, hold=made.options.hold, **steps)
     return trajectory, states, loop
 
 
@@ -81,6 +80,8 @@ PARTS = {
     ),
     "delay of one sample": ({"sensor": {"delay": 0.005}}, {"delay": 1}),
     "delay of three": ({"sensor": Sensor(delay=0.015)}, {"delay": 3}),
+    "delay of a part of a sample": ({"sensor": {"delay": 0.0012}}, {"delay": 1, "early": 0.0012}),
+    "delay between samples": ({"sensor": {"delay": 0.0133}, "substeps": 4}, {"delay": 3, "early": 0.0033}),
     "filter": ({"sensor": {"filter_hz": 8.0}}, {"filter": HZ * 8.0}),
     "filter after a delay": ({"sensor": {"filter_hz": 8.0, "delay": 0.01}}, {"filter": HZ * 8.0, "delay": 2}),
     "quantised position": ({"sensor": {"resolution": 2e-3}}, {"resolution": 2e-3}),
@@ -105,6 +106,18 @@ PARTS = {
     "gravity and servo": (
         {"gravity": True, "actuator": {"bandwidth_hz": 15.0}},
         {"gravity": True, "bandwidth": HZ * 15.0},
+    ),
+    "everything, between samples": (
+        {
+            "feedback": "pid", "ki": 1e4, "gravity": True, "seed": 4, "base": 0.5, "substeps": 2,
+            "sensor": {"noise": 1e-4, "resolution": 1e-4, "filter_hz": 30.0, "delay": 0.0085},
+            "actuator": {"dead_band": (20.0, 10.0), "bandwidth_hz": 30.0},
+        },
+        {
+            "ki": 1e4, "gravity": True, "base": 0.5, "delay": 2, "early": 0.0035, "resolution": 1e-4,
+            "filter": HZ * 30.0, "noise": noise(4, 200, 1e-4, 0.0), "dead_band": np.array([20.0, 10.0]),
+            "bandwidth": HZ * 30.0,
+        },
     ),
     "everything": (
         {

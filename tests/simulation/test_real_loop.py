@@ -87,12 +87,16 @@ def test_drives_that_follow_rates_hold_the_self_motion(drive: str, *, drifts: bo
     assert any("does not brake the arm's self-motion" in each for each in run.warnings) == drifts
 
 
-def test_waits_whole_samples_and_says_so() -> None:
-    machine, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3, "dead_time": 0.013}
-    with pytest.warns(flexopt.FlexoptWarning, match=r"0\.013 s is taken as 0\.015 s"):
-        run = flexopt.simulate(machine, POSTURE, loop=loop, duration=0.1)
-    late = flexopt.outcome(machine, POSTURE, loop=loop | {"dead_time": 0.015})
-    assert run.linear_growth_rate == pytest.approx(-late.decay, abs=1e-9)
+@pytest.mark.parametrize("dead_time", [0.0004, 0.013, 0.0298])
+def test_dead_times_lie_anywhere_between_samples(dead_time: float) -> None:
+    """The nonlinear run ends as the exact linear loop says; half a sample more would be another."""
+    machine, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3, "dead_time": dead_time, "rate": 50.0}
+    run = flexopt.simulate(machine, POSTURE, loop=loop, duration=60.0, offset=(1e-3, -1e-3))
+    found = flexopt.outcome(machine, POSTURE, loop=loop)
+    assert run.linear_growth_rate == pytest.approx(-found.decay, abs=1e-9)
+    other = flexopt.outcome(machine, POSTURE, loop=loop | {"dead_time": dead_time + 0.01})
+    # What faster motions leave in 60 s.
+    assert abs(run.growth_rate + found.decay) < 0.1 * abs(other.decay - found.decay)
 
 
 def test_steps_suit_drives_that_brake_hard() -> None:

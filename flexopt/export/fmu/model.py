@@ -68,7 +68,7 @@ class FmuModel(Interface):
         design = ca.vertcat(passive, posture)
         parts: dict[str, Any] = dict(constants_at(machine, p))
         motion = motion_of(loop.structure.motion, parts)
-        parts |= {"h": s.parts["h"]} | design_constants(motion, passive, base)
+        parts |= {"h": s.parts["h"], "early": s.parts["early"]} | design_constants(motion, passive, base)
         parts |= {name: of[name] for name in loop.constants.sizes if name in of}
         resolutions = {name: of[name] for name in ("resolution", "rate_resolution") if name in of}
         parts |= {name: ca.repmat(value, plant.n_task, 1) for name, value in resolutions.items()}
@@ -87,7 +87,7 @@ class FmuModel(Interface):
         q = ca.vertcat(passive, posture + of["offset"])
         limited = self.kind == "co-simulation" and loop.structure.method == "rk4"
         at = GuardedConfiguration(plant, loop.structure, design, base, p)
-        guarded = at.guarded(float(s.parts["h"]) if limited else None, of.get("bandwidth_hz"))
+        guarded = at.guarded(s.longest_step if limited else None, of.get("bandwidth_hz"))
         outputs = [c, state_at_rest(loop, plant, motion, q, base, p), plant.end_point(design, base, p)]
         outputs = [ca.densify(output) for output in (*outputs, ca.vertcat(*(number for _, number in guarded)))]
         names = ["c", "x", "point", "guards"]

@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 from flexopt.compiled.accelerated import level_for
 from flexopt.compiled.compilers import CompilationFailed, find_compiler, library_suffix
 from flexopt.compiled.storage import scratch
-from flexopt.errors import CompilerNotFound, ExportError, Fault, FlexoptWarning, InputError, raise_if_any
+from flexopt.errors import CompilerNotFound, ExportError, Fault, InputError, raise_if_any
 from flexopt.export.fmu.description import build_description, describe
 from flexopt.export.fmu.documents import page, reference_table
 from flexopt.export.fmu.interface import KINDS, FmuKind, moving_placement
@@ -182,11 +182,9 @@ def export_fmu(
     served: Served | None = None
     own = machine
     if real is not None:
-        machine, given, numbers, sentences = with_loop(machine, real, given, "export_fmu")
+        machine, given, numbers = with_loop(machine, real, given, "export_fmu")
         if numbers.braking:
             served = Served(numbers, _changed(own, machine))
-        for sentence in sentences:
-            warn_user(sentence, FlexoptWarning)
     checked = checked_options("export_fmu", machine, _loop_options(kind, given))
     _check_base_path(machine, checked)
     reference = target.with_name(f"{target.stem}_reference.csv")

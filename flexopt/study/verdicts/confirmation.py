@@ -15,9 +15,10 @@ from flexopt.errors import FlexoptWarning, NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.results import Result
 from flexopt.loop.uncertain import UncertainLoop
+from flexopt.model.simulation import on_their_way
 from flexopt.simulation import simulate_ensemble
 from flexopt.simulation.ensemble import Ensemble
-from flexopt.simulation.real_loop import SHORTER, braked, braked_by, run_options, whole_samples
+from flexopt.simulation.real_loop import SHORTER, braked, braked_by, run_options
 from flexopt.simulation.run import OUTGREW
 
 SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "end_error", "peak_error")
@@ -82,15 +83,14 @@ class Runs(Result):
 def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duration: float) -> Runs:
     """Runs of the nonlinear closed loop from the start of `flexopt.simulate`, one for each member (n, k).
 
-    Measurements wait whole samples in a run: a dead time between them is taken as the longer one. `decays` (n,) are
-    those of the linear loops.
+    `decays` (n,) are those of the linear loops.
     """
-    waits = [whole_samples(loop.box.numbers(u)[1], loop.settings.rate) for u in members]
+    waits = [on_their_way(loop.box.numbers(u)[1], loop.settings.rate) for u in members]
     verdicts = ["grows" if decay < 0 else "undecided" for decay in decays.tolist()]
     found, nearer = np.full((3, len(members)), np.nan), [False] * len(members)
     for wait in sorted(set(waits)):
         rows = [k for k, each in enumerate(waits) if each == wait]
-        for some, ensemble in _ensembles(loop, members, decays, rows, wait, duration):
+        for some, ensemble in _ensembles(loop, members, decays, rows, duration):
             data = {name: ensemble.dataset[name].to_numpy() for name in SHOWN}
             found[:, some] = [data["settling_time"], data["peak_base_rotation"], -data["growth_rate"]]
             ends = zip(some, ensemble.verdict.tolist(), data["end_error"], data["peak_error"], strict=True)
@@ -112,36 +112,37 @@ def of_all(each: Sequence[Runs]) -> Runs:
 
 
 def _ensembles(
-    loop: UncertainLoop, members: Vector, decays: Vector, rows: list[int], waits: int, duration: float
+    loop: UncertainLoop, members: Vector, decays: Vector, rows: list[int], duration: float
 ) -> Iterator[tuple[list[int], Ensemble]]:
     """Ensembles of these members, together where that can be, else one by one; not of all.
 
     Shorter steps are tried where the linear loop decays: what grows outgrows them as well, at 64 times the cost.
     """
     try:
-        yield rows, _ensemble(loop, members[rows], waits, duration, None)
+        yield rows, _ensemble(loop, members[rows], duration, None)
     except NoSolutionFound:
         alone_again = (None,) if len(rows) > 1 else ()
         for row in rows:
             for substeps in SHORTER if decays[row] >= 0 else alone_again:
                 try:
-                    alone = _ensemble(loop, members[[row]], waits, duration, substeps)
+                    alone = _ensemble(loop, members[[row]], duration, substeps)
                 except NoSolutionFound:
                     continue
                 yield [row], alone
                 break
 
 
-def _ensemble(loop: UncertainLoop, members: Vector, waits: int, duration: float, substeps: int | None) -> Ensemble:
+def _ensemble(loop: UncertainLoop, members: Vector, duration: float, substeps: int | None) -> Ensemble:
     s, machine = loop.settings, loop.box.machine
     brakes = braked_by(machine, s, gravity=loop.gravity)
-    varied, nominal = np.array([loop.box.numbers(u)[0] for u in members]) + brakes, loop.box.nominal + brakes
+    each = [loop.box.numbers(u) for u in members]
+    varied, nominal = np.array([p for p, _ in each]) + brakes, loop.box.nominal + brakes
     moved = np.flatnonzero(np.any(varied != nominal, axis=0)).tolist() or [0]
-    vary = {machine.parameters[k].name: varied[:, k] for k in moved}
+    vary = {machine.parameters[k].name: varied[:, k] for k in moved} | {"delay": [late for _, late in each]}
     with warnings.catch_warnings():
         # Here that is a verdict as others are.
         warnings.filterwarnings("ignore", f".*{OUTGREW}", FlexoptWarning)
         return simulate_ensemble(
             braked(machine, brakes), loop.posture, base=loop.base, vary=vary,
-            gravity=loop.gravity, substeps=substeps, duration=duration, **run_options(machine, s, waits),
+            gravity=loop.gravity, substeps=substeps, duration=duration, **run_options(machine, s),
         )  # fmt: skip

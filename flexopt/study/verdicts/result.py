@@ -18,11 +18,10 @@ from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import unseen_told
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
-from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
+from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import broken, elsewhere, reached
-from flexopt.simulation.real_loop import late_sentence
 from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import FASTER, RULE, Word, gains_in_words, spoken
 from flexopt.study.verdicts.place_loops import Chosen, found_in, problems_of
@@ -287,12 +286,7 @@ class Verdict(Pictured, Printed, Result):
         """What is uncertain, and how much of it was looked at, a sentence."""
         known = ", ".join(_interval(each, self.problems[0].machine) for each in self.uncertainty)
         several = f"; the worst of {len(self.problems)} targets" if len(self.problems) > 1 else ""
-        late = late_sentence(self.settings.dead_time, self.settings.rate)
-        if any(LATE in each.of for each in self.uncertainty):
-            late = "runs wait whole samples: every dead time is taken as the next longer one of these"
-        runs = f"; nonlinear {late}" if late else ""
-        if not any(place.runs for place in self.places):
-            runs = "; no nonlinear run was made"
+        runs = "" if any(place.runs for place in self.places) else "; no nonlinear run was made"
         return f"uncertain: {known}; {self.members} members and a search, not a proof{several}{runs}"
 
     @property

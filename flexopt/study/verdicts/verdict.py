@@ -390,6 +390,7 @@ def _place(
 ) -> PlaceVerdict:
     members = [None, *place.box.corners(FEW), slowest.member]
     looked = [[(loop.outcome(u), u) for u in members] for loop in place.loops]
+    nominal = min(few[0][0].decay().value for few in looked)
 
     def band(measure: str, factor: float = 1.0) -> Band:
         sense, each, further = SENSES[measure], list[list[float]](), list[float]()
@@ -411,7 +412,7 @@ def _place(
         w=_rows([each.w for each in stands]),
         drive=drive[0],
         turn=drive[1],
-        decay=Band(min(few[0][0].decay().value for few in looked), slowest.decay, float(decays.max())),
+        decay=Band(nominal, slowest.decay, max(nominal, float(decays.max()))),
         stable_share=float(np.mean(decays > 0)),
         slowest_at=place.box.told(slowest.member),
         slowest_hz=looked[slowest.target][-1][0].loop.frequency_hz,
