@@ -130,7 +130,9 @@ def export_command(as_json: bool, folder: str, out: str | None) -> None:
 @OUT
 @JSON
 def sensitivity_command(as_json: bool, machine: str, **options: Any) -> None:
-    """Which of what is uncertain matters for every w_i of a posture of MACHINE and, with --loop, for its decay.
+    """Which of what is uncertain matters for every w_i of a posture of MACHINE and for its loop's decay.
+
+    The loop is the file's [loop], or what --loop gives; without either there is no decay.
 
     The share of the variance that each explains alone and in all, with intervals, and bounds from exact slopes.
     """

@@ -164,7 +164,8 @@ def sensitivity(
     Args:
         machine, posture, base, gravity: as of `flexopt.evaluate`.
         control: Jacobian `"inverse"` (default), `"transpose"` or `"damped:LAMBDA"`.
-        loop: the real controller, as of `flexopt.outcome`; none by default, and then no decay.
+        loop: the real controller, as of `flexopt.outcome`; by default the machine's `[loop]`. Without one there is no
+            decay, and no dead time that could be uncertain.
         ranges: what is uncertain, as of `flexopt.verdict`; by default the machine's `[[uncertainty]]`, or where there
             is none one factor ½ to 2 of all springs.
         samples: base samples, a power of two.
@@ -179,15 +180,16 @@ def sensitivity(
         >>> found.outputs, found.names
         (('w1', 'w2', 'w3'), ('stiffness',))
     """
-    known = cast("tuple[Uncertainty, ...]", ranges or machine.uncertainty or GROUND)
-    asked, held = cast("Loop | None", loop), cast(Vector, posture)
+    asked, held = cast("Loop | None", loop or machine.loop), cast(Vector, posture)
+    own = machine.uncertainty if asked else tuple(each for each in machine.uncertainty if each.of != (LATE,))
+    known = cast("tuple[Uncertainty, ...]", ranges or own or GROUND)
     known_base = cast("Vector | None", base)
     settings, placed = settings_at(machine, held, known_base, control, asked, gravity=gravity, call="sensitivity")
     box = UncertaintyBox(machine, known, settings.dead_time)
     if asked is not None:
         raise_if_any(InputError, "sensitivity", box.faults(settings.rate))
     elif any(each.of == (LATE,) for each in known):
-        fault = Fault("ranges", "dead_time goes with a loop", LATE)
+        fault = Fault("ranges", "dead_time goes with a loop, which neither this call nor the machine has", LATE)
         raise_if_any(InputError, "sensitivity", [fault])
     of = _Outputs(box, held, placed, settings.control, gravity=gravity)
     loops = None if asked is None else UncertainLoop(settings, placed, held, gravity, box)

@@ -132,6 +132,8 @@ def machine_from_dict(data: TableLike, *, origin: str = "machine") -> Machine:
         250.0
     """
     table = read_table(data, origin, "a machine file")
+    if "bodies" in table:
+        raise ModelError(f"{origin}: has bodies, as a machine in space: flexopt.tree_from_dict takes it")
     machine = validated(Machine, table, origin, machine_faults, completed=_with_link_names)
     raise_if_any(ModelError, origin, machine.part_faults())
     return machine

@@ -401,7 +401,7 @@ def test_a_finger_that_is_fixed_is_no_end_point(
 @pytest.mark.parametrize(
     ("robot", "chosen"),
     [("kinova.urdf", "j2s6s200_end_effector"), ("panda.urdf", "panda_hand_tcp"), ("pr2.urdf", "r_gripper_tool_frame"),
-     ("ur5_robot.urdf", "ee_link"), ("talos_full_v2.urdf", "gripper_left_base_link"), ("go2.urdf", "FL_foot")],
+     ("ur5_robot.urdf", "tool0"), ("talos_full_v2.urdf", "gripper_left_base_link"), ("go2.urdf", "FL_foot")],
 )  # fmt: skip
 def test_where_public_robots_have_their_tools(robot: str, chosen: str) -> None:
     if robot not in PUBLIC:

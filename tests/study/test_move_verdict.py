@@ -202,15 +202,19 @@ def test_no_border_of_the_gain_is_one_above_the_highest_that_was_tried() -> None
     assert told(math.inf, 1e3, " ms") == "no border"
 
 
-@pytest.mark.long
-def test_runs_that_wait_longer_than_the_loop_say_so() -> None:
-    late = "nonlinear runs wait whole samples: the dead time of 0.008 s is taken as 0.01 s"
-    found = judged("article", loop=ARTICLE | {"dead_time": 0.008}, runs=1, members=2, duration=1.0)
-    assert late in str(found)
-    assert late not in str(judged("article", loop=ARTICLE | {"dead_time": 0.008}, runs=0, members=2))
-    assert "whole samples" not in str(judged("article", loop=ARTICLE, runs=1, members=2, duration=1.0))
-    between = judged("article", loop=ARTICLE, ranges={"dead_time": (0.001, 0.004)}, runs=1, members=2, duration=1.0)
-    assert "every dead time is taken as the next longer one" in str(between)
+def test_runs_take_dead_times_between_samples() -> None:
+    """Of 2 ms; with a whole sample, 20 ms, the same loop grows."""
+    machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
+    loop = {"kp": 3e4, "kv": 3e3, "rate": 50.0, "dead_time": 0.002}
+    late = flexopt.outcome(machine, posture, loop=loop | {"dead_time": 0.02})
+    target = flexopt.evaluate(machine, posture).end_point
+    found = flexopt.verdict(
+        machine, target, base=0.0, posture=posture, loop=loop, ranges={"stiffness": (0.99, 1.01)}, starts=1, runs=2
+    )
+    stay = found.places[0]
+    assert late.decay < 0 < stay.decay.least
+    assert stay.runs is not None
+    assert stay.runs.converging == 1.0
 
 
 @pytest.mark.long

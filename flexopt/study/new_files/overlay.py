@@ -257,17 +257,23 @@ def _tool(links: dict[str, RobotLink], name: str) -> tuple[str, str]:
             if any(alike(root, other) for other in roots):
                 fingers = dict.fromkeys(branch(root), palm) | fingers
     frames = [each for each in poses if each not in fingers and not children[each] and _mass(links[each]) <= nothing]
+    of_sensors = [each for each in frames if any(part.startswith(SENSING) for part in _parts(each))]
     if name in frames:
-        return name, ""
-    frames = [each for each in frames if not any(part.startswith(SENSING) for part in _parts(each))]
+        named = _named_tool([name, *(each for each in frames if each not in of_sensors)])
+        return (name, "") if named in {"", name} else (named, _as_a_tool(carrier))
+    frames = [each for each in frames if each not in of_sensors]
     on_axis = [each for each in frames if _on_axis(carrier.joints[-1], poses[each].position)]
     bare = [each for each in frames if not _mass(links[each])]
     frame = _named_tool(bare) or _named_tool(frames) or (on_axis[0] if len(on_axis) == 1 else "")
     if frame:
-        return frame, f"a mere frame fixed to {carrier.name}, as a tool's"
+        return frame, _as_a_tool(carrier)
     if name in fingers:
         return fingers[name], f"like branches are fixed to it, as fingers of a hand; one of them ends in {name}"
     return name, ""
+
+
+def _as_a_tool(carrier: RobotLink) -> str:
+    return f"a mere frame fixed to {carrier.name}, as a tool's"
 
 
 def _mass(link: RobotLink) -> float:
