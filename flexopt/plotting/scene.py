@@ -67,23 +67,24 @@ def draw_scene(
     marks = view.of(np.reshape(targets, (targets.shape[0], -1)))
     points = [marks, *(_outer(view, each) for each in (*among, *(actor.shape for actor in actors)))]
     if constraints is not None:
-        points.append(scenery_points(view, constraints))
+        points.append(scenery_points(view, constraints, np.hstack(points)))
     extent, room = np.hstack(points), ROOM * shape.size
     ground = float(np.mean([view.of(actor.shape.skeleton)[1, 0] for actor in actors]))
     if view.upright:
         draw_ground(axes, ground)
         extent = np.hstack([extent, [[extent[0, 0]], [ground - room / 2]]])
-    whole = float(np.ptp(extent, axis=1).max()) + 2 * room
+    limits = np.column_stack([extent.min(axis=1) - room, extent.max(axis=1) + room])
+    whole = float(np.ptp(limits, axis=1).max())
     if constraints is not None:
         holds = held(constraints, shape)
-        draw_scenery(axes, view, constraints, ground, holds, marks, whole)
+        draw_scenery(axes, view, constraints, ground, holds, marks, limits)
         if holds == "point" and (constraints.region or constraints.keep_out) and not view.upright:
             _draw_anchors(axes, view, actors)
     for actor in actors:
         draw_shape(axes, view, actor.shape, actor.color, ghost=actor.ghost, label=actor.label)
     side = SIDES[0]
     if name:
-        side = _free_side(marks[:, 0], whole, _written_on(view, actors, named_points(view, constraints), whole))
+        side = _free_side(marks[:, 0], whole, _written_on(view, actors, named_points(view, constraints, limits), whole))
         corner = np.array(side) * (APART + np.array(NAME)) * whole
         extent = np.hstack([extent, marks[:, :1] + corner[:, None]])
     draw_target(axes, marks, name, line=line, side=side)

@@ -29,8 +29,11 @@ MUST_NOT = {
 }
 # Below this share a plane's normal is seen end-on: it has no trace in the view.
 TRACE = 0.05
-# A name within such a share of the picture of a target stands so many points below it.
-NEAR, BELOW = 0.05, 16.0
+# Obstacles go on for this share of what else is drawn, and beyond it are cut off.
+AROUND = 0.5
+# Names that lie within such a share of the picture of each other are one; within such shares across, below and above a
+# target, whose own name stands there, they stand so many points farther from it.
+TOGETHER, BESIDE, UNDER, OVER, ASIDE = 0.03, 0.08, 0.05, 0.09, 16.0
 
 
 def held(constraints: Constraints, shape: Shape) -> str:
@@ -39,16 +42,22 @@ def held(constraints: Constraints, shape: Shape) -> str:
 
 
 def draw_scenery(
-    axes: Axes, view: View, constraints: Constraints, height: float, holds: str, crosses: Points, whole: float
+    axes: Axes, view: View, constraints: Constraints, height: float, holds: str, crosses: Points, limits: Points
 ) -> None:
     """Obstacles of the clearance, and the areas of the placement, on the ground at `height`, m, where seen upright.
 
-    `crosses`: targets (2, K) on which no name is written, in a picture of the size `whole`, m.
+    `crosses`: targets (2, K) on which no name is written; `limits`: corners (2, 2) of the picture, m.
     """
     inks = colors()
-    clearance = constraints.clearance
-    for obstacle in clearance.obstacles if clearance is not None else ():
-        _draw_obstacle(axes, view, obstacle, crosses, whole)
+    for obstacle in _obstacles(constraints):
+        _draw_obstacle(axes, view, obstacle)
+    whole = float(np.ptp(limits, axis=1).max())
+    for text, middle in _names(view, constraints, limits):
+        across, up = middle[:, None] - crosses
+        near = (np.abs(across) < BESIDE * whole) & (-UNDER * whole < up) & (up < OVER * whole)
+        over = near.any() and float(up[near].min()) > UNDER / 2 * whole
+        away = (0.0, ASIDE if over else -ASIDE) if near.any() else (0.0, 0.0)
+        _name(axes, text, middle, xytext=away, textcoords="offset points")
     for areas, color, label in (
         (constraints.region, inks.allowed, MAY[holds]),
         (constraints.keep_out, inks.forbidden, MUST_NOT[holds]),
@@ -57,46 +66,66 @@ def draw_scenery(
             _draw_area(axes, view, area, color, label if k == 0 else "_", height)
 
 
-def scenery_points(view: View, constraints: Constraints) -> Points:
-    """Points (2, K) of what has an end and shall be in the picture."""
-    found: list[Points] = []
-    clearance = constraints.clearance
-    for obstacle in clearance.obstacles if clearance is not None else ():
-        if isinstance(obstacle, Sphere):
-            center = view.of(np.array(obstacle.center))[:, None]
-            found += [center - obstacle.radius, center + obstacle.radius]
-        elif isinstance(obstacle, Box):
-            found.append(view.of(_corners(obstacle)))
-    if not view.upright:
-        for area in constraints.region or ():
-            found.append(np.array(area, dtype=np.float64).T)
-    return np.hstack(found) if found else np.zeros((2, 0))
+def scenery_points(view: View, constraints: Constraints, others: Points) -> Points:
+    """Points (2, K) of what has an end and shall be in the picture, beside the points (2, K) of what else is in it."""
+    low, high = others.min(axis=1), others.max(axis=1)
+    around = AROUND * float((high - low).max())
+    found = [np.zeros((2, 0)), *(_points(view, each) for each in _obstacles(constraints))]
+    seen = np.clip(np.hstack(found), (low - around)[:, None], (high + around)[:, None])
+    areas = () if view.upright else constraints.region or ()
+    return np.hstack([seen, *(np.array(area, dtype=np.float64).T for area in areas)])
 
 
-def named_points(view: View, constraints: Constraints | None) -> Points:
-    """Points (2, K) on which names of obstacles are written."""
-    clearance = None if constraints is None else constraints.clearance
-    named = [each for each in (clearance.obstacles if clearance else ()) if each.name]
-    found = [view.of(np.array(each.center)) for each in named if not isinstance(each, HalfPlane)]
+def named_points(view: View, constraints: Constraints | None, limits: Points) -> Points:
+    """Points (2, K) on which names of obstacles are written in a picture with corners (2, 2)."""
+    found = [] if constraints is None else [middle for _, middle in _names(view, constraints, limits)]
     return np.array(found).reshape(-1, 2).T
 
 
-def _draw_obstacle(axes: Axes, view: View, obstacle: Obstacle, crosses: Points, whole: float) -> None:
+def _obstacles(constraints: Constraints) -> tuple[Obstacle, ...]:
+    return () if constraints.clearance is None else constraints.clearance.obstacles
+
+
+def _points(view: View, obstacle: Obstacle) -> Points:
+    """Points (2, K) between which an obstacle lies; none of a half-plane."""
+    if isinstance(obstacle, Sphere):
+        center = view.of(np.array(obstacle.center))[:, None]
+        return np.hstack([center - obstacle.radius, center + obstacle.radius])
+    return view.of(_corners(obstacle)) if isinstance(obstacle, Box) else np.zeros((2, 0))
+
+
+def _names(view: View, constraints: Constraints, limits: Points) -> list[tuple[str, Points]]:
+    """Names of obstacles, each in the middle of what is seen of it: of those that lie together, one."""
+    found = list[tuple[str, Points]]()
+    low, high = limits.min(axis=1, keepdims=True), limits.max(axis=1, keepdims=True)
+    for obstacle in _obstacles(constraints):
+        points = _points(view, obstacle)
+        if not obstacle.name or not points.size:
+            continue
+        if (points.max(axis=1, keepdims=True) < low).any() or (points.min(axis=1, keepdims=True) > high).any():
+            continue
+        seen, text = np.clip(points, low, high), mathtext(obstacle.name)
+        middle = (seen.min(axis=1) + seen.max(axis=1)) / 2
+        for k, (other, there) in enumerate(found):
+            if np.hypot(*(middle - there)) < TOGETHER * float((high - low).max()):
+                found[k] = f"{other}, {text}", there
+                break
+        else:
+            found.append((text, middle))
+    return found
+
+
+def _draw_obstacle(axes: Axes, view: View, obstacle: Obstacle) -> None:
+    # Not among the data, which the limits may be fitted to.
     if isinstance(obstacle, Sphere):
         middle = view.of(np.array(obstacle.center))
         style = _style(view, np.array(obstacle.center)[:, None], obstacle.radius)
-        axes.add_patch(Circle((float(middle[0]), float(middle[1])), obstacle.radius, **style))
+        axes.add_artist(Circle((float(middle[0]), float(middle[1])), obstacle.radius, **style))
     elif isinstance(obstacle, Box):
         corners = _corners(obstacle)
-        axes.add_patch(Polygon(_hull(view.of(corners)).T, closed=True, **_style(view, corners)))
-        middle = view.of(np.array(obstacle.center))
+        axes.add_artist(Polygon(_hull(view.of(corners)).T, closed=True, **_style(view, corners)))
     else:
         _draw_half_plane(axes, view, obstacle)
-        return
-    if obstacle.name:
-        near = np.hypot(*(crosses - middle[:, None])).min(initial=np.inf) < NEAR * whole
-        below: dict[str, Any] = {"xytext": (0.0, -BELOW), "textcoords": "offset points"} if near else {}
-        _name(axes, mathtext(obstacle.name), middle, **below)
 
 
 def _name(axes: Axes, text: str, at: Points, **placed: Any) -> None:
@@ -128,7 +157,6 @@ def _draw_half_plane(axes: Axes, view: View, obstacle: HalfPlane) -> None:
     along, far = np.array([-normal[1], normal[0]]), 1e3
     corners = [point + far * along, point - far * along, point - far * along - far * normal]
     corners.append(point + far * along - far * normal)
-    # Not among the data, which the limits may be fitted to.
     axes.add_artist(
         Polygon(
             np.array(corners), closed=True, facecolor=colors().obstacle, edgecolor=colors().edge, linewidth=0.8,

@@ -14,13 +14,15 @@ import flexopt
 from flexopt.model.constraints import read_constraints
 from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
-from flexopt.plotting.scenery import draw_scenery
+from flexopt.plotting.scene import Actor, draw_scene
+from flexopt.plotting.scenery import draw_scenery, scenery_points
 from flexopt.plotting.shape import capsule_outline, shape_at, shape_of, views
 from flexopt.plotting.trajectory import deflection_panel
 from tests.oracles.spatial import grounded, in_space, pinocchio_tree, random_tree
 from tests.plotting.looking import faults
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
+LIMITS = np.array([[-5.0, 5.0], [-5.0, 5.0]])  # of a picture, m
 CAPSULES = [
     {"body": "base.rotation", "start": [-0.2, 0.3, 0.1], "end": [0.4, -0.3, 0.1], "radius": 0.25},
     {"body": "stick", "start": [0.0, 0.0, 0.0], "end": [1.0, 0.0, 0.0], "radius": 0.1},
@@ -170,7 +172,7 @@ def test_scenery_in_both_views(selection):
                               "keep_out": [[[0, 0], [1, 0], [0, 1]]]})  # fmt: skip
     for view in views(chosen):
         axes = Figure().add_subplot()
-        draw_scenery(axes, view, asked, 0.0, "footprint", np.zeros((2, 0)), 10.0)
+        draw_scenery(axes, view, asked, 0.0, "footprint", np.zeros((2, 0)), LIMITS)
         circles = [patch for patch in axes.patches if patch.__class__.__name__ == "Circle"]
         np.testing.assert_allclose(circles[0].center, view.of(np.array(tank["center"])))
         # The arm works in the plane y = 0: the tank stands beside it.
@@ -190,9 +192,29 @@ def test_a_name_of_an_obstacle_does_not_lie_on_a_target(selection, away, aside):
     for view in views(shape_of(selection.problem.machine, selection.best.evaluation)):
         axes = Figure().add_subplot()
         middle = view.of(np.array(tank["center"]))
-        draw_scenery(axes, view, asked, 0.0, "footprint", np.add(middle, [away, 0.0])[:, None], 10.0)
+        draw_scenery(axes, view, asked, 0.0, "footprint", np.add(middle, [away, 0.0])[:, None], LIMITS)
         (name,) = axes.texts
-        assert (name.xyann != tuple(middle)) == aside
+        assert (name.xyann != (0.0, 0.0)) == aside
+
+
+def test_what_goes_on_far_beyond_the_machine_does_not_shrink_it(selection):
+    """A wire of 200 m is cut off; names stand in the middle of what is seen, and those at one place are one."""
+    shape = shape_of(selection.problem.machine, selection.best.evaluation)
+    wire = {"kind": "box", "center": [90.0, 1.0, 6.0], "size": [200.0, 0.1, 0.1], "name": "wire"}
+    plank = wire | {"center": [90.0, 1.0, 6.4], "name": "plank"}
+    asked = read_constraints({"clearance": {"distance": 0.1, "obstacles": [wire, plank]}})
+    for view in views(shape):
+        others = view.of(shape.skeleton)
+        span = np.ptp(others, axis=1).max()
+        points = scenery_points(view, asked, others)
+        assert (points.max(axis=1) <= others.max(axis=1) + 0.5 * span + 1e-9).all()
+        axes = Figure().add_subplot()
+        draw_scene(axes, view, [Actor(shape, "C0")], np.array([3.0, 1.0, 5.0]), asked)
+        (name,) = [text for text in axes.texts if "wire" in text.get_text()]
+        assert name.get_text() == "wire, plank"
+        low, high = sorted(axes.get_xlim())
+        assert low < name.xy[0] < high
+        assert high - low < 8 * span
 
 
 @pytest.mark.long

@@ -200,6 +200,8 @@ def verdict(
     )  # fmt: skip
     if breaks and decision.word != "move":
         decision = replace(decision, reason=f"{absent}; apart from it {decision.reason}")
+    elif STAY not in stands and decision.word != "move":
+        decision = replace(decision, reason=f"{absent}; {decision.reason}")
     places = tuple(
         _place(name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name],
                drives[name], shown.get(name), chosen)
