@@ -163,7 +163,7 @@ def select_command(
         _refuse_early(settings, judged, own)
     identified = None if log is None else _identified(log, imu, settings, as_json)
     if asks_for_loop(settings.get("objective"), settings.get("constraints")):
-        settings["loop"] = real_loop(own["loop"], judged["loop"]) or own["loop"]
+        settings["loop"] = _loop(own, judged["loop"])
         settings["ranges"] = table("--ranges", judged["ranges"]) or settings.get("ranges")
     if proof is not None and not certify:
         raise InputError("select: --proof goes with --certify", [Fault("--proof", "goes with --certify", proof)])
@@ -291,6 +291,12 @@ def _is_judged(
     return bool(loop or ranges or own["loop"]) and problems_of(result)[0].present_base is not None
 
 
+def _loop(own: dict[str, Any], entries: tuple[str, ...]) -> Any:
+    """The controller that was asked for, which may be all by default; else the file's own."""
+    asked = real_loop(own["loop"], entries)
+    return own["loop"] if asked is None else asked
+
+
 def _judgement(
     result: Selection | Stand | BasePlan,
     own: dict[str, Any],
@@ -301,7 +307,7 @@ def _judgement(
     from flexopt.study import verdict  # noqa: PLC0415  (`evaluate` does not need it)
 
     ground = table("--ranges", ranges) or own["uncertainty"]
-    return verdict(result, loop=real_loop(own["loop"], loop) or own["loop"], ranges=ground, progress=progress)
+    return verdict(result, loop=_loop(own, loop), ranges=ground, progress=progress)
 
 
 def _selection_settings(machine: str, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

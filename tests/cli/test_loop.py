@@ -41,6 +41,21 @@ def test_options_on_top_of_a_file(command: Command) -> None:
     assert {"kp", "kv"} <= set(whole.settings.sources)
 
 
+@pytest.mark.parametrize("objective", ["w1", "decay"])
+def test_a_choice_and_its_verdict_leave_the_files_loop_out_when_asked(command: Command, objective: str) -> None:
+    """`--loop default` alone says nothing of the loop, and is not as if it were not there."""
+    source = (Path(__file__).parents[2] / "models" / "excavator.toml").read_text(encoding="utf-8")
+    (command.folder / "own.toml").write_text(
+        f"{source}\n[loop]\nkp = 1e4\nkv = 1e3\ndead_time = 0.01\n", encoding="utf-8"
+    )
+    words = ("own.toml", "--end-point", "0,1.6", "--base", "0", "--objective", objective, "--loop", "default", "--json")
+    few = ("--starts", "1") if objective == "w1" else ("--starts", "1", "--ranges", "stiffness=0.9,1.1")
+    chosen = command("select", *words, *few).document["verdict"]["settings"]
+    judged = command("verdict", *words, "--members", "2", "--runs", "0").document["settings"]
+    assert (chosen["dead_time"], judged["dead_time"]) == (0.0, 0.0)
+    assert chosen["kp"] != [1e4, 1e4]
+
+
 def test_what_of_the_file_does_not_go_with_an_option_is_told_with_the_way_out(command: Command) -> None:
     source = (Path(__file__).parents[2] / "models" / "excavator.toml").read_text(encoding="utf-8")
     served = '\n[loop]\ndrive = "velocity"\nservo_gain = 2e5\n'

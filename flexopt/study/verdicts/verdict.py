@@ -60,8 +60,8 @@ from flexopt.study.verdicts.result import Band, PlaceVerdict, Verdict
 MEMBERS, RUNS = 64, 16
 # How many points and runs a verdict may take.
 SIZES = {"members": whole(2, 100_000), "runs": whole(0, 100_000)}
-# Choosing places, decays there, runs, and gains.
-STAGES = 4
+# Choosing places, decays there, runs, gains, and what the loop does in each place.
+STAGES = 5
 # So often gains are sought again for a member that was not among the few.
 EXCHANGES = 3
 # Length of a nonlinear run, s.
@@ -125,7 +125,8 @@ def verdict(
         members: how many points of the uncertainty decays are computed of; all corners of up to six ranges at least.
         runs: how many of them are run nonlinearly in each place, too; 0 for none, which then need not confirm.
         duration: of a run, s.
-        progress: called with the percentage done and 100: a quarter each for places, decays, runs, gains.
+        progress: called with the percentage done and 100: a fifth each for places, decays, runs, other gains, and
+            what the loop does in each place.
 
     Raises:
         InputError: arguments are not usable; the problem has no present placement.
@@ -198,22 +199,20 @@ def verdict(
         alternates=_alternates(loops, slowest) if tried else "", absent=absent,
         most=max(shares.values(), default=0.0),
     )  # fmt: skip
-    if breaks and decision.word != "move":
-        decision = replace(decision, reason=f"{absent}; apart from it {decision.reason}")
-    elif STAY not in stands and decision.word != "move":
-        decision = replace(decision, reason=f"{absent}; {decision.reason}")
-    places = tuple(
-        _place(name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name],
-               drives[name], shown.get(name), chosen)
-        for name in told
-    )  # fmt: skip
+    if decision.word != "move" and (breaks or STAY not in stands):
+        decision = replace(decision, reason=f"{absent}; {'apart from it ' if breaks else ''}{decision.reason}")
+    bands = _each(told, lambda name: _place(
+        name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name], drives[name],
+        shown.get(name), chosen,
+    ), stages.within)  # fmt: skip
+    stages.next()
     return Verdict(
         word=decision.word,
         place=decision.place,
         reason=decision.reason,
         measure=_measure(decision, box, points, known, stay) if decision.word == "cannot tell" and known else "",
         gains=gains if decision.word == "change gains" else {},
-        places=places,
+        places=tuple(bands.values()),
         settings=settings,
         uncertainty=uncertain,
         members=len(points),
