@@ -51,6 +51,8 @@ FEW = 3
 SENSES = {ALLOWED_GAIN: 1.0, DELAY_MARGIN: 1.0, SETTLING: -1.0, SWING: -1.0}
 # Parameters that a message names.
 NAMED = 4
+# As how likely to be chance a correlation is none.
+CHANCE = 0.05
 # A measure, and the member (k,) whose it is.
 ValueAt = tuple[float, Vector]
 # A loop, and the member (k,) whose it is; None of the nominal one.
@@ -429,11 +431,14 @@ class UncertainLoop:
 
 
 def matters_most(box: UncertaintyBox, members: Vector, values: Sequence[float]) -> tuple[str, float]:
-    """The interval that a value goes with most closely, and their rank correlation."""
+    """The interval that a value goes with most closely, and their rank correlation; no name where chance may be it."""
     from scipy.stats import spearmanr  # noqa: PLC0415  (loads slowly)
 
-    if np.ptp(values) == 0:
+    varied = [k for k, column in enumerate(members.T) if np.ptp(column)]
+    if np.ptp(values) == 0 or not varied:
         return "", 0.0
-    ranks = [float(spearmanr(column, values).statistic) if np.ptp(column) else 0.0 for column in members.T]
-    first = int(np.argmax(np.abs(ranks)))
-    return box.names[first], ranks[first]
+    found: list[Any] = [spearmanr(members[:, k], values) for k in varied]
+    first = max(range(len(found)), key=lambda k: abs(found[k].statistic))
+    # Of several intervals the closest is the likelier to be so by chance.
+    sure = found[first].pvalue * len(found) < CHANCE
+    return box.names[varied[first]] if sure else "", float(found[first].statistic)

@@ -238,6 +238,10 @@ def test_what_matters_most() -> None:
     members = loop.box.members(32)
     assert matters_most(loop.box, members, (3 * members[:, 1] + 0.1 * members[:, 0]).tolist())[0] == "payload.mass"
     assert matters_most(loop.box, members, [1.0] * 32) == ("", 0.0)
+    # What is large in the middle goes with nothing: its correlation is chance.
+    name, rank = matters_most(loop.box, members, (-np.abs(members - 0.5).sum(axis=1)).tolist())
+    assert name == ""
+    assert 0 < abs(rank) < 0.5
 
 
 def test_a_motion_that_is_the_slowest_in_a_narrow_part_of_the_box_is_found() -> None:

@@ -448,4 +448,6 @@ def _measure(
     what, values = deciding(decision, known, stay)
     # What has one sign everywhere no measurement changes.
     which, rank = matters_most(box, points, values.tolist()) if values.min() < 0 < values.max() else ("", 0.0)
-    return f"to tell, measure {which}: {what} goes with it (rank correlation {rank:+.2f})" if which else ""
+    if which:
+        return f"to tell, measure {which}: {what} goes with it (rank correlation {rank:+.2f})"
+    return f"no measurement alone tells: with {what} goes nothing that is uncertain by itself" if rank else ""
