@@ -91,8 +91,8 @@ class EndPoint(FileModel):
     """The frame on `body` that does the work, and which of its coordinates are the task.
 
     Position rows (x, y, z) are in m, inertial axes. Orientation rows (roll, pitch, yaw) are the components of the
-    rotation vector that leads from the frame `reference`, fixed to the inertial axes, to the end-point's, times
-    `length`, so that they are in m too.
+    rotation vector that leads from the frame `reference`, fixed to the inertial axes, to the end-point's, in the axes
+    of `reference`, times `length`, so that they are in m too.
     """
 
     body: str = Field(min_length=1)

@@ -97,7 +97,8 @@ def assumed(
     ground = _ground(plant, targets) if assumes(assume, "ground") and not _has_ground(constraints) else None
     above = "" if ground is None else kept_above(plant)
     if ground is not None and above:
-        sentence = f"{above} the ground, whose height is {ground:g} m"
+        lowered = "" if ground >= 0 else ", as low as what stands still reaches, for there is no [support]"
+        sentence = f"{above} the ground, whose height is {ground:g} m{lowered}"
         named.append(Assumption("ground", sentence, ground, "m"))
     limited = sum(bool(np.isfinite(ends).any()) for ends in machine.limits)
     # A margin of the joints asks for their limits by itself.

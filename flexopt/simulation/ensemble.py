@@ -236,7 +236,7 @@ def simulate_ensemble(
         threads: among how many the members are divided; all cores by default. The results do not depend on it.
         progress: called with the number of members done and N.
         loop: the real controller, as of `flexopt.simulate`; gains in `vary` stand in place of its own, in their units.
-            By default the machine's `[loop]`, unless an option or `vary` says of the loop.
+            By default the machine's `[loop]`, unless an option or gains in `vary` say of the loop.
 
     Raises:
         InputError: arguments are not usable (all faults in one message); the samples to keep exceed 4 GB.

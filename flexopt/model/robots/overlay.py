@@ -112,8 +112,9 @@ class EndPointTable(FileModel):
         offset: of the end-point in the link's axes.
         rotation: of its axes in the link's: roll, pitch, yaw in rad, or a rotation matrix.
         rows: coordinates of the end-point that are the task. roll, pitch and yaw are no angles one after the other, but
-            the components of the rotation vector (axis times angle) from `reference` to the end-point's axes: of a
-            turn about one axis alone the angle; where an arm slews as well the one depends on the other.
+            the components of the rotation vector (axis times angle) from `reference` to the end-point's axes, in the
+            axes of `reference`: of a turn about one of them alone the angle; where an arm slews as well the one depends
+            on the other.
         reference: orientation from which roll, pitch and yaw rows are counted, in inertial axes; best one near those of
             the targets, slew included.
         length: by which roll, pitch and yaw rows are multiplied, so that they are in m, too.

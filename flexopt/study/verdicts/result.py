@@ -59,6 +59,8 @@ class PlaceVerdict(Result):
         slowest_at: the member with the slowest decay: factors and values by name;  slowest_hz: its frequency;
             slowest_target: at which target, from 0;  unseen: whether that is a mode which neither moves the end-point
             nor is excited by any feedback: its rate is the machine's own.
+        drift: growth rate of a redundant arm's self-motion, which is no part of the decay, with the file's numbers,
+            1/s; NaN where nothing acts on it, or there is none.
         better: share of the members on which it decays a tenth faster than in the present place.
         allowed_gain, delay_margin: as of `evaluate`; the least over the members and, of the gain, where a search leads
             from there, the greatest that of few corners; NaN where there is no border.
@@ -81,6 +83,7 @@ class PlaceVerdict(Result):
     slowest_hz: float
     slowest_target: int
     unseen: bool
+    drift: float
     better: float
     allowed_gain: Band
     delay_margin: Band
@@ -92,7 +95,7 @@ class PlaceVerdict(Result):
 
     DOCUMENT = """
     name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target unseen
-    better allowed_gain delay_margin[s] settling[s] swing swing_unit runs rests_on
+    drift[1/s] better allowed_gain delay_margin[s] settling[s] swing swing_unit runs rests_on
     """
 
     @property
@@ -413,9 +416,15 @@ class Verdict(Pictured, Printed, Result):
 
     @property
     def drifts(self) -> str:
-        """That nothing brakes the arm's self-motion, a sentence; empty where something does, or there is none."""
+        """That nothing brakes the arm's self-motion, or too little, a sentence; empty where that is not so."""
         if not self.settings.lets_drift:
-            return ""
+            own = {place.name: place.drift for place in self.places if -place.drift < place.decay.nominal}
+            if not own:
+                return ""
+            first = max(own, key=lambda name: own[name])
+            grows = own[first] > 0
+            how = f"drifts, decay {-own[first]:+.3g}/s" if grows else f"dies away at {-own[first]:.3g}/s, more slowly,"
+            return f"the arm's self-motion, no part of the decay, {how} in {spoken(first)}"
         where = "in the linear loop"
         if any(place.runs for place in self.places):
             where = "neither in these runs nor in the linear loop"

@@ -418,6 +418,7 @@ def _place(
         slowest_at=place.box.told(slowest.member),
         slowest_hz=looked[slowest.target][-1][0].loop.frequency_hz,
         slowest_target=slowest.target,
+        drift=max((rate for few in looked for rate in few[0][0].loop.drift), default=math.nan),
         better=better,
         allowed_gain=band(ALLOWED_GAIN),
         delay_margin=band(DELAY_MARGIN),
