@@ -98,7 +98,6 @@ class Description:
     Attributes:
         sites: named frames that are no links.
         gravity: acceleration along −z, m/s², where the file says it.
-        notes: what the file has beside that is left out and does not change the mechanism.
         warnings: what is readable but odd.
         blockers: word -> faults that the overlay's `ignore` may lift: they change the dynamics.
     """
@@ -107,7 +106,6 @@ class Description:
     links: tuple[RobotLink, ...]
     sites: Mapping[str, Frame]
     gravity: float | None = None
-    notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     blockers: Mapping[str, Faults] = field(default_factory=dict[str, Faults])
 

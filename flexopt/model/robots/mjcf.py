@@ -2,14 +2,13 @@
 
 Read: nested bodies and frames, hinges and slides with stiffness, damping, springref, ref, range and armature,
 inertials, the inertia of primitive geoms, what pictures draw, sites, defaults, includes, compiler settings, and what
-actuators give at most. All else of actuators, contacts, sensors and keyframes is left out and noted. What would change
+actuators give at most. All else of actuators, contacts, sensors and keyframes is left out. What would change
 the dynamics without having a place here (ball joints, flexible bodies, springs that are not linear) is a fault;
 equality constraints, tendons that pull, gravity compensation are `blockers`, which the overlay may ignore by name.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +28,6 @@ from flexopt.model.robots.mjcf_settings import MAIN, Settings, read_settings, wi
 from flexopt.model.robots.visuals import LinkVisual, mjcf_meshes, mjcf_visuals
 from flexopt.model.tree_quantities import symmetric
 
-LEFT_OUT = ("contact", "actuator", "sensor", "keyframe", "extension")
 IN_A_BODY = ("body", "frame", "inertial", "joint", "freejoint", "geom", "site", "camera", "light")
 PULLS = ("stiffness", "damping", "frictionloss", "armature", "range")
 
@@ -60,13 +58,11 @@ def read_mjcf(root: Element, folder: Path, faults: Faults, *, strict: bool = Tru
     blockers = {word: Faults() for word in ("equality", "tendon", "gravcomp", "gravity")}
     _constraints(root, reader, blockers)
     gravity = _gravity(root, faults, blockers["gravity"])
-    kept = Counter(child.tag for section in root.all(*LEFT_OUT) for child in section.children)
     return Description(
         name=root.attributes.get("model", ""),
         links=_with_efforts(reader.scaled_links(), drive_efforts(root, reader.settings)),
         sites=reader.sites,
         gravity=gravity,
-        notes=tuple(f"<{tag}> ({count}) not read" for tag, count in kept.items()),
         warnings=tuple(faults.warnings),
         blockers=blockers,
     )

@@ -8,7 +8,6 @@ link) or refuse; planar ones are refused.
 
 from __future__ import annotations
 
-from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
@@ -63,9 +62,7 @@ def read_urdf(root: Element, folder: Path, faults: Faults, *, strict: bool = Tru
     if faults.faults:
         for macro in [element for element in written.walk() if element.tag.startswith("xacro:")][:1]:
             faults.add(macro, XACRO)
-    kept = Counter(child.tag for child in written.children if child.tag not in ("link", "joint", "material"))
-    notes = tuple(f"<{tag}> ({count}) not read" for tag, count in kept.items())
-    return Description(root.attributes.get("name", ""), tuple(read), {}, notes=notes, warnings=tuple(faults.warnings))
+    return Description(root.attributes.get("name", ""), tuple(read), {}, warnings=tuple(faults.warnings))
 
 
 def _name(element: Element) -> str:

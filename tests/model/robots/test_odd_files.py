@@ -11,7 +11,6 @@ import pytest
 
 from flexopt import FlexoptWarning, ModelError
 from flexopt.model.robots import robot_from_dict
-from flexopt.model.robots.reading import read_description
 from flexopt.model.tree import Tree
 from tests.model.robots.files import MJCF, MJCF_MACHINE, URDF, URDF_MACHINE, changed, changed_text, read
 from tests.model.robots.test_readings import MujocoRobot, assert_same, joint_values
@@ -289,14 +288,6 @@ def test_bodies_and_joints_without_names(tmp_path: Path) -> None:
     machine = changed(MJCF_MACHINE, {"actuated": ["slew", "lift", "crowd", "stick.joint2"]})
     tree = read(tmp_path, text, machine)
     assert [body.name for body in tree.bodies][-3:] == ["body3", "stick.crowd", "stick"]
-
-
-def test_what_is_left_out_is_noted(tmp_path: Path) -> None:
-    tmp_path.joinpath("arm.xml").write_text(MJCF)
-    tmp_path.joinpath("arm.urdf").write_text(URDF)
-    robot, faults = read_description(tmp_path / "arm.xml", "arm.xml")
-    assert (robot.notes, faults) == (("<motor> (1) not read", "<key> (1) not read"), [])
-    assert read_description(tmp_path / "arm.urdf", "arm.urdf")[0].notes == ()
 
 
 # Classes within classes, a size given in part, joints and inertials within frames, inertials beside geoms.
