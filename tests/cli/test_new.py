@@ -398,6 +398,28 @@ def test_a_finger_that_is_fixed_is_no_end_point(
     assert tomllib.loads(Path("tip.toml").read_text(encoding="utf-8"))["end_point"]["link"] == "left_end"
 
 
+@pytest.mark.parametrize(("frames", "chosen"), [
+    ([("ee_link", 0.3), ("tool0", 0.3)], "tool0"),
+    # Elsewhere than at the tip: a flange, or what hangs beside it.
+    ([("gripper_tip", 0.3), ("tool_changer", 0.1)], "gripper_tip"),
+    ([("bucket_tooth", 0.5), ("toolbox", 0.1)], "bucket_tooth"),
+])  # fmt: skip
+def test_of_frames_at_the_tip_the_tools_is_proposed(
+    frames: list[tuple[str, float]], chosen: str, tmp_path: Path
+) -> None:
+    inertial = '<inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    limit = '<limit lower="-2" upper="2" effort="9" velocity="1"/>'
+    text = f'<robot name="r"><link name="foot">{inertial}</link><link name="arm">{inertial}</link>'
+    text += (
+        f'<joint name="lift" type="revolute"><parent link="foot"/><child link="arm"/><axis xyz="0 1 0"/>{limit}</joint>'
+    )
+    for name, x in frames:
+        text += f'<link name="{name}"/><joint name="to_{name}" type="fixed"><parent link="arm"/><child link="{name}"/>'
+        text += f'<origin xyz="{x} 0 0"/></joint>'
+    (tmp_path / "arm.urdf").write_text(f"{text}</robot>", encoding="utf-8")
+    assert read_chain(tmp_path / "arm.urdf", None, None).end == chosen
+
+
 @pytest.mark.parametrize(
     ("robot", "chosen"),
     [("kinova.urdf", "j2s6s200_end_effector"), ("panda.urdf", "panda_hand_tcp"), ("pr2.urdf", "r_gripper_tool_frame"),

@@ -59,6 +59,8 @@ SENSING = ("cam", "optic", "imu", "sens", "depth", "laser", "lidar", "mark")
 FRAME = 2e-3
 # Shares by which masses and reaches of branches differ at most that are alike, and by which a frame is beside an axis.
 ALIKE, ON_AXIS = 0.1, 0.01
+# Frames nearer than this, m, are in one place.
+SAME = 1e-3
 ORIGIN = (0.0, 0.0, 0.0)
 WORDS = {"hinge": "turns, rad", "slide": "slides, m", "free": "is free"}
 
@@ -259,7 +261,10 @@ def _tool(links: dict[str, RobotLink], name: str) -> tuple[str, str]:
     frames = [each for each in poses if each not in fingers and not children[each] and _mass(links[each]) <= nothing]
     of_sensors = [each for each in frames if any(part.startswith(SENSING) for part in _parts(each))]
     if name in frames:
-        named = _named_tool([name, *(each for each in frames if each not in of_sensors)])
+        # Elsewhere is the flange of what has a tool, or something else.
+        there = poses[name].position
+        same = (x for x in frames if math.dist(poses[x].position, there) < SAME and x not in of_sensors)
+        named = _named_tool([name, *same])
         return (name, "") if named in {"", name} else (named, _as_a_tool(carrier))
     frames = [each for each in frames if each not in of_sensors]
     on_axis = [each for each in frames if _on_axis(carrier.joints[-1], poses[each].position)]
