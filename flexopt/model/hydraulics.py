@@ -112,7 +112,8 @@ class Cylinder(FileModel):
     Attributes:
         name: of the cylinder, in results and among the parameters.
         joint: that it drives, an actuated one.
-        base_point: pin on the body that carries the joint, in its axes; a slide has none.
+        base_point: pin on the body that carries the joint, in its axes (of a robot file: on the link, in that link's
+            axes, whatever it is fixed to); a slide has none.
         rod_point: pin on the body that the joint moves, in its axes; a slide or a linkage has none.
         rocker: the linkage in place of `rod_point`.
         offset: of a slide, the cylinder's length where the joint is at 0.
