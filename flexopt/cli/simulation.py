@@ -57,7 +57,7 @@ TEXTS = {
     "hold": ("", "A continuous controller instead of a sampled one that holds its command."),
     "offset": ("A,B,…", "Displacement of the joints at the start, rad or m (+0.05, −0.05, … by default)."),
     "integrator": ("", "Integration method (rk4, the article's, by default)."),
-    "substeps": ("N", "Integration steps in a sample."),
+    "substeps": ("N", "Integration steps in a sample; one more where it measures within."),
     "gravity": ("", "The weight acts; the command carries the arm's."),
     "gravity_compensation": ("", "With --gravity: the command does not carry the arm's weight."),
     "nullspace_damping": ("C", "Damping of a redundant arm's self-motion, N m s/rad or N s/m."),

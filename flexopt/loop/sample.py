@@ -183,8 +183,8 @@ class Sample(SampleModel):
 
         The base's rotation is the largest deflection of a hinge by which the base turns (`Motion.base_hinges`);
         energies are ½ (η̇_i² + ω_i² η_i²), η = Φᵀ M (q − q_design), J: of small motions about the design posture. Where
-        the arm drifts along its self-motion its joints bend the base without oscillation; the kinetic part, ½ η̇_i²,
-        then stands alone, and after it comes the elastic one.
+        the base comes to rest elsewhere (`LoopStructure.bends`) it is bent without oscillation; the kinetic part,
+        ½ η̇_i², then stands alone, and after it comes the elastic one.
         """
         e = self.target - self.motion.end_point(self.x["u"], self.along, self.base)
         deflection, turns = self.deflection, self.motion.base_hinges
@@ -194,5 +194,5 @@ class Sample(SampleModel):
         projection = ca.reshape(self.of["modes"], self.of["omega_squared"].shape[0], self.motion.n)
         eta, rate = projection @ away, projection @ self.motion.relative_rates(u, w, self.base, self.base_rate)
         twice = [rate**2, self.of["omega_squared"] * eta**2]
-        energy = [0.5 * part for part in (twice if self.s.drifting else [twice[0] + twice[1]])]
+        energy = [0.5 * part for part in (twice if self.s.bends else [twice[0] + twice[1]])]
         return ca.vertcat(ca.dot(e, e), rotation, *energy)

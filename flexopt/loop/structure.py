@@ -86,6 +86,14 @@ class LoopStructure:
         return self.law != "none" and joints > self.n_task and not self.nullspace_damped
 
     @property
+    def bends(self) -> bool:
+        """Whether the base may come to rest elsewhere than by design, bent without moving.
+
+        Where the arm drifts; and under weight that of other members of an ensemble, or of a machine that moves away.
+        """
+        return self.drifting or (self.gravity and (self.own_model or self.moving_base or self.moving_target))
+
+    @property
     def n_base(self) -> int:
         """Placement coordinates."""
         return len(self.motion.placement)

@@ -181,7 +181,8 @@ class SimulationOptions(BuiltByCall):
             symplectic: the energy of undamped modes stays; where a damper brakes a joint within 1/128 of a sample,
             Radau IIA of order 5, which follows it without ever shorter steps).
         substeps: integration steps in a sample; by default as the fastest mode and damper need; of `"rk4"` 1, more
-            only where a damper needs them.
+            only where a damper needs them. Where the newest measurement falls within a sample its two parts have whole
+            steps of their own, none longer, so that there is one more.
         gravity: False: the weight is taken to be compensated in all coordinates, as in the article; True: it acts, and
             the machine hangs in its springs.
         gravity_compensation: whether the command carries the arm's weight, where it acts.

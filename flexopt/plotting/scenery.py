@@ -29,7 +29,7 @@ MUST_NOT = {
 }
 # Below this share a plane's normal is seen end-on: it has no trace in the view.
 TRACE = 0.05
-# Obstacles go on for this share of what else is drawn, and beyond it are cut off.
+# Of an obstacle larger than all else, so much is seen beside that, as a share of it.
 AROUND = 0.5
 # Names that lie within such a share of the picture of each other are one; within such shares across, below and above a
 # target, whose own name stands there, they stand so many points farther from it.
@@ -69,11 +69,15 @@ def draw_scenery(
 def scenery_points(view: View, constraints: Constraints, others: Points) -> Points:
     """Points (2, K) of what has an end and shall be in the picture, beside the points (2, K) of what else is in it."""
     low, high = others.min(axis=1), others.max(axis=1)
-    around = AROUND * float((high - low).max())
-    found = [np.zeros((2, 0)), *(_points(view, each) for each in _obstacles(constraints))]
-    seen = np.clip(np.hstack(found), (low - around)[:, None], (high + around)[:, None])
+    whole, found = float((high - low).max()), [np.zeros((2, 0))]
+    for points in (_points(view, each) for each in _obstacles(constraints)):
+        if points.size and np.ptp(points, axis=1).max() > whole:
+            first = np.minimum(low, points.max(axis=1)) - AROUND * whole
+            last = np.maximum(high, points.min(axis=1)) + AROUND * whole
+            points = np.clip(points, first[:, None], last[:, None])  # noqa: PLW2901
+        found.append(points)
     areas = () if view.upright else constraints.region or ()
-    return np.hstack([seen, *(np.array(area, dtype=np.float64).T for area in areas)])
+    return np.hstack([*found, *(np.array(area, dtype=np.float64).T for area in areas)])
 
 
 def named_points(view: View, constraints: Constraints | None, limits: Points) -> Points:

@@ -129,10 +129,10 @@ class Grounds:
         undisturbed_from: time from which nothing is driven any more, s; growth is judged from there.
         noisy: whether noise keeps the modes moving. Their amplitudes then wander, which a fit takes for growth, so
             that only an amplitude three times as large as at first counts.
-        swing_hz: of the slowest swing of the loop, where the arm drifts: it bends the base and lets it go in turn, so
-            that a mode's energy rises and falls with it. None: no slower than the modes.
-        drifting: whether the arm drifts along a self-motion, so that kinetic and elastic energies come apart, and a
-            mode that is bent without moving counts as still.
+        swing_hz: of the slowest swing of the loop, where the base comes to rest elsewhere: the arm bends it and lets it
+            go in turn, so that a mode's energy rises and falls with it. None: no slower than the modes.
+        bends: whether the base comes to rest elsewhere than by design (`LoopStructure.bends`), so that kinetic and
+            elastic energies come apart, and a mode that is bent without moving counts as still.
     """
 
     slowest_hz: float
@@ -140,7 +140,7 @@ class Grounds:
     still: Vector | float = 0.0
     undisturbed_from: float = 0.0
     noisy: bool = False
-    drifting: bool = False
+    bends: bool = False
     swing_hz: float | None = None
 
 
@@ -151,12 +151,12 @@ def behaviour(
 
     Args:
         times: (windows + 1,) edges of the windows, s.
-        monitors: (windows, 2 + m, N) maxima of `Sample.monitor`; (windows, 2 + 2 m, N) where the arm drifts.
+        monitors: (windows, 2 + m, N) maxima of `Sample.monitor`; (windows, 2 + 2 m, N) of a base that `bends`.
         end_error, end_rotation: |e|, m, and the base's, rad, at the end, which is in no window, (N,).
         grounds: of the judgement.
     """
     squared_error, rotation, energy = monitors[:, 0], monitors[:, 1], monitors[:, 2:]
-    modes = energy.shape[1] // 2 if grounds.drifting else energy.shape[1]
+    modes = energy.shape[1] // 2 if grounds.bends else energy.shape[1]
     alive = np.logical_and.accumulate(np.isfinite(squared_error) & np.all(np.isfinite(energy), axis=1), axis=0)
     finite = np.where(np.all(alive, axis=0), times[-1], times[np.sum(alive, axis=0)])
     diverged = ~np.all(alive, axis=0) | ~np.isfinite(end_error)
@@ -167,7 +167,7 @@ def behaviour(
     judged = np.where(alive[begin:, None], energy[begin:], np.nan)
     peaks, centres = _periods(times[begin:], judged, grounds.swing_hz or grounds.slowest_hz)
     peaks, elastic = peaks[:, :modes], peaks[:, modes:]
-    bent = QUASI_STATIC * elastic if grounds.drifting else 0.0
+    bent = QUASI_STATIC * elastic if grounds.bends else 0.0
     rate, error, bend, first, last = _growth(peaks, centres, grounds.still, bent)
     with np.errstate(invalid="ignore", divide="ignore"):
         growing = last >= GROWN * first

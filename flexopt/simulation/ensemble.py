@@ -31,7 +31,7 @@ from flexopt.foundation.turns import available_cores
 from flexopt.foundation.warned import warn_user
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
-from flexopt.model.loop import GAINS, Loop, LoopLike
+from flexopt.model.loop import DELAY_MAX, GAINS, Loop, LoopLike
 from flexopt.model.parameter_ranges import parameter_range
 from flexopt.model.simulation import SimulationKeywords, SimulationOptions, on_their_way
 from flexopt.model.simulation_faults import own_loop
@@ -266,15 +266,12 @@ def simulate_ensemble(
         varied = {name: values + brakes.get(name, 0.0) for name, values in asked.items()} | gains
 
     def run(given: dict[str, Any]) -> Ensemble:
-        checked = checked_options("simulate_ensemble", machine, given)
+        asked_for = checked = checked_options("simulate_ensemble", machine, given)
         delays = varied.get("delay")
         if delays is not None:
+            _check_delays(delays, checked.rate)
             sensor = checked.sensor.model_dump(exclude_unset=True) | {"delay": float(delays.max())}
             checked = checked_options("simulate_ensemble", machine, given | {"sensor": sensor})
-            if len({on_their_way(delay, checked.rate) for delay in delays.tolist()}) > 1:
-                sentence = f"must lie within one sample of {1 / checked.rate:g} s; make an ensemble for each"
-                between = f"{delays.min():g} to {delays.max():g}"
-                raise_if_any(InputError, "simulate_ensemble", [Fault("vary['delay']", sentence, between)])
         if checked.feedback != "pid" and np.any(varied.get("ki", 0.0)):
             raise_if_any(InputError, "simulate_ensemble", [Fault("vary['ki']", 'goes with feedback = "pid"')])
         n = len(next(iter(varied.values())))
@@ -288,13 +285,25 @@ def simulate_ensemble(
         shapes = {name: list(np.shape(value)) for name, value in asked.items()}
         return Ensemble(
             _dataset(plan, asked, shares),
-            provenance(own, vary=shapes, keep=keep, **checked.model_dump(exclude_unset=True)),
+            provenance(own, vary=shapes, keep=keep, **asked_for.model_dump(exclude_unset=True)),
             plan,
             tuple(share.measures for share in shares),
             np.concatenate([share.last for share in shares], axis=1) if moves(s) else None,
         )
 
     return in_shorter_steps(run, given, real)
+
+
+def _check_delays(delays: Vector, rate: float) -> None:
+    """Refuse dead times that one loop does not have: with other measurements on their way, or too many."""
+    faults, waits = list[Fault](), {on_their_way(delay, rate) for delay in delays.tolist()}
+    if len(waits) > 1:
+        sentence = f"must be as many samples of {1 / rate:g} s rounded up; make an ensemble for each number"
+        faults.append(Fault("vary['delay']", sentence, f"{min(waits)} to {max(waits)} samples"))
+    elif max(waits) > DELAY_MAX:
+        sentence = f"must be at most {DELAY_MAX} samples of {1 / rate:g} s"
+        faults.append(Fault("vary['delay']", sentence, f"{delays.max():g}"))
+    raise_if_any(InputError, "simulate_ensemble", faults)
 
 
 def _check_room(plan: Plan) -> None:

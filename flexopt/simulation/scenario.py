@@ -132,7 +132,7 @@ class Scenario:
             still=self.still,
             undisturbed_from=max((path.times[-1] for path in paths), default=0.0),
             noisy=self.loop.structure.noisy,
-            drifting=self.loop.structure.drifting,
+            bends=self.loop.structure.bends,
         )
 
     def signals(self, rng: np.random.Generator | None = None) -> Vector | None:

@@ -84,7 +84,7 @@ def grounds_of(scenario: Scenario) -> Grounds:
     A swing that is damped more is over within a period or two.
     """
     found = scenario.grounds
-    linear = Ended(scenario.machine, scenario.options).linear() if found.drifting else ""
+    linear = Ended(scenario.machine, scenario.options).linear() if found.bends else ""
     if isinstance(linear, str):
         return found
     poles = linear.poles

@@ -70,6 +70,37 @@ def test_what_was_measured_before_the_start_is_of_the_member():
     assert abs(now[0, 0, 0] - now[1, 0, 0]) > 100.0
 
 
+def damped():
+    """The excavator, whose base comes to rest within seconds."""
+    data = EXCAVATOR.to_dict()
+    data["base"] |= {"damping": {name: 300.0 * value for name, value in data["base"]["damping"].items()}}
+    return machine_from_dict(data)
+
+
+def test_members_that_hang_elsewhere_come_to_rest():
+    """Softer springs let the base hang lower: bent without moving, which is neither growth nor decay."""
+    options = {"gravity": True, "kp": 3e4, "kv": 3e3, "duration": 40.0, "integrator": "gauss"}
+    factors, springs = np.array([0.6, 1.0, 1.5]), EXCAVATOR.to_dict()["base"]["stiffness"]
+    vary = {f"base.stiffness.{name}": factors * value for name, value in springs.items()}
+    found = flexopt.simulate_ensemble(damped(), POSTURE_B, vary=vary, **options)
+    assert found.verdict.tolist() == ["converges"] * 3
+    # Faster motions have their share in what is seen before the base stands still.
+    rates = found.dataset["growth_rate"].to_numpy()
+    assert ((2 * found.linear_growth_rate < rates) & (rates < 0.8 * found.linear_growth_rate)).all()
+
+
+def test_a_machine_that_moves_under_its_weight_comes_to_rest():
+    """Its base hangs elsewhere once the arm has gone to another target."""
+    machine = damped()
+    x, y = flexopt.evaluate(machine, POSTURE_B, gravity=True).end_point.tolist()
+    path = {"times": [0.0, 2.0], "points": [[x, y], [x - 0.4, y + 0.3]]}
+    run = flexopt.simulate(
+        machine, POSTURE_B, gravity=True, kp=3e4, kv=3e3, target_path=path, duration=40.0, integrator="gauss"
+    )
+    assert run.verdict == "converges"
+    assert 2 * run.linear_growth_rate < run.growth_rate < 0.8 * run.linear_growth_rate
+
+
 def test_dead_times_vary_within_a_sample():
     """Up to a whole one; each is the run of its own, and its eigenvalues those of its own loop."""
     delays, options = [0.0051, 0.0073, 0.01], {"kp": 1e4, "kv": 1e3, "duration": 1.0, "integrator": "gauss"}
@@ -79,10 +110,13 @@ def test_dead_times_vary_within_a_sample():
         # Of other steps: what is left is the integrator's error.
         np.testing.assert_allclose(many.dataset["error"][k], one.error, atol=1e-8)
         assert many.linear_growth_rate[k] == pytest.approx(one.linear_growth_rate, abs=1e-10)
-    with pytest.raises(InputError, match=r"vary\['delay'\] = 0.001 to 0.006: must lie within one sample of 0.005 s"):
+    with pytest.raises(InputError, match=r"vary\['delay'\] = 1 to 2 samples: must be as many samples of 0.005 s"):
         flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"delay": [0.001, 0.006]}, **options)
     with pytest.raises(InputError, match=r"vary\['delay'\].*must not be negative"):
         flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"delay": [-0.001]}, **options)
+    with pytest.raises(InputError, match=r"vary\['delay'\] = 0.502: must be at most 100 samples"):
+        flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"delay": [0.502]}, **options)
+    assert "sensor" not in many.provenance["options"]
 
 
 def test_members_start_in_the_same_posture_whatever_varies():
