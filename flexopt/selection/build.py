@@ -294,7 +294,9 @@ def _placements(
     rows = machine.task_rows
     rise = float(target[rows.index("z")] - center[2]) if "z" in rows else 0.0
     if abs(rise) > outer:
-        raise missed(plant, target, None, abs(rise) - outer)
+        off, side = abs(rise) - outer, "above" if rise > 0 else "below"
+        why = f"it lies {off:.4g} m or more {side} what the arm reaches, stretched out, wherever the base stands"
+        raise missed(plant, target, None, off, why)
     # The anchor is within this of the target, seen from above, however the base is turned.
     far = math.sqrt(outer**2 - rise**2) + math.hypot(center[0], center[1])
     bounds, sampled = Ranges(), Ranges()

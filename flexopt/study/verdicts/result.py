@@ -442,12 +442,13 @@ class Verdict(Pictured, Printed, Result):
     def __repr__(self) -> str:
         unit = self.settings.gain_units[0]
         wide = max(15, len(unit) + 13)
+        weightless = "" if self.problems[0].gravity else ", without what the moved weight bends"
         lines = [
             f"{self.problems[0].machine.name}: {self.controller}",
             *self.settings.proposed,
             *([f"  {self.handed_on}"] if self.handed_on else []),
             f"  {self.over}",
-            f"  drive of the base to the place; settling, and turn of the base, of a move by {MOVE:g} m;",
+            f"  drive of the base to the place; settling, and turn of the base, of a move by {MOVE:g} m{weightless};",
             "  decay with the file's numbers, then the worst of everything:",
             f"  {'place':12} {'drive':>8} {'decay, slowest':>26} {'allowed Kp':>{wide}} {'delay margin':>13} "
             f"{'settling':>10} {'turn':>11}   nonlinear runs",
