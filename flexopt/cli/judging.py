@@ -10,6 +10,7 @@ from flexopt.cli.common import (
     BASE,
     CONTROL,
     ELBOW,
+    GRAVITY,
     JSON,
     OUT,
     PDF,
@@ -74,8 +75,9 @@ of_machine = together(
     CONTROL,
     value("--objective", "w1|w2|…|V|epsilon_max|decay|…", "Of a machine: by what places are chosen (w1 by default)."),
     WEIGHTS,
+    GRAVITY,
 )
-OF_MACHINE = ("end_point", "posture", "base", "elbow", "control", "objective", "weights")
+OF_MACHINE = ("end_point", "posture", "base", "elbow", "control", "objective", "weights", "gravity")
 
 
 def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | None:

@@ -172,6 +172,8 @@ class Outcome(Result):
             f"  delay margin {margin}; disk margin {_told(self.disk_margin)}; "
             f"peak of S {_told(self.sensitivity_peak)}, of T {_told(self.complementary_peak)}"
         )
+        if math.isnan(self.disk_margin) and self.decay > self.decay_rounding and any(rate >= 0 for rate in self.drift):
+            lines.append("    –: of a self-motion that drifts there are none, nor an H2 norm")
         if math.isfinite(self.h2_norm):
             lines.append(
                 f"  H2 norm from forces on the base to the end-point {self.h2_norm:.4g} m, its standard deviation "

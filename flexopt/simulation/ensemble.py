@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, Unpack, cast
@@ -85,19 +85,19 @@ class Ensemble(Pictured, Tabled):
     ends: Vector | None = field(repr=False)
 
     @cached_property
-    def _loops(self) -> list[SampledLoop | str]:
+    def linear_loops(self) -> list[SampledLoop | str]:
+        """Of each member, exact between the samples; a sentence where it rests nowhere."""
         return member_loops(self.plan, self.ends)
 
     @cached_property
     def linear_growth_rate(self) -> Vector:
         """See the class."""
-        return np.array([math.nan if isinstance(loop, str) else loop.growth_rate for loop in self._loops])
+        return np.array([math.nan if isinstance(loop, str) else loop.growth_rate for loop in self.linear_loops])
 
     @cached_property
     def verdict(self) -> NDArray[np.str_]:
         """See the class."""
-        shown = (share.shown(k) for share in self.measures for k in range(len(share.grows)))
-        return np.array([judge(run, loop).verdict for run, loop in zip(shown, self._loops, strict=True)])
+        return np.array(judged_beside(self, self.linear_loops))
 
     @public(verdict=words(*VERDICTS))
     def share(self, verdict: LoopVerdict) -> float:
@@ -175,6 +175,12 @@ class Ensemble(Pictured, Tabled):
             f"Ensemble({self.n_members} members: {shares}; decay "
             f"{decay[0]:+.3g} … {decay[1]:+.3g} … {decay[2]:+.3g}/s (5, 50, 95 %))"
         )
+
+
+def judged_beside(ensemble: Ensemble, loops: Iterable[SampledLoop | str]) -> list[LoopVerdict]:
+    """The verdict of each member, its run beside the eigenvalues of a linear loop; a sentence where there is none."""
+    shown = (share.shown(k) for share in ensemble.measures for k in range(len(share.grows)))
+    return [judge(run, loop).verdict for run, loop in zip(shown, loops, strict=True)]
 
 
 def _vary(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> dict[str, Vector]:

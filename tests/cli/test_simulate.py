@@ -264,7 +264,7 @@ def test_bad_input(command: Command, arguments: tuple[str, ...], message: str) -
     [
         ("kp = -1", "simulation.kp"),
         ("kpp = 1", "did you mean 'kp'"),
-        ("sensor = { delay = 0.003 }", "simulation.sensor.delay"),
+        ("sensor = { delay = 3.0 }", "simulation.sensor.delay"),
         ("actuator = { rate_limit = 5 }", "bandwidth_hz"),
         ("offset = [1.0]", "simulation.offset"),
         ("base_path = { times = [0, 1], points = [[0.0]] }", "simulation.base_path"),

@@ -82,10 +82,10 @@ CASES: dict[str, tuple[Machine, dict[str, Any]]] = {
     "transpose, gauss": (EXCAVATOR, {"posture": [1.1, -1.2], "control": "transpose", "kp": 2e4, "integrator": "gauss",
                                      "kv": 4e3, "duration": 2.0}),
     "continuous, dop853": (EXCAVATOR, {"posture": POSTURE, "hold": False, "integrator": "dop853", "duration": 2.0}),
-    "delay between samples": (EXCAVATOR, {"posture": POSTURE, "kp": 1e4, "kv": 1e3, "sensor": {"delay": 0.0133},
-                                          "duration": 2.0}),
     "three joints": (THREE, {"posture": [0.3, -1.1, -0.7], "nullspace_damping": 2e3, "rate": 500.0, "duration": 4.0}),
     "wrist": (WRIST, {"posture": [0.2, -1.4], "base": -1.5, "gravity": True, "substeps": 4, "duration": 4.0}),
+    "delay between samples": (EXCAVATOR, {"posture": POSTURE, "kp": 1e4, "kv": 1e3, "sensor": {"delay": 0.0133},
+                                          "duration": 2.0}),
 }  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from flexopt.foundation.results import Result
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.simulation import on_their_way
 from flexopt.simulation import simulate_ensemble
-from flexopt.simulation.ensemble import Ensemble
+from flexopt.simulation.ensemble import Ensemble, judged_beside
 from flexopt.simulation.real_loop import SHORTER, braked, braked_by, run_options
 from flexopt.simulation.run import OUTGREW
 
@@ -93,7 +93,13 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
         for some, ensemble in _ensembles(loop, members, decays, rows, duration):
             data = {name: ensemble.dataset[name].to_numpy() for name in SHOWN}
             found[:, some] = [data["settling_time"], data["peak_base_rotation"], -data["growth_rate"]]
-            ends = zip(some, ensemble.verdict.tolist(), data["end_error"], data["peak_error"], strict=True)
+            # Under a weight that the controller knows wrong a redundant arm creeps, and rests nowhere.
+            beside = [
+                loop.outcome(members[row]).loop if isinstance(own, str) else own
+                for row, own in zip(some, ensemble.linear_loops, strict=True)
+            ]
+            words = judged_beside(ensemble, beside)
+            ends = zip(some, words, data["end_error"], data["peak_error"], strict=True)
             for row, word, end, peak in ends:
                 verdicts[row], nearer[row] = word, bool(end <= peak / 2)
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), duration=duration)
