@@ -12,10 +12,14 @@ import numpy as np
 import pytest
 
 import flexopt
+from flexopt.loop.settings import loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model.loop import Loop
 from flexopt.model.problem import SelectionOptions
+from flexopt.model.uncertainty import Uncertainty
 from flexopt.study import page
 from flexopt.study.page import with_minus
+from flexopt.study.verdicts.confirmation import nonlinear_runs
 from flexopt.study.verdicts.place_loops import configurations_of, unreached
 from flexopt.study.verdicts.places import allowed, told
 
@@ -612,3 +616,16 @@ def test_what_all_targets_rest_on_is_told_once() -> None:
     )
     assert place.rest == "stay rests on base.x upper bound, decay at target 1, boom lower bound at target 2"
     assert replace(place, rests_on=((), ())).rest == ""
+
+
+@pytest.mark.long
+def test_an_arm_that_creeps_under_its_weight_is_judged_by_its_swing() -> None:
+    """Of springs that the controller does not know; along its self-motion the arm rests nowhere."""
+    machine, posture = flexopt.load("boom-stick-bucket"), np.array([-1.2167, -1.6538, -2.1765])
+    stand = flexopt.evaluate(machine, posture, base=1.6282, gravity=True)
+    settings = loop_settings(machine, Loop(nullspace_damping=2e4), stand, gravity=True)
+    box = UncertaintyBox(machine, (Uncertainty(of="stiffness", factor=(0.6, 1.6)),), settings.dead_time)
+    loop, members = UncertainLoop(settings, stand.base, posture, True, box), box.corners(1)
+    runs = nonlinear_runs(loop, members, loop.decays(members), 20.0)
+    assert (loop.decays(members) > 0).all()
+    assert runs.verdicts == ("converges", "converges")
