@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Any, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -288,11 +288,16 @@ def on_their_way(delay: float, rate: float) -> int:
     return math.ceil(delay * rate - PART_OF_SAMPLE)
 
 
+def taken_early(delay: Any, waits: int, period: float) -> Any:
+    """How long before a sample the newest of so many measurements was taken, s: up to a whole sample."""
+    return delay - max(0, waits - 1) * period
+
+
 def dead_time(options: SimulationOptions) -> tuple[int, float]:
     """Measurements on their way, and how long before a sample the newest was taken, s; 0 of whole samples."""
-    waits, rate = on_their_way(options.sensor.delay, options.rate), options.rate
-    early = options.sensor.delay - (waits - 1) / rate
-    return waits, 0.0 if early * rate >= 1 - PART_OF_SAMPLE else early
+    waits = on_their_way(options.sensor.delay, options.rate)
+    early = taken_early(options.sensor.delay, waits, 1 / options.rate)
+    return waits, 0.0 if early * options.rate >= 1 - PART_OF_SAMPLE else early
 
 
 class NullspaceOptions(FileModel):

@@ -16,6 +16,7 @@ from flexopt.compiled.threaded import Interpreter
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
+from flexopt.model.simulation import taken_early
 from flexopt.plant.machine_motion import constant_names, constants
 from flexopt.simulation.linear import SampledLoop, bare_scenario
 from flexopt.simulation.run import signals_at_end
@@ -48,8 +49,8 @@ class Plan:
             if name in self.varied:
                 parts[name] = np.broadcast_to(self.varied[name].reshape(self.n, -1).T[:, rows], (n_task, count(rows)))
         if "delay" in self.varied:
-            queued = max(0, self.scenario.loop.structure.delay - 1) * self.scenario.period
-            parts["early"] = (self.varied["delay"][rows] - queued)[None, :]
+            waits, period = self.scenario.loop.structure.delay, self.scenario.period
+            parts["early"] = taken_early(self.varied["delay"][rows], waits, period)[None, :]
         return parts
 
     def start(self, rows: slice) -> Vector:

@@ -35,6 +35,7 @@ from flexopt.model.simulation import (
     SimulationOptions,
     dead_time,
     placement_of,
+    taken_early,
 )
 from flexopt.model.simulation_faults import simulation_faults
 from flexopt.plant import build_plant, inverse_kinematics
@@ -219,7 +220,7 @@ def build_scenario(
     fastest = Fastest(design.poles, 2 * math.pi * float(design.frequencies_hz[-1]), servo, design.damper)
     steps = Stepping(1) if exact else stepping(options, fastest)
     waits, early = dead_time(options)
-    each = np.array([early]) if delays is None else delays - (waits - 1) * period
+    each = np.array([early]) if delays is None else taken_early(delays, waits, period)
     structure = replace(_structure(machine, options, steps), delay=waits)
     # Of whole samples alone the newest measurement is that of the sample's start.
     if not exact and waits and np.any((each > 0) & (each * options.rate < 1 - PART_OF_SAMPLE)):
