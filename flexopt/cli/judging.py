@@ -124,7 +124,7 @@ def _drive(loop: dict[str, Any]) -> str:
 @argument("problem")
 @of_machine
 @judged
-@value("--duration", "S", "Of a run, s (20 by default).", number)
+@value("--duration", "S", "Of a run, s (by default 20, or ten periods of the slowest mode).", number)
 @of_picture("Draw the bands of every place: .png, .svg or .pdf.")
 @value("--html", "FILE", "Write a page: the word, the bands, the table, the rule.")
 @PDF

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import PurePath
 from typing import Any, cast
 
@@ -143,3 +143,9 @@ def shown(value: Any) -> str:
     except Exception:  # noqa: BLE001, RUF100  # whatever it is, the message about it must come out
         text = f"<{type(cast(object, value)).__name__}>"
     return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names in a sentence: a, b and c."""
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last

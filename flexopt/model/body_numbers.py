@@ -18,6 +18,11 @@ from flexopt.model.planar import Machine
 from flexopt.model.tree import Tree
 from flexopt.model.tree_quantities import symmetric
 
+# Share of the weight that pushes sideways, where a joint does not hold it.
+ASIDE = 0.1
+# Of x, y, z, in a tree file.
+UP = 2
+
 
 @dataclass
 class BodyNumbers:
@@ -34,8 +39,10 @@ class BodyNumbers:
         link: whether it is a link between joints, whose mass lies along it.
         moments: principal ones of its inertia; in the plane the one;  about_centre: the largest that it has about its
             centre if the given ones are about its joint.
-        hinge: whether its joint turns;  spring: its stiffness;  drive: effort and speed (infinite: none);  limits: of
-            the joint, and its rest value;  end: whether `length` is that to the end-point of a tree.
+        hinge: whether its joint turns;  bears: share of the weight that its joint holds, at least `ASIDE`, that of a
+            slide that is level and of a hinge that stands upright;  springs: of each whether it turns, its stiffness,
+            and that share of it;  effort, speed: of the drive (infinite: none);  limits: of the joint;  rest: its rest
+            value;  end: whether `length` is that to the end-point of a tree.
     """
 
     where: str
@@ -53,7 +60,8 @@ class BodyNumbers:
     moments: tuple[float, ...] = ()
     about_centre: float = 0.0
     hinge: bool = True
-    springs: dict[str, tuple[bool, float]] = field(default_factory=dict[str, tuple[bool, float]])
+    bears: float = 1.0
+    springs: dict[str, tuple[bool, float, float]] = field(default_factory=dict[str, tuple[bool, float, float]])
     effort: float = math.inf
     speed: float = math.inf
     limits: tuple[float, float] | None = None
@@ -100,7 +108,7 @@ def _planar(machine: Machine) -> tuple[list[BodyNumbers], float]:
     """Bodies of a planar machine from the base outwards, and how far the end-point can be from the ground point."""
     base = machine.base
     springs = {
-        f"base.stiffness.{d}": (d == "rotation", float(getattr(base.stiffness, d)))
+        f"base.stiffness.{d}": (d == "rotation", float(getattr(base.stiffness, d)), ASIDE if d == "x" else 1.0)
         for d in machine.free_base_directions
     }
     part = BodyNumbers(
@@ -116,7 +124,7 @@ def _planar(machine: Machine) -> tuple[list[BodyNumbers], float]:
             where=where, length=link.length, size=_capsules(machine, link.name),
             com=math.hypot(link.com, link.com_offset), along=link.com, aside=link.com_offset, mass=link.mass,
             inertia=link.inertia, variance=link.inertia / link.mass, across=0.0, path=parts[-1].length, link=True,
-            springs={f"{where}.stiffness": (True, link.stiffness)} if link.passive and link.stiffness else {},
+            springs={f"{where}.stiffness": (True, link.stiffness, 1.0)} if link.passive and link.stiffness else {},
             effort=link.effort or math.inf, speed=link.speed or math.inf, limits=link.limits,
             rest=(f"{where}.rest", link.rest) if link.passive else None, joint=where, moments=(link.inertia,),
             about_centre=link.inertia - link.mass * (link.com**2 + link.com_offset**2),
@@ -151,12 +159,12 @@ def _spatial(machine: Tree) -> tuple[list[BodyNumbers], float]:
             children[body.parent].append(body)
     coupled = machine.stiffness_matrix
     stiff = {} if coupled is None else {n: coupled.matrix[k][k] for k, n in enumerate(coupled.joints)}
-    parts: dict[str, BodyNumbers] = {}
+    parts, bears = dict[str, BodyNumbers](), _borne(machine)
     actuated: set[str] = set()
     for body in machine.bodies:
         carried = [_farthest(child) for child in children[body.name]]
         carried += [np.array(machine.end_point.position)] if machine.end_point.body == body.name else []
-        part = _body(machine, body, carried, stiff.get(body.joint.name, body.joint.stiffness))
+        part = _body(machine, body, carried, stiff.get(body.joint.name, body.joint.stiffness), bears[body.name])
         moved = body.parent in actuated
         if not body.joint.passive or moved:
             actuated.add(body.name)
@@ -184,7 +192,23 @@ def _farthest(child: TreeBody) -> Array:
     return max((place + end * axis for end in joint.limits), key=lambda point: float(np.linalg.norm(point)))
 
 
-def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: float | None) -> BodyNumbers:
+def _borne(machine: Tree) -> dict[str, float]:
+    """The share of the weight that each body's joint holds; 1 where the drives before it can tilt its axis."""
+    rotations, level, shares = dict[str, Array](), dict[str, bool](), dict[str, float]()
+    for body in machine.bodies:
+        joint, before = body.joint, body.parent
+        rotations[body.name] = (np.eye(3) if before is None else rotations[before]) @ np.array(body.rotation)
+        axis = rotations[body.name] @ np.array(joint.axis)
+        upright = min(abs(float(axis[UP])) / float(np.linalg.norm(axis)), 1.0)
+        turns, stays = joint.kind == "hinge", before is None or level[before]
+        shares[body.name] = max(math.sqrt(1 - upright**2) if turns else upright, ASIDE) if stays else 1.0
+        level[body.name] = stays and (joint.passive or not turns or shares[body.name] == ASIDE)
+    return shares
+
+
+def _body(
+    machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: float | None, bears: float
+) -> BodyNumbers:
     far = max(carried, key=lambda point: float(np.linalg.norm(point)), default=np.zeros(3))
     com, length = np.array(body.com), float(np.linalg.norm(far))
     tensor = symmetric(*body.inertia)
@@ -206,7 +230,7 @@ def _body(machine: Tree, body: TreeBody, carried: Sequence[Array], stiffness: fl
         inertia=float(moments[-1]), moments=tuple(moments.tolist()), variance=max(float(along @ spread @ along), 0.0),
         across=max(float(np.linalg.eigvalsh(projector @ spread @ projector)[-1]), 0.0),
         path=float(np.linalg.norm(body.position)) + travel, link=False, hinge=hinge,
-        springs={f"{moved}.stiffness": (hinge, stiffness)} if joint.passive and stiffness else {},
+        bears=bears, springs={f"{moved}.stiffness": (hinge, stiffness, bears)} if joint.passive and stiffness else {},
         effort=joint.effort or math.inf, speed=joint.speed or math.inf, limits=joint.limits,
         rest=(f"{moved}.rest", joint.rest) if joint.passive and hinge else None, joint=moved,
         end=machine.end_point.body == body.name and np.array_equal(far, machine.end_point.position),

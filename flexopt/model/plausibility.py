@@ -15,7 +15,7 @@ from functools import lru_cache
 from flexopt.errors import ImplausibleMachine
 from flexopt.foundation.results import Result
 from flexopt.foundation.warned import warn_user
-from flexopt.model.body_numbers import BodyNumbers, body_numbers
+from flexopt.model.body_numbers import ASIDE, BodyNumbers, body_numbers
 from flexopt.model.machine import AnyMachine
 from flexopt.model.planar import Machine
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
@@ -260,28 +260,33 @@ def _unit_of_inertia(part: BodyNumbers, radius: float, size: float) -> str:
 def _springs(part: BodyNumbers, gravity: float, reach: float) -> Iterator[ImplausibleNumber]:
     mass, moment = part.weight
     g = gravity or 9.81
-    for name, (turns, stiffness) in part.springs.items():
+    for name, (turns, stiffness, bears) in part.springs.items():
         unit, hint = ("N m/rad", "kN m/rad") if turns else ("N/m", "kN/m or N/mm")
-        give = moment * g / stiffness if turns else mass * g / stiffness
+        give = bears * (moment if turns else mass) * g / stiffness
         if give > (TILT if turns else SAG * reach):
             what = f"turns by {give:.3g} rad" if turns else f"gives by {give:.3g} m"
             yield ImplausibleNumber(
                 name,
                 f"{stiffness:g} {unit}",
-                f"the spring {what} under the {mass:.4g} kg that it carries",
+                f"the spring {what} under {_pushed(bears)}the {mass:.4g} kg that it carries",
                 f"probably in {hint}: {1000 * stiffness:g} {unit}",
             )
 
 
+def _pushed(bears: float) -> str:
+    """How what a joint does not hold is told."""
+    return f"a push of {100 * bears:.0f} % of " if bears <= ASIDE else ""
+
+
 def _drives(part: BodyNumbers, machine: AnyMachine, reach: float) -> Iterator[ImplausibleNumber]:
     mass, moment = part.weight
-    needed = (moment if part.hinge else mass) * (machine.gravity or 9.81)
+    needed = part.bears * (moment if part.hinge else mass) * (machine.gravity or 9.81)
     if part.effort < WEAK * needed:
         unit, far = ("N m", ", at its full reach") if part.hinge else ("N", "")
         yield ImplausibleNumber(
             f"{part.joint}.effort",
             f"{part.effort:g} {unit}",
-            f"is little beside the weight that the joint carries, {needed:.3g} {unit}{far}",
+            f"is little beside {_pushed(part.bears)}the weight that the joint carries, {needed:.3g} {unit}{far}",
             f"probably in k{unit}: {1000 * part.effort:g} {unit}",
         )
     tip = part.speed * (reach if part.hinge else 1.0)

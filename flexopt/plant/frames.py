@@ -13,9 +13,9 @@ import casadi as ca
 from flexopt.model import AnyMachine
 from flexopt.model.tree_quantities import snapped_rows
 from flexopt.plant.graph import MachineGraph
-from flexopt.plant.tree_algebra import ORIGIN, UNITS, turned_back
+from flexopt.plant.tree_algebra import UNITS, turned_back
 from flexopt.plant.tree_structure import segments_and_frames
-from flexopt.plant.tree_task import in_inertial_axes, placed
+from flexopt.plant.tree_task import in_inertial_axes, origin, placed
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ def build_frames(machine: AnyMachine, graph: MachineGraph) -> Frames:
     origins: list[ca.SX] = []
     rotations: list[ca.SX] = []
     for i in tree.frames:
-        origins.append(ca.vertcat(*placed(at, at.point(i, ORIGIN), graph.base))[axes])
+        origins.append(ca.vertcat(*origin(at, i, graph.base))[axes])
         # The recursion's frame of a body is its own choice; `own` leads from it to the machine file's.
         directions = [turned_back(snapped_rows(own[i]), UNITS[k]) for k in axes]
         inertial = [in_inertial_axes(at, at.to_ground(i, direction), graph.base) for direction in directions]

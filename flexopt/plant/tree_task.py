@@ -8,7 +8,7 @@ from __future__ import annotations
 import casadi as ca
 
 from flexopt.plant.orientation import rotation_vector
-from flexopt.plant.tree_algebra import ORIGIN, UNITS, ZERO, Triple, turned, turned_back
+from flexopt.plant.tree_algebra import ORIGIN, UNITS, ZERO, Triple, add, turned, turned_back
 from flexopt.plant.tree_recursion import Recursion
 
 POSITION = ("x", "y", "z")
@@ -43,13 +43,29 @@ def placed(at: Recursion, point: Triple, base: ca.SX) -> Triple:
 
 def points(at: Recursion, base: ca.SX) -> ca.SX:
     """Origins of the anchor frame and of every body's frame, then the end-point: (3, n + 2), m, inertial frame."""
-    every = [ORIGIN, *(at.point(i, ORIGIN) for i in range(at.n)), at.point(at.skeleton.tip, at.vector("tip"))]
-    return ca.horzcat(*(ca.vertcat(*placed(at, point, base)) for point in every))
+    tip = placed(at, at.point(at.skeleton.tip, at.vector("tip")), base)
+    return ca.horzcat(*(ca.vertcat(*point) for point in (*(origin(at, i, base) for i in range(-1, at.n)), tip)))
+
+
+def origin(at: Recursion, body: int, base: ca.SX) -> Triple:
+    """Of a body's frame, of −1 that of the anchor frame, in the inertial one.
+
+    What a slide beyond it takes up of the placement is in the coordinates of what that carries alone.
+    """
+    way = at.skeleton.way_to(body) if body >= 0 else []
+    named = dict(zip(at.skeleton.placement, ca.vertsplit(base), strict=True))
+    beyond = {name: named[name] for name, (slide, _) in at.skeleton.absorbed.items() if slide not in way}
+    moved = yawed(at, (beyond.get("x", ZERO), beyond.get("y", ZERO), ZERO), base)
+    return add(placed(at, at.point(body, ORIGIN) if way else ORIGIN, base), moved)
 
 
 def in_inertial_axes(at: Recursion, a: Triple, base: ca.SX) -> Triple:
     """A direction as the recursions see it in inertial axes."""
-    a = turned(at.skeleton.ground, a)
+    return yawed(at, turned(at.skeleton.ground, a), base)
+
+
+def yawed(at: Recursion, a: Triple, base: ca.SX) -> Triple:
+    """A direction as the anchor frame stands."""
     if "yaw" not in at.skeleton.placement:
         return a
     yaw = base[at.skeleton.placement.index("yaw")]

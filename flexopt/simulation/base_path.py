@@ -12,6 +12,7 @@ import numpy as np
 
 from flexopt.errors import Fault
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.plain import listed
 from flexopt.loop.rest import in_base_axes
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import SimulationOptions, placement_of
@@ -69,8 +70,7 @@ def path_faults(machine: AnyMachine, options: SimulationOptions) -> list[Fault]:
             named = ", ".join(joint.name for joint in geared)
             found.append(Fault("base_path.points", f"cannot turn a base whose joints {named} have an armature"))
     if rigid:
-        joined = " and ".join((", ".join(rigid[:-1]), rigid[-1]) if rigid[1:] else rigid)
-        sentence = f"needs a base that gives in {joined}; a rigid one would jerk the machine along"
+        sentence = f"needs a base that gives in {listed(rigid)}; a rigid one would jerk the machine along"
         order = ": slides along x and y with springs, then a vertical hinge with one" if turns else ""
         found.append(Fault("base_path", sentence + order))
     return found

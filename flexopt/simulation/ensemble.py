@@ -42,7 +42,7 @@ from flexopt.simulation.members import Keep, Plan, member_loops, motion_constant
 from flexopt.simulation.real_loop import in_shorter_steps, with_loop
 from flexopt.simulation.run import OUTGREW, check_residual, grew, moves, note_run, runners, signals_at_end, unfollowed
 from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options
-from flexopt.simulation.verdict import LoopVerdict, grounds_of, judge
+from flexopt.simulation.verdict import Judgement, LoopVerdict, grounds_of, judge
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -97,7 +97,7 @@ class Ensemble(Pictured, Tabled):
     @cached_property
     def verdict(self) -> NDArray[np.str_]:
         """See the class."""
-        return np.array(judged_beside(self, self.linear_loops))
+        return np.array([each.verdict for each in judged_beside(self, self.linear_loops)])
 
     @public(verdict=words(*VERDICTS))
     def share(self, verdict: LoopVerdict) -> float:
@@ -177,10 +177,10 @@ class Ensemble(Pictured, Tabled):
         )
 
 
-def judged_beside(ensemble: Ensemble, loops: Iterable[SampledLoop | str]) -> list[LoopVerdict]:
-    """The verdict of each member, its run beside the eigenvalues of a linear loop; a sentence where there is none."""
+def judged_beside(ensemble: Ensemble, loops: Iterable[SampledLoop | str]) -> list[Judgement]:
+    """Of each member its run beside the eigenvalues of a linear loop; a sentence where there is none."""
     shown = (share.shown(k) for share in ensemble.measures for k in range(len(share.grows)))
-    return [judge(run, loop).verdict for run, loop in zip(shown, loops, strict=True)]
+    return [judge(run, loop) for run, loop in zip(shown, loops, strict=True)]
 
 
 def _vary(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> dict[str, Vector]:

@@ -318,6 +318,11 @@ def test_placement_moves_the_machine_whether_a_slide_absorbs_it_or_not(sign):
         home = column(case.plant.end_point(column(case.plant.rest(0 * here, posture, case.p)), 0 * here, case.p))
         turn = pin.rpy.rpyToMatrix(0.0, 0.0, base[2] if "yaw" in placement else 0.0)
         close(r, turn @ home + [*base[:2], 0.0])
+        drawn, unmoved = (
+            case.plant.skeleton(case.plant.rest(at, posture, case.p), at, case.p).full() for at in (here, 0 * here)
+        )
+        close(drawn, turn @ unmoved + np.array([[*base[:2], 0.0]]).T)
+        close(drawn[:, 0], [*base[:2], 0.0])
         jacobian = case.plant.base_jacobian(here, posture, case.p).full()
         close(jacobian[:, :2], np.eye(3)[:, :2])
         if "yaw" in placement:

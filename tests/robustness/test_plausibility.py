@@ -357,13 +357,33 @@ def test_results_warn_once_each() -> None:
         lambda: flexopt.select_stand(machine, [(0.0, 1.6), (0.5, 1.6)], starts=1, workers=1),
     ):
         with pytest.warns(
-            ImplausibleMachine, match=r"3 numbers are not plausible .`flexopt check` tells all."
+            ImplausibleMachine, match=r"2 numbers are not plausible .`flexopt check` tells all."
         ) as caught:
             call()
         assert sum(issubclass(warning.category, ImplausibleMachine) for warning in caught) == 1
     with pytest.warns(ImplausibleMachine) as caught:
         flexopt.evaluate(machine, (0.5, -1.0))
     assert caught[0].filename == __file__
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "sinks"),
+    [("excavator", "x", False), ("excavator", "y", True), ("truck-crane", "base.x", False),
+     ("truck-crane", "base.z", True), ("truck-crane", "base.yaw", False), ("truck-crane", "base.roll", True)],
+)  # fmt: skip
+def test_what_carries_no_weight_may_be_soft(name: str, joint: str, sinks: bool) -> None:
+    """Moorings, or rubber about the upright axis: nothing sinks on them."""
+    data = shipped(name)
+    if name == "excavator":
+        data["base"]["stiffness"][joint] = 4e4
+    else:
+        coupled = data["stiffness_matrix"]
+        k = coupled["joints"].index(joint)
+        coupled["matrix"][k] = [0.0] * 6
+        for row in coupled["matrix"]:
+            row[k] = 0.0
+        coupled["matrix"][k][k] = 3e4 if joint in ("base.x", "base.z") else 1e5
+    assert any("the spring" in sentence for sentence in told(data)) == sinks
 
 
 def test_a_good_machine_is_evaluated_in_silence() -> None:

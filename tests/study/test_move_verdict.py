@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -616,6 +617,34 @@ def test_what_all_targets_rest_on_is_told_once() -> None:
     )
     assert place.rest == "stay rests on base.x upper bound, decay at target 1, boom lower bound at target 2"
     assert replace(place, rests_on=((), ())).rest == ""
+    # One name of several rows, two corners of a forbidden area say, once.
+    assert replace(place, rests_on=(("decay", "decay"),)).rest == "stay rests on decay"
+
+
+@pytest.mark.parametrize("softer", [0.01, 0.003])
+def test_runs_of_slow_machines_last_ten_periods(softer: float) -> None:
+    """Of 3 s nothing can be told of them, which is said."""
+    data = flexopt.load("excavator").to_dict()
+    for table in (data["base"]["stiffness"], data["base"]["damping"]):
+        table |= {name: softer * value for name, value in table.items()}
+    machine = flexopt.machine_from_dict(data)
+    few = {"starts": 2, "members": 4, "runs": 2, "base": 0.0, "loop": {"kp": 1e3, "kv": 1e3, "rate": 20.0}}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", flexopt.ImplausibleMachine)
+        found, cut = (flexopt.verdict(machine, (0.0, 1.6), duration=given, **few) for given in (None, 3.0))
+        slowest = [flexopt.evaluate(machine, p.posture, base=p.base).frequencies_hz.min() for p in found.places]
+    assert (found.word, found.place, cut.word) == ("move", "candidate 1", "cannot tell")
+    stay, first, *_ = found.places
+    assert stay.runs is not None
+    assert first.runs is not None
+    assert first.runs.verdicts == ("converges", "converges")
+    # A place that is judged and not shown may have a slower mode.
+    assert first.runs.duration == pytest.approx(10 / min(slowest), rel=0.1)
+    # Of what grows no run is to confirm that it is stable.
+    assert stay.runs.growing == 1
+    assert [place.unconfirmed for place in (stay, first)] == ["", ""]
+    assert "candidate 1, a nonlinear run that does not confirm: the run of 3 s" in repr(cut)
+    assert "too short to tell" in cut.places[1].unconfirmed
 
 
 @pytest.mark.long

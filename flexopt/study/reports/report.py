@@ -35,6 +35,7 @@ from flexopt.study.default_gains import default_gains
 from flexopt.study.gains import BorderRow, border_row
 from flexopt.study.reports.result import Report, ReportLoop
 from flexopt.study.reports.surroundings import best_of, map_points, marks_in, problem_of, stands_of, surroundings
+from flexopt.study.verdicts.confirmation import long_enough
 from flexopt.study.verdicts.place_loops import problems_of
 from flexopt.study.verdicts.result import Verdict
 from flexopt.study.verdicts.verdict import MEMBERS, RUNS, SIZES, verdict
@@ -91,7 +92,8 @@ def report(
         simulation: arguments of `flexopt.simulate` for these, before those of the experiment; not where the machine
             stands, nor `control` and `gravity`, which are the problem's. Where neither names `kp` or `kv` they are as
             heavy as the machine in the chosen configuration: a corner at 0.3 of its lowest mode, damped by 0.7, and
-            halved until the linear loop is stable; see `flexopt.study.default_gains`.
+            halved until the linear loop is stable; see `flexopt.study.default_gains`. Runs of slow machines last ten
+            periods of the slowest mode, where neither says a `duration`.
         loop, ranges: the real controller and what is uncertain, as of `flexopt.verdict`; by default those of the
             experiment, the problem or the machine. Where a controller is known the report says whether it pays to move,
             and the closed loops are its, with the verdict's numbers, unless `simulation` or the experiment's
@@ -129,6 +131,9 @@ def report(
     judged, why_not = _judged(selection, known, ground, members, runs, stages.within)
     stages.next()
     stands, loops, real = stands_of(selection), dict[str, ReportLoop](), None
+    usual: float = SimulationOptions.model_fields["duration"].default
+    longer = long_enough(stands.values(), usual)
+    given = ({} if longer == usual else {"duration": longer}) | given
     # What is said of the controller otherwise goes before a loop that is known.
     otherwise = known is None or bool(brought_twice(given))
     if otherwise:

@@ -6,7 +6,7 @@ In: a loop in a configuration, members. Out: an ensemble's verdicts, settling ti
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +16,16 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.results import Result
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.simulation import on_their_way
+from flexopt.robustness import Evaluation
 from flexopt.simulation import simulate_ensemble
 from flexopt.simulation.ensemble import Ensemble, judged_beside
 from flexopt.simulation.real_loop import SHORTER, braked, braked_by, run_options
 from flexopt.simulation.run import OUTGREW
 
 SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "end_error", "peak_error")
+# Length of a run, s: of slow machines so many periods of the slowest mode, at most the longest.
+DURATION, PERIODS, LONGEST = 20.0, 10, 3600.0
+UNFINISHED = "the integrator could not finish the run"
 # What runs may show; of several the first that one of them shows.
 WORST_FIRST = ("grows", "undecided", "converges")
 
@@ -36,6 +40,7 @@ class Runs(Result):
         turn: largest turn of the base in each, rad.
         decay: as the run shows it, 1/s.
         nearer: whether the end-point ends at most half as far from its target as it ever was.
+        reasons: why each does not confirm that the loop is stable and brings the end-point nearer, empty where it does.
         duration: of a run, s.
 
     A run that the integrator could not finish grows where the linear loop does, and is undecided elsewhere.
@@ -46,9 +51,10 @@ class Runs(Result):
     turn: Vector
     decay: Vector
     nearer: tuple[bool, ...]
+    reasons: tuple[str, ...]
     duration: float
 
-    DOCUMENT = "members converging confirming verdicts settling[s] turn[rad] decay[1/s] nearer duration[s]"
+    DOCUMENT = "members converging confirming verdicts settling[s] turn[rad] decay[1/s] nearer reasons duration[s]"
 
     @property
     def members(self) -> int:
@@ -73,11 +79,16 @@ class Runs(Result):
     @property
     def confirming(self) -> float:
         """Share of those that converge and bring the end-point nearer."""
-        words = zip(self.verdicts, self.nearer, strict=True)
-        return sum(word == "converges" and nearer for word, nearer in words) / len(self.verdicts)
+        return sum(not reason for reason in self.reasons) / len(self.reasons)
 
     def _share(self, word: str) -> float:
         return self.verdicts.count(word) / len(self.verdicts)
+
+
+def long_enough(configurations: Iterable[Evaluation], least: float = DURATION) -> float:
+    """How long a run takes to show whether the slowest mode grows in any configuration, s."""
+    slowest_hz = min(float(each.frequencies_hz.min()) for each in configurations)
+    return max(least, PERIODS / slowest_hz if slowest_hz * LONGEST > PERIODS else LONGEST)
 
 
 def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duration: float) -> Runs:
@@ -87,7 +98,7 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
     """
     waits = [on_their_way(loop.box.numbers(u)[1], loop.settings.rate) for u in members]
     verdicts = ["grows" if decay < 0 else "undecided" for decay in decays.tolist()]
-    found, nearer = np.full((3, len(members)), np.nan), [False] * len(members)
+    found, nearer, reasons = np.full((3, len(members)), np.nan), [False] * len(members), [UNFINISHED] * len(members)
     for wait in sorted(set(waits)):
         rows = [k for k, each in enumerate(waits) if each == wait]
         for some, ensemble in _ensembles(loop, members, decays, rows, duration):
@@ -98,23 +109,31 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                 loop.outcome(members[row]).loop if isinstance(own, str) else own
                 for row, own in zip(some, ensemble.linear_loops, strict=True)
             ]
-            words = judged_beside(ensemble, beside)
-            ends = zip(some, words, data["end_error"], data["peak_error"], strict=True)
-            for row, word, end, peak in ends:
-                verdicts[row], nearer[row] = word, bool(end <= peak / 2)
-    return Runs(tuple(verdicts), *found, nearer=tuple(nearer), duration=duration)
+            judgements = judged_beside(ensemble, beside)
+            for row, own, end, peak in zip(some, judgements, data["end_error"], data["peak_error"], strict=True):
+                verdicts[row], nearer[row] = own.verdict, bool(end <= peak / 2)
+                reasons[row] = "" if nearer[row] else f"the end-point ends {end:.3g} m off its target, of {peak:.3g} m"
+                reasons[row] = reasons[row] if own.verdict == "converges" else own.reason
+    return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
 
 
 def of_all(each: Sequence[Runs]) -> Runs:
     """The worst of runs of the same members at several targets: one that grows at any target grows."""
     if len(each) == 1:
         return each[0]
-    words = list(zip(*(runs.verdicts for runs in each), strict=True))
+    words, whys = (list(zip(*(getattr(runs, name) for runs in each), strict=True)) for name in ("verdicts", "reasons"))
     verdicts = tuple(next(word for word in WORST_FIRST if word in some) for some in words)
     settling, turn = (np.array([getattr(runs, name) for runs in each]).max(axis=0) for name in ("settling", "turn"))
     decay = np.array([runs.decay for runs in each]).min(axis=0)
     nearer = tuple(map(all, zip(*(runs.nearer for runs in each), strict=True)))
-    return Runs(verdicts, settling, turn, decay, nearer, each[0].duration)
+    reasons = tuple(_worst_reason(*both) for both in zip(words, whys, strict=True))
+    return Runs(verdicts, settling, turn, decay, nearer, reasons, each[0].duration)
+
+
+def _worst_reason(words: Sequence[str], reasons: Sequence[str]) -> str:
+    """Of one member at each target: why the worst of its runs does not confirm; empty where all do."""
+    k = min((WORST_FIRST.index(word), not why, k) for k, (word, why) in enumerate(zip(words, reasons, strict=True)))[-1]
+    return reasons[k] and f"at target {k + 1} {reasons[k]}"
 
 
 def _ensembles(

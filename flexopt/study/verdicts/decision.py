@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.plain import listed
 from flexopt.foundation.rounding import way
 from flexopt.study.verdicts.places import STAY
 
@@ -144,9 +145,7 @@ def decide(
     every = [*([] if stay is None else [stay]), *others]
     doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
     if doubted:
-        return Decision(
-            "cannot tell", doubted[0], f"nonlinear runs do not confirm {' and '.join(map(spoken, doubted))}"
-        )
+        return Decision("cannot tell", doubted[0], f"nonlinear runs do not confirm {listed(map(spoken, doubted))}")
     with_others = f", nor with {tried}" if tried else ""
     if refuted is not None and refuted.holds:
         named = f" ({gains_in_words(gains)})" if gains else ""
@@ -248,7 +247,7 @@ def _why_gains(
         share = f"{BETTER} than the present place on {100 * rival.better_than(stay):.0f} % of them only"
         return f"{reason}; with the present ones {rival.name} is stable on every ground, too, but {share}"
     if doubted:
-        names, one = " and ".join(place.name for place in doubted), len(doubted) == 1
+        names, one = listed(place.name for place in doubted), len(doubted) == 1
         stable = f"{names} {'is' if one else 'are'} stable on every ground, too"
         return f"{reason}; with the present ones {stable}, but nonlinear runs do not confirm {'it' if one else 'them'}"
     return f"{reason}; with the present ones no place found is stable on every ground"

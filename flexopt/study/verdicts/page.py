@@ -101,7 +101,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "present": verdict.present_told and sentence(f"{STAY}: {verdict.present_told}"),
         "where": _where(verdict),
         "assumed": list[str](),
-        "rests": [sentence(place.rest) for place in verdict.places if place.rest],
+        "rests": [sentence(each) for place in verdict.places for each in (place.rest, place.unconfirmed) if each],
         "loop": with_minus(verdict.controller),
         "handed_on": sentence(verdict.handed_on),
         "hardly_served": sentence(verdict.settings.hardly_served),

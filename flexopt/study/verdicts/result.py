@@ -12,6 +12,7 @@ import numpy as np
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import path, public
 from flexopt.foundation.pictures import Pictured
+from flexopt.foundation.plain import listed
 from flexopt.foundation.printing import Printed
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
@@ -109,14 +110,19 @@ class PlaceVerdict(Result):
         """On which bounds and constraints it rests, a sentence; empty where on none."""
         count, at = len(self.rests_on), dict[str, list[int]]()
         for k, names in enumerate(self.rests_on, start=1):
-            for name in names:
+            for name in dict.fromkeys(names):
                 at.setdefault(name, []).append(k)
         told = [
-            name if len(where) == count else f"{name} at target {' and '.join(map(str, where))}"
-            for name, where in at.items()
+            name if len(where) == count else f"{name} at target {listed(map(str, where))}" for name, where in at.items()
         ]
         stopped = "; nothing stops a joint there in its runs" if self.runs and self._on_a_joint else ""
         return f"{self.name} rests on {', '.join(told)}{stopped}" if told else ""
+
+    @property
+    def unconfirmed(self) -> str:
+        """Why the first of the nonlinear runs that does not confirm a stable loop does not; empty where all do."""
+        why = next(filter(None, self.runs.reasons), "") if self.runs and self.decay.least > 0 else ""
+        return why and f"{self.name}, a nonlinear run that does not confirm: {why}"
 
     @property
     def _on_a_joint(self) -> bool:
@@ -465,6 +471,7 @@ class Verdict(Pictured, Printed, Result):
             lines.append(f"  –: {'; '.join(whys)}")
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
         lines += [f"  {place.rest}" for place in self.places if place.rest]
+        lines += [f"  {place.unconfirmed}" for place in self.places if place.unconfirmed]
         lines += [f"  {self.drifts}"] * bool(self.drifts)
         lines += [f"  {self.unseen}"] * bool(self.unseen)
         lines += [f"  {sentence}" for sentence in self.assumed]

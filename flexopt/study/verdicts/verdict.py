@@ -37,7 +37,7 @@ from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.study.asked import any_problem
-from flexopt.study.verdicts.confirmation import Runs
+from flexopt.study.verdicts.confirmation import Runs, long_enough
 from flexopt.study.verdicts.decision import FASTER, MOST, Decision, Place, decide, deciding, faster, ranked, spoken
 from flexopt.study.verdicts.gain_search import best_gains, tried_gains
 from flexopt.study.verdicts.place_loops import (
@@ -64,8 +64,6 @@ SIZES = {"members": whole(2, 100_000), "runs": whole(0, 100_000)}
 STAGES = 5
 # So often gains are sought again for a member that was not among the few.
 EXCHANGES = 3
-# Length of a nonlinear run, s.
-DURATION = 20.0
 UNPLACED = Fault("base", "is needed: where the machine stands now, from which it may pay to move")
 T = TypeVar("T")
 
@@ -100,7 +98,7 @@ def verdict(
     ranges: RangesLike | None = None,
     members: int = MEMBERS,
     runs: int = RUNS,
-    duration: float = DURATION,
+    duration: float | None = None,
     progress: Progress | None = None,
     options: SelectionOptions | None = None,  # noqa: ARG001 - its fields come as keywords
     **keywords: Unpack[SelectionKeywords],
@@ -124,7 +122,7 @@ def verdict(
             factor ½ to 2 of all springs.
         members: how many points of the uncertainty decays are computed of; all corners of up to six ranges at least.
         runs: how many of them are run nonlinearly in each place, too; 0 for none, which then need not confirm.
-        duration: of a run, s.
+        duration: of a run, s; by default 20, or ten periods of the slowest mode where that is longer, an hour at most.
         progress: called with the percentage done and 100: a fifth each for places, decays, runs, other gains, and
             what the loop does in each place.
 
@@ -151,6 +149,7 @@ def verdict(
     stages.next()
     stands = configurations_of(chosen)
     first = next(iter(stands.values()))[0]
+    duration = duration or long_enough(each for stand in stands.values() for each in stand)
     settings = loop_settings(machine, asked, first, gravity=solved.gravity)
     box = UncertaintyBox(machine, uncertain, settings.dead_time)
     raise_if_any(InputError, "verdict", box.faults(settings.rate))
@@ -188,11 +187,8 @@ def verdict(
     unconfirmed = [name for name, run in shown.items() if run.confirming < MOST]
     tried = tried_gains(asked) if known and _tries(asked, known, unconfirmed) else ""
     changed, gains = _changed(asked, known, loops, slowest, points) if tried else (None, {})
-    refuted: Place | None = None
-    if changed is not None and runs:
-        of_few = changed[1].runs(points[:runs], changed[1].decays(points[:runs]), duration)
-        if of_few.confirming < MOST:
-            changed, refuted = None, changed[0]
+    refuted = changed and changed[0] if _refuted(changed, points[:runs], duration) else None
+    changed = None if refuted else changed
     stages.next()
     decision = decide(
         stay, rest, changed and changed[0], unconfirmed, tried=tried, refuted=refuted, gains=gains,
@@ -265,6 +261,14 @@ def _each(names: Collection[str], work: Callable[[str], T], tell: Progress) -> d
         made[name] = work(name)
         tell(len(made), len(names))
     return made
+
+
+def _refuted(changed: tuple[Place, PlaceLoops] | None, members: Vector, duration: float) -> bool:
+    """Whether nonlinear runs of these members do not confirm what is proposed."""
+    if changed is None or not len(members):
+        return False
+    loops = changed[1]
+    return loops.runs(members, loops.decays(members), duration).confirming < MOST
 
 
 def _first_runs(
