@@ -124,7 +124,7 @@ def _drive(loop: dict[str, Any]) -> str:
 @argument("problem")
 @of_machine
 @judged
-@value("--duration", "S", "Of a run, s (by default 20, or ten periods of the slowest mode).", number)
+@value("--duration", "S", "Of a run, s (by default 20; of what is slow longer).", number)
 @of_picture("Draw the bands of every place: .png, .svg or .pdf.")
 @value("--html", "FILE", "Write a page: the word, the bands, the table, the rule.")
 @PDF
@@ -186,6 +186,8 @@ def asked_problem(call: str, name: str, options: dict[str, Any]) -> tuple[Any, L
     loaded: AnyMachine | Problem = read(load_any, name)
     asked = given(options, *OF_MACHINE)
     if isinstance(loaded, Problem):
+        if asked.pop("gravity", False):
+            loaded = loaded.model_copy(update={"selection": loaded.selection.model_copy(update={"gravity": True})})
         sentence = "goes with a machine; the problem file brings its own"
         faults = [Fault(f"--{word.replace('_', '-')}", sentence, typed(v)) for word, v in asked.items()]
         raise_if_any(InputError, call, faults)

@@ -36,6 +36,24 @@ def test_the_command_says_what_python_says(command: Command) -> None:
     assert "verdict" not in command("select", "article", "--json").document
 
 
+def test_the_weight_can_be_asked_for_beside_a_problem_file(command: Command, tmp_path: Path) -> None:
+    text = """schema = 1
+name = "own"
+machine = "excavator"
+[target]
+end_point = [0.0, 1.6]
+[selection]
+base = [0.0]
+starts = 2
+"""
+    (tmp_path / "own.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "weight.toml").write_text(text + "gravity = true\n", encoding="utf-8")
+    few = ("--members", "2", "--runs", "0", "--json")
+    asked, own = (command("verdict", *words, *few).document for words in (("own.toml", "--gravity"), ("weight.toml",)))
+    assert asked["places"] == own["places"]
+    assert asked["places"] != command("verdict", "own.toml", *few).document["places"]
+
+
 @pytest.mark.long
 def test_a_choice_is_handed_out_before_its_verdict(
     command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path

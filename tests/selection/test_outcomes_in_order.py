@@ -43,6 +43,8 @@ def test_no_point_of_a_scan_keeps_the_first_and_has_more_of_the_second(objective
     unit = {"decay": "1/s", "delay_margin": "s", "w1": "1/(kg m2)"}[first]
     assert f"{first} kept: at least {kept.at_least:.6g} {unit}, " in repr(found)
     assert f"objective {objective}:" in repr(found)
+    # Who compares results is told that another question was asked.
+    assert found.provenance["options"]["objective"] == objective
     assert found.to_dict()["kept"][0]["at_least"] == kept.at_least
 
 

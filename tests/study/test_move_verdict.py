@@ -23,6 +23,7 @@ from flexopt.study.page import with_minus
 from flexopt.study.verdicts.confirmation import nonlinear_runs
 from flexopt.study.verdicts.place_loops import configurations_of, unreached
 from flexopt.study.verdicts.places import allowed, told
+from flexopt.study.verdicts.result import GROUND_ASSUMED
 
 ARTICLE = {"kp": 1e4, "kv": 1e3}
 
@@ -605,7 +606,7 @@ def test_a_place_may_rest_on_what_its_loop_must_do_at_least() -> None:
         at_end = math.isclose(abs(float(place.base[0]) - 1.5), drive, abs_tol=1e-5)
         assert any(name.endswith("bound (assumed: reach)") for name in place.rests_on[0]) == at_end
     assert all(sentence in repr(far) for sentence in far.assumed)
-    assert far.to_dict()["assumed"] == far.assumed == [str(each) for each in far.problems[0].assumed]
+    assert far.to_dict()["assumed"] == far.assumed == [*map(str, far.problems[0].assumed), GROUND_ASSUMED]
 
 
 def test_what_all_targets_rest_on_is_told_once() -> None:
@@ -638,8 +639,8 @@ def test_runs_of_slow_machines_last_ten_periods(softer: float) -> None:
     assert stay.runs is not None
     assert first.runs is not None
     assert first.runs.verdicts == ("converges", "converges")
-    # A place that is judged and not shown may have a slower mode.
-    assert first.runs.duration == pytest.approx(10 / min(slowest), rel=0.1)
+    # What its loop swings at may take longer.
+    assert 10 / slowest[1] <= first.runs.duration * (1 + 1e-12) <= max(10 / slowest[1], 120.0)
     # Of what grows no run is to confirm that it is stable.
     assert stay.runs.growing == 1
     assert [place.unconfirmed for place in (stay, first)] == ["", ""]

@@ -105,7 +105,11 @@ def outcome_selection(
         attempts=attempts,
         kept=kept,
         problem=problem,
-        provenance=provenance(machine, target=problem.target.tolist(), **asked.stated(problem)),
+        provenance=provenance(
+            machine,
+            target=problem.target.tolist(),
+            **asked.stated(problem) | {"objective": ",".join([*(each.objective for each in kept), asked.name])},
+        ),
         asked=asked,
         criterion=program.measure,
         present=None if initial is None else _present(program, initial, distinct[0]),

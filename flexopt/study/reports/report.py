@@ -132,7 +132,7 @@ def report(
     stages.next()
     stands, loops, real = stands_of(selection), dict[str, ReportLoop](), None
     usual: float = SimulationOptions.model_fields["duration"].default
-    longer = long_enough(stands.values(), usual)
+    longer = long_enough((float(each.frequencies_hz.min()) for each in stands.values()), least=usual)
     given = ({} if longer == usual else {"duration": longer}) | given
     # What is said of the controller otherwise goes before a loop that is known.
     otherwise = known is None or bool(brought_twice(given))

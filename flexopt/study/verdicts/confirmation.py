@@ -16,7 +16,6 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.results import Result
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.simulation import on_their_way
-from flexopt.robustness import Evaluation
 from flexopt.simulation import simulate_ensemble
 from flexopt.simulation.ensemble import Ensemble, judged_beside
 from flexopt.simulation.real_loop import SHORTER, braked, braked_by, run_options
@@ -25,6 +24,8 @@ from flexopt.simulation.run import OUTGREW
 SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "end_error", "peak_error")
 # Length of a run, s: of slow machines so many periods of the slowest mode, at most the longest.
 DURATION, PERIODS, LONGEST = 20.0, 10, 3600.0
+# So many periods of a swing of the loop, at most so long.
+SWINGS, SWUNG = 4, 120.0
 UNFINISHED = "the integrator could not finish the run"
 # What runs may show; of several the first that one of them shows.
 WORST_FIRST = ("grows", "undecided", "converges")
@@ -85,10 +86,11 @@ class Runs(Result):
         return self.verdicts.count(word) / len(self.verdicts)
 
 
-def long_enough(configurations: Iterable[Evaluation], least: float = DURATION) -> float:
-    """How long a run takes to show whether the slowest mode grows in any configuration, s."""
-    slowest_hz = min(float(each.frequencies_hz.min()) for each in configurations)
-    return max(least, PERIODS / slowest_hz if slowest_hz * LONGEST > PERIODS else LONGEST)
+def long_enough(modes_hz: Iterable[float], swings_hz: Iterable[float] = (), least: float = DURATION) -> float:
+    """How long a run takes to show whether the slowest of these modes grows, s; and of swings of a loop."""
+    modes = [min(PERIODS / hz, LONGEST) if hz > 0 else LONGEST for hz in modes_hz]
+    swings = [min(SWINGS / hz, SWUNG) for hz in swings_hz]
+    return max([least, *modes, *swings])
 
 
 def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duration: float) -> Runs:

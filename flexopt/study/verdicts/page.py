@@ -100,7 +100,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "taken": verdict.taken and sentence(f"staying is judged in {verdict.taken}"),
         "present": verdict.present_told and sentence(f"{STAY}: {verdict.present_told}"),
         "where": _where(verdict),
-        "assumed": list[str](),
+        "assumed": [sentence(verdict.assumed_ground)] if verdict.assumed_ground else [],
         "rests": [sentence(each) for place in verdict.places for each in (place.rest, place.unconfirmed) if each],
         "loop": with_minus(verdict.controller),
         "handed_on": sentence(verdict.handed_on),

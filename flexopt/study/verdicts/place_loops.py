@@ -32,7 +32,7 @@ from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import held_by_loop
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.starts import apart
-from flexopt.study.verdicts.confirmation import Runs, nonlinear_runs, of_all
+from flexopt.study.verdicts.confirmation import Runs, long_enough, nonlinear_runs, of_all
 from flexopt.study.verdicts.decision import UNREACHED
 from flexopt.study.verdicts.places import STAY
 
@@ -45,6 +45,8 @@ LOOKED = 12
 LEAST_TOLD = 1e-3
 # So many times the usual number of postures is looked at where a placement is given.
 FINER = 6
+# Damping ratio from which a swing is over within a period.
+OVER = 0.5
 # From so many of these the objective is climbed.
 CLIMBED = 16
 
@@ -59,16 +61,21 @@ class Slowest(NamedTuple):
 
 @dataclass(frozen=True)
 class PlaceLoops:
-    """The loop in one place: one `UncertainLoop` for each of K targets, all with the same numbers."""
+    """The loop in one place: one `UncertainLoop` for each of K targets, all with the same numbers.
+
+    Attributes:
+        loops: these.
+        modes_hz: frequency of the base's slowest mode at each target.
+    """
 
     loops: tuple[UncertainLoop, ...]
+    modes_hz: tuple[float, ...]
 
     @classmethod
-    def at(
-        cls, settings: LoopSettings, stands: Sequence[tuple[Vector, Vector]], box: UncertaintyBox, *, gravity: bool
-    ) -> PlaceLoops:
-        """With this placement and posture at each target."""
-        return cls(tuple(UncertainLoop(settings, base, posture, gravity, box) for base, posture in stands))
+    def at(cls, settings: LoopSettings, stand: Configurations, box: UncertaintyBox, *, gravity: bool) -> PlaceLoops:
+        """In this configuration at each target."""
+        loops = tuple(UncertainLoop(settings, each.base, each.posture, gravity, box) for each in stand)
+        return cls(loops, tuple(float(each.frequencies_hz.min()) for each in stand))
 
     @property
     def settings(self) -> LoopSettings:
@@ -82,7 +89,7 @@ class PlaceLoops:
 
     def with_settings(self, settings: LoopSettings) -> PlaceLoops:
         """The same with other gains."""
-        return PlaceLoops(tuple(replace(loop, settings=settings) for loop in self.loops))
+        return replace(self, loops=tuple(replace(loop, settings=settings) for loop in self.loops))
 
     def decays(self, members: Vector) -> Vector:
         """Of every member (n, k) at every target, 1/s, (K, n)."""
@@ -94,11 +101,16 @@ class PlaceLoops:
         first = min(range(len(found)), key=lambda k: found[k][0])
         return Slowest(*found[first], first)
 
-    def runs(self, members: Vector, decays: Vector, duration: float) -> Runs:
+    def runs(self, members: Vector, decays: Vector, duration: float | None) -> Runs:
         """Nonlinear runs of the members (n, k), with decays (K, n), s; of each the worst target's."""
-        return of_all(
-            [nonlinear_runs(loop, members, own, duration) for loop, own in zip(self.loops, decays, strict=True)]
-        )
+        long = duration or long_enough(self.modes_hz, self._swings_hz)
+        return of_all([nonlinear_runs(loop, members, own, long) for loop, own in zip(self.loops, decays, strict=True)])
+
+    @property
+    def _swings_hz(self) -> Vector:
+        """Frequencies of what the loops do that is not over within a period."""
+        poles = np.concatenate([loop.outcome().loop.poles for loop in self.loops])
+        return poles.imag[(poles.imag > 0) & (-poles.real < OVER * np.abs(poles))] / math.tau
 
 
 def problems_of(chosen: Chosen) -> tuple[SelectionProblem, ...]:

@@ -19,7 +19,7 @@ from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import unseen_told
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
-from flexopt.model.uncertainty import Uncertainty, parameters_of
+from flexopt.model.uncertainty import GROUND, Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import broken, elsewhere, reached
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 # How names of a variable's ends end.
 END = " bound"
 # Why a place is told of that is none of the best, if it is not the selection's first.
+GROUND_ASSUMED = "assumed (uncertainty): all springs may be half or twice as stiff, for no [[uncertainty]] is given"
 MOST_OFTEN = "decays faster than the present place on the most grounds"
 
 
@@ -439,7 +440,12 @@ class Verdict(Pictured, Printed, Result):
     @property
     def assumed(self) -> list[str]:
         """See the class."""
-        return [str(assumption) for assumption in self.problems[0].assumed]
+        return [*map(str, self.problems[0].assumed), *filter(None, [self.assumed_ground])]
+
+    @property
+    def assumed_ground(self) -> str:
+        """What is taken to be uncertain where nothing is said of it, a sentence; else empty."""
+        return GROUND_ASSUMED if self.uncertainty is GROUND else ""
 
     @property
     def _uncertainty(self) -> list[dict[str, Any]]:

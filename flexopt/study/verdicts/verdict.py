@@ -37,7 +37,7 @@ from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.study.asked import any_problem
-from flexopt.study.verdicts.confirmation import Runs, long_enough
+from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import FASTER, MOST, Decision, Place, decide, deciding, faster, ranked, spoken
 from flexopt.study.verdicts.gain_search import best_gains, tried_gains
 from flexopt.study.verdicts.place_loops import (
@@ -122,7 +122,8 @@ def verdict(
             factor ½ to 2 of all springs.
         members: how many points of the uncertainty decays are computed of; all corners of up to six ranges at least.
         runs: how many of them are run nonlinearly in each place, too; 0 for none, which then need not confirm.
-        duration: of a run, s; by default 20, or ten periods of the slowest mode where that is longer, an hour at most.
+        duration: of a run, s; by default 20, in a place where that is longer ten periods of the slowest mode, an hour
+            at most, or four of a swing of the loop, two minutes at most.
         progress: called with the percentage done and 100: a fifth each for places, decays, runs, other gains, and
             what the loop does in each place.
 
@@ -149,15 +150,11 @@ def verdict(
     stages.next()
     stands = configurations_of(chosen)
     first = next(iter(stands.values()))[0]
-    duration = duration or long_enough(each for stand in stands.values() for each in stand)
     settings = loop_settings(machine, asked, first, gravity=solved.gravity)
     box = UncertaintyBox(machine, uncertain, settings.dead_time)
     raise_if_any(InputError, "verdict", box.faults(settings.rate))
     points = box.members(members, solved.seed)
-    loops = {
-        name: PlaceLoops.at(settings, [(e.base, e.posture) for e in stand], box, gravity=solved.gravity)
-        for name, stand in stands.items()
-    }
+    loops = {name: PlaceLoops.at(settings, stand, box, gravity=solved.gravity) for name, stand in stands.items()}
     each = _each(loops, lambda name: loops[name].decays(points), lambda done, of: stages.within(done, 2 * of))
     decays: dict[str, Vector] = {name: own.min(axis=0) for name, own in each.items()}
     others = [name for name in ranked(decays) if name != STAY]
@@ -263,7 +260,7 @@ def _each(names: Collection[str], work: Callable[[str], T], tell: Progress) -> d
     return made
 
 
-def _refuted(changed: tuple[Place, PlaceLoops] | None, members: Vector, duration: float) -> bool:
+def _refuted(changed: tuple[Place, PlaceLoops] | None, members: Vector, duration: float | None) -> bool:
     """Whether nonlinear runs of these members do not confirm what is proposed."""
     if changed is None or not len(members):
         return False
@@ -272,7 +269,7 @@ def _refuted(changed: tuple[Place, PlaceLoops] | None, members: Vector, duration
 
 
 def _first_runs(
-    loops: Mapping[str, PlaceLoops], decays: Mapping[str, Vector], members: Vector, duration: float, name: str
+    loops: Mapping[str, PlaceLoops], decays: Mapping[str, Vector], members: Vector, duration: float | None, name: str
 ) -> Runs:
     """Nonlinear runs of the first members in one place."""
     try:
