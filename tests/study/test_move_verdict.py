@@ -629,7 +629,13 @@ def test_runs_of_slow_machines_last_ten_periods(softer: float) -> None:
     for table in (data["base"]["stiffness"], data["base"]["damping"]):
         table |= {name: softer * value for name, value in table.items()}
     machine = flexopt.machine_from_dict(data)
-    few = {"starts": 2, "members": 4, "runs": 2, "base": 0.0, "loop": {"kp": 1e3, "kv": 1e3, "rate": 20.0}}
+    few: dict[str, Any] = {
+        "starts": 2,
+        "members": 4,
+        "runs": 2,
+        "base": 0.0,
+        "loop": {"kp": 1e3, "kv": 1e3, "rate": 20.0},
+    }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", flexopt.ImplausibleMachine)
         found, cut = (flexopt.verdict(machine, (0.0, 1.6), duration=given, **few) for given in (None, 3.0))
