@@ -503,7 +503,11 @@ def resting(problem: SelectionProblem, z: Vector) -> list[str]:
     ]
     rows, (lower, upper, scale) = problem.rows(z), problem.row_bounds
     held = (lower < upper) & (np.minimum(np.abs(rows - lower), np.abs(rows - upper)) <= AT_END * scale)
-    return [*found, *(row.name for row, holds in zip(problem.constraints, held.tolist(), strict=True) if holds)]
+    # Several rows of one name, corners that touch a forbidden area say, are one.
+    return [
+        *found,
+        *dict.fromkeys(row.name for row, holds in zip(problem.constraints, held.tolist(), strict=True) if holds),
+    ]
 
 
 def beyond_bounds(problem: SelectionProblem, z: Vector) -> Vector:

@@ -220,7 +220,7 @@ def _candidate(problem: SelectionProblem, group: list[Best]) -> Candidate:
         z=z,
         w=problem.quantities.w_at(z).ravel(),
         objective=value_at(problem, z, problem.sought[0]),
-        active=proof.active,
+        active=tuple(dict.fromkeys(proof.active)),
         constraints=constraint_values(problem, z),
         target_error=proof.target_error,
         stationarity=proof.stationarity,

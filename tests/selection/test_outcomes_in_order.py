@@ -43,8 +43,9 @@ def test_no_point_of_a_scan_keeps_the_first_and_has_more_of_the_second(objective
     unit = {"decay": "1/s", "delay_margin": "s", "w1": "1/(kg m2)"}[first]
     assert f"{first} kept: at least {kept.at_least:.6g} {unit}, " in repr(found)
     assert f"objective {objective}:" in repr(found)
-    # Who compares results is told that another question was asked.
-    assert found.provenance["options"]["objective"] == objective
+    asked = found.provenance["options"]
+    assert (asked["objective"], asked["slack"]) == (objective, 0.2)
+    assert [each["name"] for each in asked["objectives"]] == [first, second]
     assert found.to_dict()["kept"][0]["at_least"] == kept.at_least
 
 
@@ -97,3 +98,15 @@ def test_robust_margins_beside_what_a_loop_must_do() -> None:
     )
     assert bounded.best.objective >= margin[decay >= 0.0155].max() - 1e-9
     assert bounded.best.evaluation.outcome.decay >= 0.0155 * (1 - 1e-5)
+
+
+def test_who_compares_choices_is_told_what_else_was_asked() -> None:
+    """Weights and slack of what is kept, too."""
+    given = [
+        {"objective": "decay"}, {"objective": "w1,decay"}, {"objective": "w1,decay", "slack": 0.05},
+        {"objective": "V,decay", "weights": [1.0, 1.0, 1.0]}, {"objective": "V,decay", "weights": [1.0, 0.1, 0.0]},
+    ]  # fmt: skip
+    chosen = [flexopt.select(EXCAVATOR, TARGET, base=0.0, loop=LOOP, starts=2, workers=1, **each) for each in given]
+    options = [each.provenance["options"] for each in chosen]
+    assert [each["objective"] for each in options] == [each["objective"] for each in given]
+    assert all(one != other for one, other in itertools.combinations(options, 2))

@@ -13,6 +13,7 @@ from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
 from flexopt.plant.inverse_kinematics import REACHED, solve_postures
 from flexopt.robustness.measures import build_measures
+from flexopt.selection.problem import resting
 from flexopt.selection.proof.check import prove
 from tests.oracles.spatial import grounded, pinocchio_tree, random_tree
 
@@ -417,6 +418,16 @@ def test_a_place_flush_with_an_area_is_an_optimum() -> None:
     found = flexopt.select(crane, target, constraints=constraints, **options)
     assert found.best.objective >= float(known.w.sum()) * 1.001
     assert "distance from keep_out[0]" in found.best.active
+
+
+def test_corners_that_touch_a_forbidden_area_together_are_told_once():
+    machine = flexopt.load("slewing-excavator")
+    front = max(x for x, _ in machine.support_points)
+    area = [[front, -9.0], [20.0, -9.0], [20.0, 9.0], [front, 9.0]]
+    posture = [0.0, 0.375, -1.206, -1.0083]
+    target = flexopt.evaluate(machine, posture, base=[0.0] * 3).end_point
+    problem = flexopt.build_selection(machine, target, base=[0.0] * 3, constraints={"keep_out": [area]})
+    assert resting(problem, np.array([0.0, 0.0, 0.0, *posture])).count("distance from keep_out[0]") == 1
 
 
 def test_an_arm_that_is_always_singular_is_refused_and_nothing_else_is_printed(capfd):

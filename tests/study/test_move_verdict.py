@@ -618,8 +618,6 @@ def test_what_all_targets_rest_on_is_told_once() -> None:
     )
     assert place.rest == "stay rests on base.x upper bound, decay at target 1, boom lower bound at target 2"
     assert replace(place, rests_on=((), ())).rest == ""
-    # One name of several rows, two corners of a forbidden area say, once.
-    assert replace(place, rests_on=(("decay", "decay"),)).rest == "stay rests on decay"
 
 
 @pytest.mark.parametrize("softer", [0.01, 0.003])

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from flexopt.errors import NoSolutionFound
-from flexopt.foundation.arrays import Progress
+from flexopt.foundation.arrays import Document, Progress
 from flexopt.selection.outcomes.asked import Asked, MeasureBounds, measure_of
 from flexopt.selection.outcomes.choice import outcome_selection
 from flexopt.selection.outcomes.result import OutcomeSelection
@@ -61,7 +61,20 @@ def outcome_selection_in_order(
         kept.append(Kept(name, found.best.objective, *ends, found.unverified, found.objective_unit))
     last, own = problems[names[-1]], replace(asked, name=names[-1])
     seeds += _of_modes(last, workers) if measure_of(names[-1], last).of_modes else []
-    return outcome_selection(last, own, initial, workers, progress, bounds=bounds, seeds=seeds, kept=tuple(kept))
+    found = outcome_selection(last, own, initial, workers, progress, bounds=bounds, seeds=seeds, kept=tuple(kept))
+    options = found.provenance["options"] | (_stated(problems) if kept else {})
+    return replace(found, provenance=found.provenance | {"options": options})
+
+
+def _stated(problems: Mapping[str, SelectionProblem]) -> Document:
+    """What was asked of several objectives, as provenance has it."""
+    of_modes = {name: problem.objective for name, problem in problems.items() if measure_of(name, problem).of_modes}
+    weights = {name: {"weights": objective.weights.tolist()} for name, objective in of_modes.items()}
+    return {
+        "objective": ",".join(problems),
+        "slack": next(iter(problems.values())).slack,
+        "objectives": [{"name": name} | weights.get(name, {}) for name in problems],
+    }
 
 
 def _of_modes(problem: SelectionProblem, workers: int | None) -> list[Seed]:

@@ -114,7 +114,11 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
             judgements = judged_beside(ensemble, beside)
             for row, own, end, peak in zip(some, judgements, data["end_error"], data["peak_error"], strict=True):
                 verdicts[row], nearer[row] = own.verdict, bool(end <= peak / 2)
-                reasons[row] = "" if nearer[row] else f"the end-point ends {end:.3g} m off its target, of {peak:.3g} m"
+                reasons[row] = (
+                    ""
+                    if nearer[row]
+                    else f"the end-point does not come to its target: in the end it is {end:.3g} m off"
+                )
                 reasons[row] = reasons[row] if own.verdict == "converges" else own.reason
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
 

@@ -35,7 +35,10 @@ if TYPE_CHECKING:
 # How names of a variable's ends end.
 END = " bound"
 # Why a place is told of that is none of the best, if it is not the selection's first.
-GROUND_ASSUMED = "assumed (uncertainty): all springs may be half or twice as stiff, for no [[uncertainty]] is given"
+GROUND_ASSUMED = (
+    "assumed (uncertainty): all springs may be half or twice as stiff, and all else is as the machine's file has it, "
+    "for no [[uncertainty]] is given"
+)
 MOST_OFTEN = "decays faster than the present place on the most grounds"
 
 
@@ -111,7 +114,7 @@ class PlaceVerdict(Result):
         """On which bounds and constraints it rests, a sentence; empty where on none."""
         count, at = len(self.rests_on), dict[str, list[int]]()
         for k, names in enumerate(self.rests_on, start=1):
-            for name in dict.fromkeys(names):
+            for name in names:
                 at.setdefault(name, []).append(k)
         told = [
             name if len(where) == count else f"{name} at target {listed(map(str, where))}" for name, where in at.items()
