@@ -28,3 +28,8 @@ def with_doubt(value: float, error: float | None, digits: int = 5, sign: Literal
         return f"{shown} ± {error:#.2g}"
     places = max(decimals, 0)
     return f"{round(value, decimals):{sign}z.{places}f} ± {round(error, decimals):.{places}f}"
+
+
+def in_degrees(angle: float, width: int, digits: int) -> str:
+    """An angle, rad, as `12.3°`; where there is none, NaN, as `–`."""
+    return f"{'–' if math.isnan(angle) else f'{math.degrees(angle):.{digits}f}°':>{width}}"

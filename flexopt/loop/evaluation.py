@@ -14,6 +14,7 @@ from flexopt.errors import FlexoptWarning
 from flexopt.foundation.arrays import BaseLike, PostureLike, Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
+from flexopt.foundation.doubt import in_degrees
 from flexopt.foundation.results import Result
 from flexopt.foundation.rounding import without_rounding
 from flexopt.loop.lag import LaggedModes, lagged_modes
@@ -41,7 +42,7 @@ class Outcome(Result):
             which for strong ones is more than the mode gains from them: `damping_ratios` have it exactly.
         lag, lag_reserve: ψ_i, by which the feedback of the end-point's rate is behind it at ω_i (dead time, half a
             sample, filter, servos, and that Kp acts on the position), and what is left of it before equal gains feed
-            the mode, (m,), rad; negative where they do.
+            the mode, (m,), rad; negative where they do; NaN (JSON: null) of a mode that no feedback reaches.
         first_order_decay: ζ_i ω_i + Im(b_iᵀ F(jω_i) a_i) / (2 ω_i), (m,), 1/s: ζ_i with the joints' velocity servos, F
             the lagging feedback; exact for small gains, `frequencies_hz` and `damping_ratios` for all.
         w_lagged: w_i with that lag, a_i·b_i cos ψ_i − sqrt(|a_i|²|b_i|² − (a_i·b_i)² sin² ψ_i), (m,), as w.
@@ -140,12 +141,11 @@ class Outcome(Result):
         kappa, wide = f"κ, {unit}", max(11, len(unit) + 3)
         head = f"  {'mode':>4} {kappa:>{wide}} {'κ, isotropic':>13} {'lag':>8} {'reserve':>8} {'1st order':>11}"
         lines = [f"loop: {first}", *sources, f"{head} {'frequency':>12} {'damping':>10}"]
-        degrees = np.degrees([self.lag, self.lag_reserve])
         for i, allowed in enumerate(self.allowance):
             lines.append(
-                f"  {i + 1:4d} {allowed:{wide}.4g} {self.allowance_isotropic[i]:13.4g} {degrees[0, i]:7.1f}° "
-                f"{degrees[1, i]:7.1f}° {self.first_order_decay[i]:+7.4g} 1/s {self.frequencies_hz[i]:9.4f} Hz "
-                f"{self.damping_ratios[i]:10.3e}"
+                f"  {i + 1:4d} {allowed:{wide}.4g} {self.allowance_isotropic[i]:13.4g} {in_degrees(self.lag[i], 8, 1)} "
+                f"{in_degrees(self.lag_reserve[i], 8, 1)} {self.first_order_decay[i]:+7.4g} 1/s "
+                f"{self.frequencies_hz[i]:9.4f} Hz {self.damping_ratios[i]:10.3e}"
             )
         if fed := [str(i + 1) for i in np.flatnonzero((self.lag_reserve < 0) & (self.first_order_decay > 0)).tolist()]:
             modes = f"mode {fed[0]}" if len(fed) == 1 else f"modes {', '.join(fed[:-1])} and {fed[-1]}"
@@ -277,11 +277,15 @@ def outcome_of(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *
     of_modes: dict[str, Any]
     modes_of_loop = lagged_modes(outcome.motions)
     of_modes, gradient = modes_of_loop.at(outcome.numbers, settings.dead_time)
-    unexcited = unreached(stand.scale) | (without_rounding(stand.w, stand.scale) == 0)
-    for name in ("allowance", "allowance_isotropic"):
-        of_modes[name][unexcited] = math.inf
+    hidden = unreached(stand.scale)
+    unexcited = hidden | (without_rounding(stand.w, stand.scale) == 0)
+    for name, modes, none in (
+        ("allowance", unexcited, math.inf), ("allowance_isotropic", unexcited, math.inf),
+        ("lag_reserve", hidden, math.nan),
+    ):  # fmt: skip
+        of_modes[name][modes] = none
         for slopes in gradient[name].values():
-            slopes[unexcited] = np.nan
+            slopes[modes] = np.nan
     alone = np.ones(len(stand.w), dtype=bool)
     for cluster in stand.clusters:
         alone[list(cluster)] = False

@@ -14,6 +14,7 @@ from flexopt.errors import FlexoptWarning
 from flexopt.foundation.arrays import BaseLike, PostureLike, Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
+from flexopt.foundation.doubt import in_degrees
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.results import Result
 from flexopt.loop.evaluation import Outcome
@@ -21,6 +22,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.loop import LoopLike
 from flexopt.plant.reach import arm_length
 from flexopt.robustness import Evaluation, Measures, build_measures, evaluate
+from flexopt.robustness.evaluation import unreached
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.robustness.residues import residue_unit
 from flexopt.selection.proof.nonnegative import nonnegative_least_squares
@@ -162,11 +164,11 @@ class Explanation(Pictured, Result):
         for i, w in enumerate(of.w):
             row = (
                 f"  {i + 1:4d} {of.frequencies_hz[i]:8.4f} Hz {of.damping_ratios[i]:10.3e} {of.scale[i]:13.5e} "
-                f"{math.degrees(self.angle[i]):7.2f}° {w:13.5e}"
+                f"{in_degrees(self.angle[i], 8, 2)} {w:13.5e}"
             )
             if self.outcome is not None:
-                reserve = math.degrees(self.outcome.lag_reserve[i])
-                row += f"{'':{len(self.w_unit) + 5}} {self.outcome.allowance[i]:{wide}.4g} {reserve:7.1f}° "
+                row += f"{'':{len(self.w_unit) + 5}} {self.outcome.allowance[i]:{wide}.4g} "
+                row += f"{in_degrees(self.outcome.lag_reserve[i], 8, 1)} "
                 row += f"{self.outcome.first_order_decay[i]:+9.4g} 1/s"
             lines.append(row)
         lines += [f"Mode {i}: {sentence}" for i, sentence in enumerate(self.sentences, 1)]
@@ -178,7 +180,7 @@ class Explanation(Pictured, Result):
     def _measure(self, i: int) -> str:
         hertz, w, size = self.evaluation.frequencies_hz[i], self.evaluation.w[i], self.evaluation.scale[i]
         first = f"{hertz:.4g} Hz, damping ratio {self.evaluation.damping_ratios[i]:.3g}."
-        if not size > 0 or math.isnan(self.angle[i]):
+        if math.isnan(self.angle[i]):
             return first
         share = f"w{i + 1} = {w:.4g} {self.w_unit}, {w / size:+.3g} of |a||b|"
         degrees = math.degrees(self.angle[i])
@@ -293,7 +295,8 @@ def explain(
     held: dict[str, Any] = measures.values(**at)
     a, b = held["a"].full(), held["b"].full()
     shared = {i for group in stand.clusters for i in group}
-    angle = np.array([math.nan if i in shared else _angle(a[:, i], b[:, i]) for i in range(len(stand.w))])
+    hidden = unreached(stand.scale)
+    angle = np.array([math.nan if i in shared or hidden[i] else _angle(a[:, i], b[:, i]) for i in range(len(stand.w))])
     unit = residue_unit(stand.control, machine.joint_units)
     unit = "in mixed units" if unit == "mixed" else unit
     return Explanation(stand, unit, angle, a, b, tuple(_moves(machine, measures, stand, shared)), machine)
@@ -327,11 +330,12 @@ def _moves(machine: AnyMachine, measures: Measures, stand: Evaluation, shared: s
         nothing: Vector = np.full(len(stand.w), math.nan)
         return ModeMove(status, None, "", np.full(len(z), math.nan), math.nan, nothing, math.nan)
 
+    hidden = unreached(stand.scale)
     for i, (w, size) in enumerate(zip(stand.w, stand.scale, strict=True)):
         whole = stand.gradient.w[i] * scale
         if i in shared:
             yield none("shared")
-        elif not size > 0:
+        elif hidden[i]:
             yield none("unexcited")
         elif plant.n_task > 1 and w >= -NOTHING * size:
             yield none("optimum")

@@ -448,6 +448,14 @@ def test_a_mode_that_no_feedback_excites_has_no_phase(tmp_path):
     assert [row.endswith("–") for row in rows] == hidden.tolist()
     assert "the end-point does not move in that mode" in repr(found)
     assert "does not move in that mode" not in repr(flexopt.evaluate(flexopt.load("excavator"), (0.5, -1.2)))
+    loop = {"kp": 1e3, "kv": 1e2, "drive": "torque", "dead_time": 0.01}
+    why = flexopt.explain(flexopt.load(tmp_path / "scara.toml"), [0.3, 0.4, -0.9], loop=loop)
+    assert [move.status == "unexcited" for move in why.moves] == hidden.tolist()
+    assert np.isnan(why.angle).tolist() == hidden.tolist()
+    assert np.isnan(why.outcome.lag_reserve).tolist() == hidden.tolist()
+    assert np.isnan(why.outcome.gradient["lag_reserve"]["posture"]).all(axis=1).tolist() == hidden.tolist()
+    assert ["a and b" in each for each in why.sentences] == (~hidden).tolist()
+    assert "nan" not in repr(why) + repr(why.outcome)
 
 
 @pytest.mark.parametrize("control", ["inverse", "transpose"])
