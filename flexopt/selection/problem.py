@@ -332,11 +332,7 @@ class SelectionProblem:
             >>> problem.rows(np.array([0.0, 0.9929, -2.6306])).round(2).tolist()[1:]
             [1.6, 0.24]
         """
-        at = self.quantities.at(z)
-        parts = [self.measures.w.call(at)[2], self.measures.plant.singularity_sine_squared.call(at)[0]]
-        if self.constraint_set is not None:
-            parts += self.constraint_set.function.call([*at, self.constraint_set.constants])
-        return np.concatenate([part.full().ravel() for part in parts])
+        return rows_with(self, z, self.measures.plant.parameter_values)
 
     @property
     def redundancy(self) -> int:
@@ -472,13 +468,15 @@ def reached(problem: SelectionProblem, z: Vector) -> Vector:
 UNASKED = re.compile(f"^limits of |^singularity margin$| {re.escape(GROUND)}$")
 
 
-def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
+def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False, p: Vector | None = None) -> str:
     """Which limits and constraints a configuration breaks, the target aside, the worst first; empty where none.
 
     `asked`: of those alone that somebody asked for: no limits, no margin from singular postures, no assumed ground.
+    `p`: the machine's numbers, where they may be others; the user's own constraints are with its own.
     """
     outside: Vector = np.maximum(problem.lower - z, z - problem.upper) / problem.scale
-    away = np.concatenate([outside, np.abs(beyond_bounds(problem, z))[problem.target.size :], beyond_own(problem, z)])
+    rows = np.abs(beyond_bounds(problem, z, p))[problem.target.size :]
+    away = np.concatenate([outside, rows, beyond_own(problem, z)])
     names = [f"limits of {variable.name}" for variable in problem.variables]
     names += [row.name for row in problem.constraints[problem.target.size :]]
     names += [row.name for row in problem.own_constraints]
@@ -510,9 +508,19 @@ def resting(problem: SelectionProblem, z: Vector) -> list[str]:
     ]
 
 
-def beyond_bounds(problem: SelectionProblem, z: Vector) -> Vector:
+def rows_with(problem: SelectionProblem, z: Vector, p: Any) -> Vector:
+    """Values of all constraints, (n_rows,), of a machine with the numbers p (n_par,)."""
+    at = [*problem.quantities.at(z)[:2], p]
+    parts = [problem.measures.w.call(at)[2], problem.measures.plant.singularity_sine_squared.call(at)[0]]
+    if problem.constraint_set is not None:
+        parts += problem.constraint_set.function.call([*at, problem.constraint_set.constants])
+    return np.concatenate([part.full().ravel() for part in parts])
+
+
+def beyond_bounds(problem: SelectionProblem, z: Vector, p: Vector | None = None) -> Vector:
     """By how much each constraint is above (> 0) or below its bounds at z, (n_rows,), in units of the scales."""
-    rows, (lower, upper, scale) = problem.rows(z), problem.row_bounds
+    rows = problem.rows(z) if p is None else rows_with(problem, z, p)
+    lower, upper, scale = problem.row_bounds
     return (np.minimum(rows - lower, 0.0) + np.maximum(rows - upper, 0.0)) / scale
 
 

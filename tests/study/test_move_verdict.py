@@ -620,6 +620,37 @@ def test_what_all_targets_rest_on_is_told_once() -> None:
     assert replace(place, rests_on=((), ())).rest == ""
 
 
+def test_a_place_that_cannot_hold_a_heavier_load_is_told() -> None:
+    """Choices keep the share of efforts with the file's payload; with more of it the joints' own torques say."""
+    machine = flexopt.load("boom-stick-bucket")
+    asked: dict[str, Any] = {
+        "base": 0.0, "constraints": {"holding": 0.9}, "loop": "default", "starts": 2, "members": 4, "runs": 0,
+    }  # fmt: skip
+    load = next(each.value for each in machine.parameters if each.name == "payload.mass")
+    words = list[list[str]]()
+    for heaviest in (1.001 * load, 4e4):
+        ground = {"payload.mass": (load, heaviest), "stiffness": (0.9, 1.1)}
+        found = flexopt.verdict(machine, (7.0, 1.0), ranges=ground, **asked)
+        words.append([place.breaks for place in found.places])
+        assert all((place.broken in repr(found)) for place in found.places)
+        assert [place["breaks"] for place in found.to_dict()["places"]] == words[-1]
+    assert not any(words[0])
+    assert any(words[1])
+    data = machine.to_dict()
+    data["payload"]["mass"] = 4e4
+    heavy = flexopt.machine_from_dict(data)
+    strongest = [max(each["force"]) for each in data["cylinders"]]
+    for place in found.places:
+        there = flexopt.evaluate(heavy, place.posture, base=place.base).cylinders
+        too_much = [abs(each.force) > 0.9 * most for each, most in zip(there, strongest, strict=True)]
+        assert any(too_much) <= bool(place.breaks)
+        for each, much in zip(there, too_much, strict=True):
+            assert not much or each.name in place.breaks
+        if place.breaks:
+            assert place.breaks.startswith("breaks holding of ")
+            assert place.breaks.endswith(" where payload.mass is 4e+04 kg")
+
+
 @pytest.mark.parametrize("softer", [0.01, 0.003])
 def test_runs_of_slow_machines_last_ten_periods(softer: float) -> None:
     """Of 3 s nothing can be told of them, which is said."""

@@ -101,7 +101,9 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "present": verdict.present_told and sentence(f"{STAY}: {verdict.present_told}"),
         "where": _where(verdict),
         "assumed": [sentence(verdict.assumed_ground)] if verdict.assumed_ground else [],
-        "rests": [sentence(each) for place in verdict.places for each in (place.rest, place.unconfirmed) if each],
+        "rests": [
+            sentence(each) for place in verdict.places for each in (place.rest, place.broken, place.unconfirmed) if each
+        ],
         "loop": with_minus(verdict.controller),
         "handed_on": sentence(verdict.handed_on),
         "hardly_served": sentence(verdict.settings.hardly_served),

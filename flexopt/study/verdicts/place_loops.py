@@ -17,8 +17,9 @@ import numpy as np
 
 from flexopt.errors import NoSolutionFound, UnreachableTarget
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.plain import listed
 from flexopt.loop.settings import LoopSettings
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import CORNERED, UncertainLoop, UncertaintyBox
 from flexopt.model import AnyMachine
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
@@ -127,6 +128,32 @@ def broken_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:
     if len(each) == 1:
         return each[0]
     return "; ".join(f"{sentence} at target {k}" for k, sentence in enumerate(each, start=1) if sentence)
+
+
+def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: UncertaintyBox) -> str:
+    """Which constraints that were asked for a place keeps with the file's numbers and breaks at a corner of the box.
+
+    Choices keep those of statics, as of what joints hold, with the file's payload.
+    """
+    corners = [box.numbers(u)[0] for u in box.corners(CORNERED)]
+    of_each = list[str]()
+    for k, (problem, at) in enumerate(zip(problems_of(chosen), stand, strict=True), start=1):
+        z = np.concatenate(at)
+        if broken(problem, z, asked=True):
+            continue
+        p = next((p for p in corners if broken(problem, z, asked=True, p=p)), None)
+        if p is None:
+            continue
+        for entries in box.entries:
+            without = p.copy()
+            without[entries] = box.nominal[entries]
+            # What breaks nothing is not told.
+            p = without if broken(problem, z, asked=True, p=without) else p
+        others = [(own, x) for own, x in zip(box.machine.parameters, p.tolist(), strict=True) if own.value != x]
+        where = listed(f"{own.name} is {x:.4g} {own.unit}" for own, x in others)
+        target = "" if len(stand) == 1 else f" at target {k}"
+        of_each.append(f"{broken(problem, z, asked=True, p=p)}{target} where {where}")
+    return "; ".join(of_each)
 
 
 def resting_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> list[tuple[str, ...]]:

@@ -74,6 +74,8 @@ class PlaceVerdict(Result):
             axes, rad, of a base that cannot turn its largest shift, m (`swing_unit`).
         runs: nonlinear ones; None where none were asked for.
         rests_on: at each target the bounds and constraints that hold with equality.
+        breaks: what it breaks of constraints that were asked for, at corners of what is uncertain, and where, in words:
+            choices keep them with the file's numbers; empty where nothing.
     """
 
     name: str
@@ -97,10 +99,11 @@ class PlaceVerdict(Result):
     swing_unit: str
     runs: Runs | None
     rests_on: tuple[tuple[str, ...], ...]
+    breaks: str
 
     DOCUMENT = """
     name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target unseen
-    drift[1/s] better allowed_gain delay_margin[s] settling[s] swing swing_unit runs rests_on
+    drift[1/s] better allowed_gain delay_margin[s] settling[s] swing swing_unit runs rests_on breaks
     """
 
     @property
@@ -121,6 +124,11 @@ class PlaceVerdict(Result):
         ]
         stopped = "; nothing stops a joint there in its runs" if self.runs and self._on_a_joint else ""
         return f"{self.name} rests on {', '.join(told)}{stopped}" if told else ""
+
+    @property
+    def broken(self) -> str:
+        """What it breaks where other numbers than the file's hold, a sentence; empty where nothing."""
+        return self.breaks and f"{self.name} {self.breaks}; constraints were kept with the file's numbers"
 
     @property
     def unconfirmed(self) -> str:
@@ -223,7 +231,8 @@ class Verdict(Pictured, Printed, Result):
                 found.append(words.format(f"{factor * value:.4g} instead of {instead} {unit}"))
             elif measure == "settling" and math.isnan(value) and not math.isnan(before):
                 found.append(f"does not settle in a minute instead of in {before:.4g} s")
-        return f"in the worst case it {', '.join(found)} there" if found else ""
+        told = [f"in the worst case it {', '.join(found)} there"] if found else []
+        return "; ".join([*told, *([f"it {there.breaks}"] if there.breaks else [])])
 
     @property
     def problems(self) -> tuple[SelectionProblem, ...]:
@@ -480,7 +489,7 @@ class Verdict(Pictured, Printed, Result):
             lines.append(f"  –: {'; '.join(whys)}")
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
         lines += [f"  {place.rest}" for place in self.places if place.rest]
-        lines += [f"  {place.unconfirmed}" for place in self.places if place.unconfirmed]
+        lines += [f"  {each}" for place in self.places for each in (place.broken, place.unconfirmed) if each]
         lines += [f"  {self.drifts}"] * bool(self.drifts)
         lines += [f"  {self.unseen}"] * bool(self.unseen)
         lines += [f"  {sentence}" for sentence in self.assumed]

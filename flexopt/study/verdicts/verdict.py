@@ -47,6 +47,7 @@ from flexopt.study.verdicts.place_loops import (
     Slowest,
     besides_driving,
     broken_at,
+    broken_within,
     configurations_of,
     drive_to,
     problems_of,
@@ -393,6 +394,7 @@ def _place(
     members = [None, *place.box.corners(FEW), slowest.member]
     looked = [[(loop.outcome(u), u) for u in members] for loop in place.loops]
     nominal = min(few[0][0].decay().value for few in looked)
+    held = [(each.base, each.posture) for each in stands]
 
     def band(measure: str, factor: float = 1.0) -> Band:
         sense, each, further = SENSES[measure], list[list[float]](), list[float]()
@@ -428,7 +430,8 @@ def _place(
         swing_unit=swing_unit(looked[0][0][0]),
         runs=runs,
         unseen=_is_unseen(place.loops[slowest.target], slowest),
-        rests_on=tuple(resting_at(chosen, [(e.base, e.posture) for e in stands])),
+        rests_on=tuple(resting_at(chosen, held)),
+        breaks=broken_within(chosen, held, place.box),
     )
 
 
