@@ -18,7 +18,7 @@ from flexopt.foundation.boundary import by, public
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.pictures import Pictured
-from flexopt.foundation.plain import plain
+from flexopt.foundation.plain import listed, plain
 from flexopt.foundation.results import Result
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
@@ -64,8 +64,11 @@ class Sensitivity(Pictured, Result):
         bound_error: its standard error, (s, k).
         mean, deviation: of each output over the samples, (s,).
         samples: base samples; each output was computed (k + 2) times as often.
+        crossing: modes, from 0, that change places within the ranges, or trade shapes, in groups. w_i is of the mode
+            with the i-th frequency, whichever that is: of these it jumps, so that slopes are no bound (NaN), and what
+            moves one past another seems to matter.
         most: for each output the name with the largest total index; `""` where its interval overlaps that of another,
-            so that it cannot be told, or where the output does not vary.
+            or modes change places, so that it cannot be told, or where the output does not vary.
 
     Example:
         >>> ranges = {"base.stiffness.rotation": (5e5, 2e6), "payload.mass": (0.0, 200.0)}
@@ -87,19 +90,21 @@ class Sensitivity(Pictured, Result):
     mean: Vector
     deviation: Vector
     samples: int
+    crossing: tuple[tuple[int, ...], ...]
     provenance: Document
 
     DOCUMENT = """
     machine outputs output_units names first first_interval total total_interval bound bound_error mean deviation
-    samples most provenance
+    samples crossing most provenance
     """
 
     @property
     def most(self) -> tuple[str, ...]:
         """See the class."""
         found: list[str] = []
-        for total, ends in zip(self.total, self.total_interval, strict=True):
-            if not np.all(np.isfinite(total)):
+        crossing = {k for group in self.crossing for k in group}
+        for s, (total, ends) in enumerate(zip(self.total, self.total_interval, strict=True)):
+            if s in crossing or not np.all(np.isfinite(total)):
                 found.append("")
                 continue
             best = int(np.argmax(total))
@@ -118,6 +123,8 @@ class Sensitivity(Pictured, Result):
     def _most(self, s: int, k: int) -> str:
         """The bound in words; one of all that varies, or more, says nothing."""
         bound, error = self.bound[s, k], 2 * self.bound_error[s, k]
+        if math.isnan(bound):
+            return "no bound"
         if bound + error < NOTHING:
             return "does nothing"
         return "no bound below 1" if bound + error >= 1 else f"at most {bound:.3g} ± {error:.2g}"
@@ -139,6 +146,8 @@ class Sensitivity(Pictured, Result):
                     f"{self._most(s, k)}"
                 )
             why = {"undecided": ": the intervals overlap", "nothing": ", it does not vary"}.get(self.said[s], "")
+            if self.said[s] == "undecided" and (group := next((each for each in self.crossing if s in each), ())):
+                why = f": modes {listed(str(i + 1) for i in group)} change places within the ranges"
             lines.append(f"    matters most: {self.said[s]}{why}")
         return "\n".join(lines)
 
@@ -215,6 +224,10 @@ def sensitivity(
     bound, error = (np.concatenate(each) for each in zip(*map(_mean_square, squares), strict=True))
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(_varies(parts), math.pi**2 * deviation**2, np.nan)[:, None]
+    crossing = of.crossing(a[:SLOPES])
+    for group in crossing:
+        bound[list(group)] = math.nan
+        error[list(group)] = math.nan
     outputs = (*(f"w{i + 1}" for i in range(of.modes)), *(() if loops is None else ("decay",)))
     units = (*[residue_unit(settings.control, machine.joint_units)] * of.modes, *(() if loops is None else ("1/s",)))
     options = {"posture": posture, "base": placed, "control": settings.control, "gravity": gravity, "samples": samples}
@@ -224,6 +237,7 @@ def sensitivity(
         machine=machine.name, outputs=outputs, output_units=units, names=box.names, first=first,
         first_interval=first_ends, total=total, total_interval=total_ends, bound=bound / scale,
         bound_error=error / scale, mean=parts[:2].mean(axis=(0, 2)), deviation=deviation, samples=samples,
+        crossing=crossing,
         provenance=provenance(machine, **options),
     )  # fmt: skip
 
@@ -247,6 +261,30 @@ class _Outputs:
         p, _ = self.box.numbers(u)
         by_p = self.measures.gradients.call([self.base, self.posture, p])[1].full()
         return np.array([self.box.slopes(u, row, 0.0) for row in by_p])
+
+    def crossing(self, members: Vector) -> tuple[tuple[int, ...], ...]:
+        """Groups of modes whose shapes stand in another order in some member than in the middle of the ranges."""
+        from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  (loads slowly)
+        from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+
+        if not self.modes:
+            return ()
+        middle, plant = self.box.numbers(np.full(members.shape[1], 0.5))[0], self.measures.plant
+        mass: Vector = plant.mass(plant.rest(self.base, self.posture, middle), self.base, middle).full()
+        weighted, moved = self._shapes(middle).T @ mass, np.zeros((self.modes, self.modes))
+        for u in members:
+            shapes = self._shapes(self.box.numbers(u)[0])
+            sizes = np.sqrt(np.sum(shapes * (mass @ shapes), axis=0))
+            moved[linear_sum_assignment(-np.abs(weighted @ shapes / sizes))] = 1.0
+        count, group_of = connected_components(moved, directed=False)
+        groups = [tuple(np.flatnonzero(group_of == k).tolist()) for k in range(count)]
+        return tuple(group for group in groups if len(group) > 1)
+
+    def _shapes(self, p: Vector) -> Vector:
+        """The modes (n_q, m)."""
+        at: dict[str, Any] = {"base": self.base, "posture": self.posture, "p": p}
+        shapes: Vector = cast(Any, self.measures.values(**at))["modes"].full()
+        return shapes
 
 
 def _slopes_of_loop(loops: UncertainLoop, u: Vector) -> Vector:

@@ -25,8 +25,7 @@ STILL = 1e-12
 FEWEST_WINDOWS = 4
 # Periods in a fit of which the error can be told.
 FEWEST_FITTED = 3
-# A drifting arm bends the base slowly, at a hundredth of a mode's frequency: its kinetic energy stays below this share
-# of the elastic one.
+# A mode whose kinetic energy stays below this share of its elastic one is bent slowly: a hundredth of its frequency.
 QUASI_STATIC = 1e-4
 # An amplitude that ends so many times larger than it began has grown, whatever it does in the end.
 GROWN = 3.0
@@ -45,7 +44,8 @@ class Behaviour:
         growth_rate: of the mode that has the most energy in the end among those that clearly grow, or else of the one
             that decays slowest, 1/s: half the slope of the logarithm of the mode's energy, maxima over periods of the
             slowest swing, least squares over the second half of the run, three at least (N,); NaN where the base never
-            moved. Of an arm that drifts along its self-motion until the base hardly swings.
+            moved. Where the base `bends`, it is fitted to where the base hardly swings any more, and does not know how
+            fast what only bends it dies away.
         growth_rate_error: standard deviation of that slope (N,), than which one in three may be farther off, squares
             added: its standard error, by how much its halves differ beyond what scatter makes of them, and where a
             louder mode decays, by how much that one's slope does, and its own error and halves; as large as the rate
@@ -133,9 +133,7 @@ class Grounds:
         swing_hz: of the slowest swing of the loop, where the base comes to rest elsewhere: the arm bends it and lets it
             go in turn, so that a mode's energy rises and falls with it. None: no slower than the modes.
         bends: whether the base comes to rest elsewhere than by design (`LoopStructure.bends`), so that kinetic and
-            elastic energies come apart, and the kinetic one alone is judged.
-        drifts: whether a self-motion that nothing brakes bends it on and on, so that a mode that is bent without
-            moving counts as still.
+            elastic energies come apart, and a mode that is bent without moving counts as still.
     """
 
     slowest_hz: float
@@ -144,7 +142,6 @@ class Grounds:
     undisturbed_from: float = 0.0
     noisy: bool = False
     bends: bool = False
-    drifts: bool = False
     swing_hz: float | None = None
 
 
@@ -171,7 +168,7 @@ def behaviour(
     judged = np.where(alive[begin:, None], energy[begin:], np.nan)
     peaks, centres = _periods(times[begin:], judged, grounds.swing_hz or grounds.slowest_hz)
     peaks, elastic = peaks[:, :modes], peaks[:, modes:]
-    bent = QUASI_STATIC * elastic if grounds.drifts else 0.0
+    bent = QUASI_STATIC * elastic if grounds.bends else 0.0
     rate, error, bend, first, last = _growth(peaks, centres, grounds.still, bent)
     with np.errstate(invalid="ignore", divide="ignore"):
         growing = last >= GROWN * first

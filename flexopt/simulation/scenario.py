@@ -134,7 +134,6 @@ class Scenario:
             undisturbed_from=max((path.times[-1] for path in paths), default=0.0),
             noisy=self.loop.structure.noisy,
             bends=self.loop.structure.bends,
-            drifts=self.loop.structure.drifting,
         )
 
     def signals(self, rng: np.random.Generator | None = None) -> Vector | None:

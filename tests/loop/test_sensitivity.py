@@ -52,6 +52,33 @@ def test_slopes_bound_the_indices(found: flexopt.Sensitivity) -> None:
     assert 0.8 < found.first[3].sum() < 1.1  # little happens together
 
 
+def test_modes_that_change_places_are_not_judged() -> None:
+    """A yaw spring moves its mode past others: their w_i jump, and what moves it there would seem to matter."""
+    data = flexopt.load("mobile-manipulator").to_dict()
+    stem = next(body for body in data["bodies"] if body.get("parent") is None)
+    hinge = {"name": "yaw", "kind": "hinge", "axis": [0.0, 0.0, 1.0], "passive": True, "damping": 40.0}
+    stem["parent"] = "vehicle.yaw"
+
+    def machine(stiffness: float) -> flexopt.Tree:
+        yaw = {"name": "vehicle.yaw", "joint": hinge | {"stiffness": stiffness}}
+        return flexopt.tree_from_dict(data | {"bodies": [yaw, *data["bodies"]]})
+
+    posture = [0.61, 0.6159, 0.0307, -0.4284, -0.8921, -0.2333]
+    seen = [flexopt.evaluate(machine(stiffness), posture) for stiffness in (1e4, 1.2e4, 1e6)]
+    # From 1e4 N m/rad upwards it passes all others, which stay where they are.
+    assert np.allclose(seen[0].frequencies_hz, seen[1].frequencies_hz, rtol=0.1)
+    assert np.allclose(seen[0].frequencies_hz[1:], seen[2].frequencies_hz[:-1], rtol=0.1)
+    for ends, crossing in (((1e4, 1.2e4), ()), ((1e4, 1e6), ((0, 1, 2, 3),))):
+        given = {"payload.mass": (0.0, 4.0), "yaw.stiffness": ends}
+        found = flexopt.sensitivity(machine(3e4), posture, ranges=given, samples=64)
+        assert found.crossing == crossing
+        assert bool(np.isnan(found.bound).all()) == bool(crossing)
+        assert found.most == (("",) if crossing else ("payload.mass",)) * 4
+        assert ("modes 1, 2, 3 and 4 change places" in repr(found)) == bool(crossing)
+        if not crossing:
+            assert (found.total_interval[..., 0] <= found.bound + 2 * found.bound_error + 1e-9).all()
+
+
 def test_the_share_of_one_is_what_knowing_it_takes_away(found: flexopt.Sensitivity) -> None:
     """1 − E[Var(decay | mass)] / Var(decay), by other samples, mass by mass."""
     machine = flexopt.load("excavator")

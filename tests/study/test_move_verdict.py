@@ -694,6 +694,3 @@ def test_an_arm_that_creeps_under_its_weight_is_judged_by_its_swing() -> None:
     runs = nonlinear_runs(loop, members, loop.decays(members), 20.0)
     assert (loop.decays(members) > 0).all()
     assert runs.verdicts == ("converges", "converges")
-    # The arm settles at 0.04/s in its new rest and bends the base with it; the base's own swing dies away at 1.3/s.
-    # In a period of 25 s, so that 20 s tell it roughly.
-    np.testing.assert_allclose(runs.decay, loop.decays(members), rtol=0.3)

@@ -131,8 +131,9 @@ def report(
     judged, why_not = _judged(selection, known, ground, members, runs, stages.within)
     stages.next()
     stands, loops, real = stands_of(selection), dict[str, ReportLoop](), None
-    usual: float = SimulationOptions.model_fields["duration"].default
-    longer = long_enough((float(each.frequencies_hz.min()) for each in stands.values()), least=usual)
+    usual, rate = (SimulationOptions.model_fields[name].default for name in ("duration", "rate"))
+    rate = given.get("rate", known.rate if known and known.rate else rate)
+    longer = long_enough((float(each.frequencies_hz.min()) for each in stands.values()), rate, least=usual)
     given = ({} if longer == usual else {"duration": longer}) | given
     # What is said of the controller otherwise goes before a loop that is known.
     otherwise = known is None or bool(brought_twice(given))

@@ -5,6 +5,7 @@ In: a loop in a configuration, members. Out: an ensemble's verdicts, settling ti
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,10 +23,9 @@ from flexopt.simulation.real_loop import SHORTER, braked, braked_by, run_options
 from flexopt.simulation.run import OUTGREW
 
 SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "end_error", "peak_error")
-# Length of a run, s: of slow machines so many periods of the slowest mode, at most the longest.
-DURATION, PERIODS, LONGEST = 20.0, 10, 3600.0
-# So many periods of a swing of the loop, at most so long.
-SWINGS, SWUNG = 4, 120.0
+# Length of a run, s: of slow machines so many periods of the slowest mode, and of swings of the loop, or of their time
+# constants, at most these times and so many samples.
+DURATION, PERIODS, SWINGS, LONGEST, SWUNG, SAMPLES = 20.0, 10, 4, 600.0, 120.0, 300_000
 UNFINISHED = "the integrator could not finish the run"
 # What runs may show; of several the first that one of them shows.
 WORST_FIRST = ("grows", "undecided", "converges")
@@ -86,11 +86,13 @@ class Runs(Result):
         return self.verdicts.count(word) / len(self.verdicts)
 
 
-def long_enough(modes_hz: Iterable[float], swings_hz: Iterable[float] = (), least: float = DURATION) -> float:
-    """How long a run takes to show whether the slowest of these modes grows, s; and of swings of a loop."""
+def long_enough(modes_hz: Iterable[float], rate: float, poles: Vector | None = None, least: float = DURATION) -> float:
+    """How long a run takes to show whether the slowest of these modes grows, s; and what swings of these poles do."""
     modes = [min(PERIODS / hz, LONGEST) if hz > 0 else LONGEST for hz in modes_hz]
-    swings = [min(SWINGS / hz, SWUNG) for hz in swings_hz]
-    return max([least, *modes, *swings])
+    swings = np.zeros(0, dtype=complex) if poles is None else poles[poles.imag > 0]
+    hertz, decays = swings.imag / math.tau, np.maximum(-swings.real, 0.0)
+    swung = np.minimum(SWINGS / np.maximum(hertz, decays), SWUNG)
+    return max(least, min(max([*modes, *swung.tolist()], default=0.0), SAMPLES / rate))
 
 
 def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duration: float) -> Runs:

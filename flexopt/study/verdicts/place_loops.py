@@ -46,8 +46,6 @@ LOOKED = 12
 LEAST_TOLD = 1e-3
 # So many times the usual number of postures is looked at where a placement is given.
 FINER = 6
-# Damping ratio from which a swing is over within a period.
-OVER = 0.5
 # From so many of these the objective is climbed.
 CLIMBED = 16
 
@@ -104,14 +102,9 @@ class PlaceLoops:
 
     def runs(self, members: Vector, decays: Vector, duration: float | None) -> Runs:
         """Nonlinear runs of the members (n, k), with decays (K, n), s; of each the worst target's."""
-        long = duration or long_enough(self.modes_hz, self._swings_hz)
-        return of_all([nonlinear_runs(loop, members, own, long) for loop, own in zip(self.loops, decays, strict=True)])
-
-    @property
-    def _swings_hz(self) -> Vector:
-        """Frequencies of what the loops do that is not over within a period."""
         poles = np.concatenate([loop.outcome().loop.poles for loop in self.loops])
-        return poles.imag[(poles.imag > 0) & (-poles.real < OVER * np.abs(poles))] / math.tau
+        long = float(duration or long_enough(self.modes_hz, self.settings.rate, poles))
+        return of_all([nonlinear_runs(loop, members, own, long) for loop, own in zip(self.loops, decays, strict=True)])
 
 
 def problems_of(chosen: Chosen) -> tuple[SelectionProblem, ...]:

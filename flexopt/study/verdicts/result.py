@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 
 # How names of a variable's ends end.
 END = " bound"
-# Why a place is told of that is none of the best, if it is not the selection's first.
 GROUND_ASSUMED = (
     "assumed (uncertainty): all springs may be half or twice as stiff, and all else is as the machine's file has it, "
     "for no [[uncertainty]] is given"
 )
+# Why a place is told of that is none of the best, if it is not the selection's first.
 MOST_OFTEN = "decays faster than the present place on the most grounds"
 
 
