@@ -9,7 +9,7 @@ from importlib import import_module
 
 import click
 
-from flexopt.cli.common import ABORTED, leave_with, print_json, say
+from flexopt.cli.common import ABORTED, leave_with, print_json, say, warnings_to_stderr
 from flexopt.cli.examples import epilog
 from flexopt.cli.terminal import VOICE
 from flexopt.errors import FlexoptError, InputError
@@ -94,9 +94,12 @@ def run(arguments: list[str] | None = None) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=TERMINAL)  # Greek letters on a console that has none
     VOICE.quiet, VOICE.verbose, VOICE.colour = False, False, True
+    VOICE.warned.clear()
     began = time.perf_counter()
     try:
-        cli.main(args=given, prog_name="flexopt", standalone_mode=False)
+        # What is computed when a result is shown may warn, too.
+        with warnings_to_stderr("--json" in given):
+            cli.main(args=given, prog_name="flexopt", standalone_mode=False)
     except click.exceptions.Exit as leave:
         sys.exit(leave.exit_code)
     except (click.Abort, KeyboardInterrupt):

@@ -181,7 +181,7 @@ def warnings_to_stderr(as_json: bool) -> Generator[None]:
     That a machine is not plausible is part of no result.
     """
     caught: list[warnings.WarningMessage] = []
-    told: set[str] = set()
+    told = VOICE.warned
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", FlexoptWarning)

@@ -10,7 +10,7 @@ import re
 import shutil
 import textwrap
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, TextIO
 
 Colour = Literal["red", "yellow", "bold"]
@@ -23,12 +23,16 @@ INDENT = re.compile(r"\s*")
 
 @dataclass
 class Voice:
-    """What of the group's options concerns all output, and what tells, of seconds so far, how far the command is."""
+    """What of the group's options concerns all output, and what tells, of seconds so far, how far the command is.
+
+    `warned`: sentences of warnings that were told.
+    """
 
     quiet: bool = False
     verbose: bool = False
     colour: bool = True
     progress: Callable[[float], None] | None = None
+    warned: set[str] = field(default_factory=set[str])
 
 
 VOICE = Voice()

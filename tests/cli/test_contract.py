@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import warnings
 import xml.etree.ElementTree as ET
 from importlib.metadata import version
 from pathlib import Path
@@ -127,6 +128,23 @@ def test_switches_change_the_numbers(command: Command) -> None:
 def test_every_document_stands_alone_and_has_provenance(command: Command, arguments: tuple[str, ...]) -> None:
     document = command.json(*arguments)
     assert "casadi" in document["provenance"]
+
+
+def test_what_warns_while_a_result_is_shown_is_told_as_all_warnings_are(
+    command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As evaluations that are made then, of modes that share a frequency; in text the result has them."""
+    shown = flexopt.Selection.to_dict
+
+    def to_dict(self: flexopt.Selection) -> Any:
+        warnings.warn("told late", flexopt.FlexoptWarning, stacklevel=2)
+        return shown(self)
+
+    monkeypatch.setattr(flexopt.Selection, "to_dict", to_dict)
+    words = ("select", "excavator", "--end-point", "0,1.6", "--base", "0", "--starts", "2")
+    assert command(*words).message == ""
+    assert command(*words, "--json").message == "flexopt: warning: told late\n"
+    assert command("-q", *words, "--json").stderr == ""
 
 
 @pytest.mark.long

@@ -19,7 +19,7 @@ from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import unseen_told
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
-from flexopt.model.uncertainty import GROUND, Uncertainty, parameters_of
+from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import broken, elsewhere, reached
@@ -176,6 +176,7 @@ class Verdict(Pictured, Printed, Result):
             is more than a centimetre off is told in words, too, and the numbers of staying are those beside the target.
         present_breaks: which constraints that were asked for staying does not keep, "breaks …"; empty where it keeps
             them.
+        assumes_ground: whether nobody said what is uncertain, so that `uncertainty` is the usual one of springs.
 
     Example:
         >>> len(answer.places) == len(answer.table)
@@ -195,6 +196,7 @@ class Verdict(Pictured, Printed, Result):
     selection: Chosen = field(repr=False)
     provenance: Document = field(repr=False)
     present_breaks: str = ""
+    assumes_ground: bool = False
 
     DOCUMENT = """
     word sentence place reason drawbacks measure gains rule targets[m] present_end_point[m] present_off[m]
@@ -457,7 +459,7 @@ class Verdict(Pictured, Printed, Result):
     @property
     def assumed_ground(self) -> str:
         """What is taken to be uncertain where nothing is said of it, a sentence; else empty."""
-        return GROUND_ASSUMED if self.uncertainty is GROUND else ""
+        return GROUND_ASSUMED if self.assumes_ground else ""
 
     @property
     def _uncertainty(self) -> list[dict[str, Any]]:

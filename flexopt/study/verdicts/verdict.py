@@ -209,6 +209,7 @@ def verdict(
         places=tuple(bands.values()),
         settings=settings,
         uncertainty=uncertain,
+        assumes_ground=uncertain is GROUND,
         members=len(points),
         judged=len(others),
         selection=chosen,
