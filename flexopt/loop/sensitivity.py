@@ -269,14 +269,16 @@ class _Outputs:
 
         if not self.modes:
             return ()
-        middle, plant = self.box.numbers(np.full(members.shape[1], 0.5))[0], self.measures.plant
+        half: Vector = np.full(members.shape[1], 0.5)
+        middle, plant = self.box.numbers(half)[0], self.measures.plant
         mass: Vector = plant.mass(plant.rest(self.base, self.posture, middle), self.base, middle).full()
         weighted, moved = self._shapes(middle).T @ mass, np.zeros((self.modes, self.modes))
         for u in members:
             shapes = self._shapes(self.box.numbers(u)[0])
             sizes = np.sqrt(np.sum(shapes * (mass @ shapes), axis=0))
             moved[linear_sum_assignment(-np.abs(weighted @ shapes / sizes))] = 1.0
-        count, group_of = connected_components(moved, directed=False)
+        found: Any = connected_components(moved, directed=False)
+        count, group_of = int(found[0]), np.asarray(found[1], dtype=np.intp)
         groups = [tuple(np.flatnonzero(group_of == k).tolist()) for k in range(count)]
         return tuple(group for group in groups if len(group) > 1)
 

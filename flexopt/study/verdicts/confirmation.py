@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexopt.errors import FlexoptWarning, NoSolutionFound
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import ComplexArray, Vector
 from flexopt.foundation.results import Result
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.simulation import on_their_way
@@ -86,10 +86,12 @@ class Runs(Result):
         return self.verdicts.count(word) / len(self.verdicts)
 
 
-def long_enough(modes_hz: Iterable[float], rate: float, poles: Vector | None = None, least: float = DURATION) -> float:
+def long_enough(
+    modes_hz: Iterable[float], rate: float, poles: ComplexArray | None = None, least: float = DURATION
+) -> float:
     """How long a run takes to show whether the slowest of these modes grows, s; and what swings of these poles do."""
     modes = [min(PERIODS / hz, LONGEST) if hz > 0 else LONGEST for hz in modes_hz]
-    swings = np.zeros(0, dtype=complex) if poles is None else poles[poles.imag > 0]
+    swings: ComplexArray = np.zeros(0, dtype=np.complex128) if poles is None else poles[poles.imag > 0]
     hertz, decays = swings.imag / math.tau, np.maximum(-swings.real, 0.0)
     swung = np.minimum(SWINGS / np.maximum(hertz, decays), SWUNG)
     return max(least, min(max([*modes, *swung.tolist()], default=0.0), SAMPLES / rate))
