@@ -269,7 +269,7 @@ class _Outputs:
 
         if not self.modes:
             return ()
-        half: Vector = np.full(members.shape[1], 0.5)
+        half = 0.5 * np.ones(members.shape[1])
         middle, plant = self.box.numbers(half)[0], self.measures.plant
         mass: Vector = plant.mass(plant.rest(self.base, self.posture, middle), self.base, middle).full()
         weighted, moved = self._shapes(middle).T @ mass, np.zeros((self.modes, self.modes))
