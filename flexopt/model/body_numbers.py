@@ -203,7 +203,16 @@ def _borne(machine: Tree) -> dict[str, float]:
         turns, stays = joint.kind == "hinge", before is None or level[before]
         shares[body.name] = max(math.sqrt(1 - upright**2) if turns else upright, ASIDE) if stays else 1.0
         level[body.name] = stays and (joint.passive or not turns or shares[body.name] == ASIDE)
+        if joint.passive and turns and joint.rest:
+            rotations[body.name] = _about(axis, joint.rest) @ rotations[body.name]
     return shares
+
+
+def _about(axis: Array, angle: float) -> Array:
+    """A turn about an axis through the origin, (3, 3) (Rodrigues)."""
+    across = np.cross(np.eye(3), axis / np.linalg.norm(axis))
+    turned: Array = np.eye(3) + math.sin(angle) * across + (1 - math.cos(angle)) * across @ across
+    return turned
 
 
 def _body(

@@ -386,6 +386,16 @@ def test_what_carries_no_weight_may_be_soft(name: str, joint: str, sinks: bool) 
     assert any("the spring" in sentence for sentence in told(data)) == sinks
 
 
+def test_a_base_that_rests_on_its_side_has_a_slew_drive_that_lifts() -> None:
+    """Its axis is level then, and the drive holds the arm's weight."""
+    for rest, told_of in ((0.0, False), (math.pi / 2, True)):
+        data = shipped("truck-crane")
+        joints = {body["joint"]["name"]: body["joint"] for body in data["bodies"]}
+        joints["base.pitch"]["rest"] = rest
+        joints["slew"]["effort"] = 500.0
+        assert any("slew'.effort" in sentence for sentence in told(data)) == told_of, told(data)
+
+
 def test_a_good_machine_is_evaluated_in_silence() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")

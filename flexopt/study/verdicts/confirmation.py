@@ -5,7 +5,6 @@ In: a loop in a configuration, members. Out: an ensemble's verdicts, settling ti
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexopt.errors import FlexoptWarning, NoSolutionFound
-from flexopt.foundation.arrays import ComplexArray, Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.foundation.results import Result
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.simulation import on_their_way
@@ -23,9 +22,8 @@ from flexopt.simulation.real_loop import SHORTER, braked, braked_by, run_options
 from flexopt.simulation.run import OUTGREW
 
 SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "end_error", "peak_error")
-# Length of a run, s: of slow machines so many periods of the slowest mode, and of swings of the loop, or of their time
-# constants, at most these times and so many samples.
-DURATION, PERIODS, SWINGS, LONGEST, SWUNG, SAMPLES = 20.0, 10, 4, 600.0, 120.0, 300_000
+# Length of a run, s: of slow machines so many periods of the slowest mode, at most this time and so many samples.
+DURATION, PERIODS, LONGEST, SAMPLES = 20.0, 10, 600.0, 300_000
 UNFINISHED = "the integrator could not finish the run"
 # What runs may show; of several the first that one of them shows.
 WORST_FIRST = ("grows", "undecided", "converges")
@@ -86,15 +84,10 @@ class Runs(Result):
         return self.verdicts.count(word) / len(self.verdicts)
 
 
-def long_enough(
-    modes_hz: Iterable[float], rate: float, poles: ComplexArray | None = None, least: float = DURATION
-) -> float:
-    """How long a run takes to show whether the slowest of these modes grows, s; and what swings of these poles do."""
-    modes = [min(PERIODS / hz, LONGEST) if hz > 0 else LONGEST for hz in modes_hz]
-    swings: ComplexArray = np.zeros(0, dtype=np.complex128) if poles is None else poles[poles.imag > 0]
-    hertz, decays = swings.imag / math.tau, np.maximum(-swings.real, 0.0)
-    swung = np.minimum(SWINGS / np.maximum(hertz, decays), SWUNG)
-    return max(least, min(max([*modes, *swung.tolist()], default=0.0), SAMPLES / rate))
+def long_enough(modes_hz: Iterable[float], rate: float, least: float = DURATION) -> float:
+    """How long a run takes to show whether the slowest of these modes grows, s."""
+    longest = min(LONGEST, SAMPLES / rate)
+    return max([least, *(min(PERIODS / hz, longest) if hz > 0 else longest for hz in modes_hz)])
 
 
 def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duration: float) -> Runs:

@@ -102,8 +102,7 @@ class PlaceLoops:
 
     def runs(self, members: Vector, decays: Vector, duration: float | None) -> Runs:
         """Nonlinear runs of the members (n, k), with decays (K, n), s; of each the worst target's."""
-        poles = np.concatenate([loop.outcome().loop.poles for loop in self.loops])
-        long = float(duration or long_enough(self.modes_hz, self.settings.rate, poles))
+        long = duration or long_enough(self.modes_hz, self.settings.rate)
         return of_all([nonlinear_runs(loop, members, own, long) for loop, own in zip(self.loops, decays, strict=True)])
 
 
