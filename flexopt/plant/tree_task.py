@@ -55,17 +55,13 @@ def origin(at: Recursion, body: int, base: ca.SX) -> Triple:
     way = at.skeleton.way_to(body) if body >= 0 else []
     named = dict(zip(at.skeleton.placement, ca.vertsplit(base), strict=True))
     beyond = {name: named[name] for name, (slide, _) in at.skeleton.absorbed.items() if slide not in way}
-    moved = yawed(at, (beyond.get("x", ZERO), beyond.get("y", ZERO), ZERO), base)
+    moved = beyond.get("x", ZERO), beyond.get("y", ZERO), ZERO
     return add(placed(at, at.point(body, ORIGIN) if way else ORIGIN, base), moved)
 
 
 def in_inertial_axes(at: Recursion, a: Triple, base: ca.SX) -> Triple:
     """A direction as the recursions see it in inertial axes."""
-    return yawed(at, turned(at.skeleton.ground, a), base)
-
-
-def yawed(at: Recursion, a: Triple, base: ca.SX) -> Triple:
-    """A direction as the anchor frame stands."""
+    a = turned(at.skeleton.ground, a)
     if "yaw" not in at.skeleton.placement:
         return a
     yaw = base[at.skeleton.placement.index("yaw")]

@@ -402,7 +402,8 @@ class BasePlan(Pictured, ConfigurationSet):
     Attributes:
         time: when each target is due, (K,), s.
         still: the best single placement, or the given start; None where it does not reach all targets. It may be better
-            by 1e-4 of the objective's scale: among ways that are as good to within that the shortest is taken.
+            by 1e-4 of the objective's scale: among ways that are as good to within that the one is taken on which base
+            and joints together move least, Σ |Δz|² in scaled variables.
         between: the smallest V between the targets, where base and end-point move along straight lines, and the time
             at which it is met;  −∞ where the end-point cannot be kept on its line, or V is no number.
         travelled: length of the base's way, m, (first in the plane of the ground), and its turning, rad.
@@ -461,7 +462,9 @@ class BasePlan(Pictured, ConfigurationSet):
             else f"{self.standing:.4e} standing still"
         )
         if self.still is not None and self.worth < self.standing:
-            still += f"; both count as best to {KEPT:g} of the objective's scale, and the shortest way is taken"
+            still += (
+                f"; both count as best to {KEPT:g} of the objective's scale: base and joints together move least so"
+            )
         return f"worst V {self.worth:.4e} ({still}); between the targets at least {self.between[0]:.4e}"
 
     def to_dict(self) -> Document:

@@ -17,6 +17,7 @@ from flexopt.foundation.results import Result
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.simulation import on_their_way
 from flexopt.simulation import simulate_ensemble
+from flexopt.simulation.behaviour import FEWEST_WINDOWS
 from flexopt.simulation.ensemble import Ensemble, judged_beside
 from flexopt.simulation.real_loop import SHORTER, braked, braked_by, run_options
 from flexopt.simulation.run import OUTGREW
@@ -86,8 +87,9 @@ class Runs(Result):
 
 def long_enough(modes_hz: Iterable[float], rate: float, least: float = DURATION) -> float:
     """How long a run takes to show whether the slowest of these modes grows, s."""
-    longest = min(LONGEST, SAMPLES / rate)
-    return max([least, *(min(PERIODS / hz, longest) if hz > 0 else longest for hz in modes_hz)])
+    slowest_hz, longest = min(modes_hz), min(LONGEST, SAMPLES / rate)
+    # Of what is slower still no run can tell.
+    return max(least, min(PERIODS / slowest_hz, longest)) if slowest_hz * longest >= FEWEST_WINDOWS else least
 
 
 def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duration: float) -> Runs:

@@ -119,10 +119,12 @@ def test_start_and_rates_bind(excavator: flexopt.Machine) -> None:
 
 def test_a_way_that_gave_up_a_little_for_its_shortness_says_so(plan: BasePlan) -> None:
     assert plan.still is not None
-    assert "the shortest way is taken" not in repr(plan)
+    assert "move least so" not in repr(plan)
     better = replace(plan, still=replace(plan.still, V=0 * plan.still.V))
     assert better.worth < better.standing
-    sentence = "standing still; both count as best to 0.0001 of the objective's scale, and the shortest way is taken)"
+    sentence = (
+        "standing still; both count as best to 0.0001 of the objective's scale: base and joints together move least so)"
+    )
     assert sentence in repr(better)
 
 
