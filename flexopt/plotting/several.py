@@ -30,6 +30,8 @@ from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
 TITLE_WIDTH = 95  # characters
 # More machines than this on top of each other cannot be told apart; a film strip has room for fewer.
 GHOSTS, SHOTS, ROW = 9, 6, 3
+# A machine that is no wider than this share of its size, seen from above, moves in an upright plane.
+FLAT = 1e-6
 
 
 def _spatial(result: Stand | BasePlan) -> bool:
@@ -91,8 +93,10 @@ def plot_plan(sheet: Sheet, plan: BasePlan) -> None:
     e = plan.places[0].evaluation
     machine, shots = plan.problems[0].machine, _some(len(plan.places), SHOTS)
     shapes = [shape_of(machine, plan.places[k].evaluation) for k in shots]
-    # All shots see the same plane: a machine in space from above, where its way is seen.
-    view = views(shapes[0])[-1]
+    # All shots see the same plane: a machine in space from above, where its way is seen, unless it stays in a plane.
+    above = np.hstack([views(shape)[-1].of(shape.skeleton) for shape in shapes])
+    _, across = np.linalg.svd(above - above.mean(axis=1, keepdims=True))[1]
+    view = views(shapes[0])[0 if across <= FLAT * shapes[0].size else -1]
     rows = -(-len(shots) // ROW)
     units = sorted(set(e.base_units))
     outer = sheet.figure.add_gridspec(2, 1, height_ratios=[1.15 * rows, 1.6])
