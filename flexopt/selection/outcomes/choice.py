@@ -210,7 +210,7 @@ def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Clim
             at = broken
         more = replace(program, members=np.concatenate([program.members, at[None]]))
         # Where a member breaks what the loop must do at least, that is climbed first.
-        begun = [found.y] if broken is None or not left else lifted(more, [found.y], 1)
+        begun = [found.y] if broken is None or not left else lifted(more, [found.y], 1)[0]
         again = climbed(more, begun[0]) if left and begun else None
         if again is None:
             return None if broken is not None else replace(found, value=value, stationarity=math.inf)

@@ -71,10 +71,7 @@ def starts_from(program: OutcomeProgram, looked: list[Vector], workers: int) -> 
             break
         known = _raised(*wider, workers)
     if known is None:
-        measure, asked = program.measure, ", ".join(each.asked(x) for each, x in program.least)
-        what = f"leads to what it must do, {asked}" if asked else f"has a {measure.name}: {measure.lacking}"
-        sentence = f"select: none of {measure.looked} configurations that were looked at {what}"
-        raise NoSolutionFound(sentence, violations={}, iterate={})
+        raise _nothing(program, f"has a {program.measure.name}: {program.measure.lacking}")
     program, ys, values = known
     ys, values, distance = _some_steps(program, ys, values, workers)
     return program, [ys[k] for k in _apart(program, ys, values, CLIMBED, distance)]
@@ -85,8 +82,17 @@ def _raised(program: OutcomeProgram, ys: list[Vector], values: list[float], work
     known = _known(program, ys, values)
     if known is not None or not program.least:
         return known
-    ys = lifted(program, ys, workers)
-    return _known(program, ys, _values_of(program, ys, workers))
+    ys, nearest = lifted(program, ys, workers)
+    known = _known(program, ys, _values_of(program, ys, workers))
+    if known is None:
+        asked = ", ".join(each.asked(x) for each, x in program.least)
+        raise _nothing(program, f"leads to what it must do, {asked}{nearest}")
+    return known
+
+
+def _nothing(program: OutcomeProgram, what: str) -> NoSolutionFound:
+    sentence = f"select: none of {program.measure.looked} configurations that were looked at {what}"
+    return NoSolutionFound(sentence, violations={}, iterate={})
 
 
 def _widened(program: OutcomeProgram, ys: list[Vector], values: list[float], workers: int) -> Valued | None:
@@ -182,16 +188,22 @@ def _some_steps(
     return ys, values, distance
 
 
-def lifted(program: OutcomeProgram, ys: list[Vector], workers: int) -> list[Vector]:
-    """Points where the loop does what it must at least, by climbing one of these after another; none where none is."""
+def lifted(program: OutcomeProgram, ys: list[Vector], workers: int) -> tuple[list[Vector], str]:
+    """Points where the loop does what it must at least, by climbing one of these after another; none where none is.
+
+    Then what comes nearest is told, a sentence.
+    """
     for k, (measure, least) in enumerate(program.least):
         part = replace(program, measure=measure, least=program.least[:k])
         known = _known(part, ys, _values_of(part, ys, workers))
         if known is None:
-            return []
+            return [], ""
         ys, values, _ = _some_steps(*known, workers)
+        best, unit = measure.sign * max(values), measure.unit_of(program.loop.settings)
         ys = [y for y, value in zip(ys, values, strict=True) if value >= least]
-    return ys
+        if not ys:
+            return [], f"; the nearest is {measure.told} {best:.4g} {unit}".rstrip()
+    return ys, ""
 
 
 def _values(program: OutcomeProgram, blocks: list[list[Vector]], number: int) -> list[float]:
