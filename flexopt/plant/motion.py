@@ -82,9 +82,8 @@ class Motion(ABC):
 
     @property
     def base_hinges(self) -> list[int]:
-        """Those of them that no actuated joint carries: by these the base turns."""
-        passive, actuated = self.structure.passive, self.structure.actuated
-        return [row for row in self.hinges if not set(self.structure.way_to(passive[row])) & set(actuated)]
+        """Those of them by which the base turns."""
+        return [row for row in self.hinges if self.structure.passive[row] in self.structure.base]
 
     @property
     def offset(self) -> ca.SX:

@@ -59,6 +59,8 @@ class Skeleton:
             plane first, where it has one.
         up: which of these points up.
         coupled_springs, coupled_dampers: pairs of bodies whose joints have a stiffness or damping, i ≤ j.
+        base: bodies on passive joints from the ground up to the first that has a mass: what gives beyond it is the
+            arm's, as an elastic root of a boom.
         constants: names of all that its motion has;  zeros: those that are exactly zero and are left out.
         chain: whether it is a chain of parallel hinges in a vertical plane, on passive slides along its axes, without
             rotors and with all its mass beyond the slides: `ChainMotion` then has its motion in closed form.
@@ -75,6 +77,7 @@ class Skeleton:
     placement: tuple[str, ...]
     coupled_springs: tuple[tuple[int, int], ...]
     coupled_dampers: tuple[tuple[int, int], ...]
+    base: tuple[int, ...] = ()
     ground: MatrixRows = UNTURNED
     up: int = 2
     constants: tuple[str, ...] = ()
@@ -227,10 +230,21 @@ def skeleton(tree: KinematicTree) -> Skeleton:
         placement=tuple(tree.placement),
         coupled_springs=tuple(springs),
         coupled_dampers=(*dampers, *_pairs(tree.coupled_dampers)),
+        base=_base(tree),
         ground=ground,
         up=[abs(part) for part in ground[tree.up]].index(1.0),
     )
     return replace(whole, chain=_is_chain(whole, tree))
+
+
+def _base(tree: KinematicTree) -> tuple[int, ...]:
+    """See `Skeleton.base`."""
+    names, found = [body.name for body in tree.bodies], list[int]()
+    for i, body in enumerate(tree.bodies):
+        before = None if body.parent is None else names.index(body.parent)
+        carried = before is None or (before in found and not tree.bodies[before].mass)
+        found += [i] if body.joint.passive and carried else []
+    return tuple(found)
 
 
 def _is_chain(s: Skeleton, tree: KinematicTree) -> bool:

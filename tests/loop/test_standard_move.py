@@ -246,3 +246,22 @@ def test_settling_jumps_where_an_excursion_leaves_the_band() -> None:
     assert min(abs(peak.size - SETTLED) for peak in after) < 1e-5 * SETTLED
     # So near to it there is no derivative.
     assert at(high).settling().slopes is None
+
+
+def test_an_elastic_root_of_the_arm_is_not_the_base() -> None:
+    """Softer, it turns farther than the base does; the turn that is told stays the base's."""
+    data = flexopt.load("excavator").to_dict()
+    root = {"name": "root", "length": 0.3, "com": 0.15, "mass": 60.0, "inertia": 0.6, "passive": True, "damping": 200.0}
+    loop = {"kp": 8e3, "kv": 3e3, "drive": "torque"}
+    swings = list[float]()
+    for stiffness in (1e9, 2e5):
+        links = [root | {"stiffness": stiffness}, *data["links"]]
+        machine = flexopt.machine_from_dict({**data, "links": links})
+        posture = (0.0448, -2.0499)
+        swings.append(flexopt.outcome(machine, posture, loop=loop).swing)
+        run = flexopt.simulate(machine, posture, loop=loop, duration=4.0)
+        turns = np.abs(run.q[:, :4] - run.q[0, :4]).max(axis=0)
+        rows = [run.coordinates.index(name) for name in ("base.rotation", "root")]
+        assert run.peak_base_rotation == pytest.approx(turns[rows[0]], rel=1e-9)
+        assert (turns[rows[1]] > 2 * turns[rows[0]]) == (stiffness == 2e5)
+    assert swings[1] == pytest.approx(swings[0], rel=0.5)
