@@ -173,11 +173,9 @@ class LoopSettings(Result):
         if not found:
             return ""
         names = f"the gains {' and '.join(found)} follow" if len(found) > 1 else f"the gain {next(iter(found))} follows"
-        table = ", ".join(f'"{name}": {number}' for name, number in found.items())
-        options = " ".join(f"--loop {name}={number}" for name, number in found.items())
         return (
             f"{names} from the posture of {where} and would be {'others' if len(found) > 1 else 'another'} elsewhere; "
-            f"to keep {'these' if len(found) > 1 else 'it'}: loop={{{table}}}, in the shell {options}"
+            f"to keep {'these' if len(found) > 1 else 'it'}: {in_calls(found)}"
         )
 
     def __repr__(self) -> str:
@@ -198,6 +196,12 @@ def _numbers(values: Vector) -> str:
     """One number where all are the same."""
     listed = [f"{x:.4g}" for x in values]
     return listed[0] if len(set(listed)) == 1 else f"[{', '.join(listed)}]"
+
+
+def in_calls(numbers: Mapping[str, str]) -> str:
+    """How calls are given these of a loop."""
+    table = ", ".join(f'"{name}": {number}' for name, number in numbers.items())
+    return f"loop={{{table}}}, in the shell {' '.join(f'--loop {name}={number}' for name, number in numbers.items())}"
 
 
 def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity: bool = False) -> LoopSettings:

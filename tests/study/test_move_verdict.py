@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 import warnings
 from dataclasses import replace
 from itertools import product
@@ -258,6 +259,21 @@ def test_a_damper_that_is_too_much_for_the_sampling_rate_is_named() -> None:
     assert "it grows at 50 Hz, half the sampling rate" in sentence(1e9)
     assert "or the damper of the self-motion, is too much for 100 Hz" in sentence(1e9)
     assert "half the sampling rate" not in sentence(1e3)
+
+
+def test_gains_that_were_chosen_are_handed_on_with_their_digits() -> None:
+    """At an optimum in a kink four digits would be another loop."""
+    machine, loop = flexopt.load("excavator"), {"kp_range": (10.0, 1e5), "kv_range": (10.0, 1e4), "rate": 100.0}
+    few: dict[str, Any] = {"base": 0.0, "objective": "decay", "starts": 2, "members": 2, "runs": 0}
+    found = flexopt.verdict(machine, (0.0, 1.6), loop=loop, **few)
+    words = re.search(
+        r"the gains were chosen with candidate 1; to keep them: .* --loop kp=(\S+) --loop kv=(\S+)", repr(found)
+    )
+    assert words
+    place = next(each for each in found.places if each.name == "candidate 1")
+    kept = dict(zip(("kp", "kv"), map(float, words.groups()), strict=True)) | {"rate": 100.0}
+    there = flexopt.outcome(machine, place.posture, base=place.base, loop=kept)
+    assert there.decay == pytest.approx(place.decay.nominal, rel=1e-6)
 
 
 @pytest.mark.long

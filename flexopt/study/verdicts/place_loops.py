@@ -26,7 +26,7 @@ from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.continua import unwound
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
-from flexopt.selection.outcomes.result import ChosenByLoop
+from flexopt.selection.outcomes.result import ChosenByLoop, OutcomeSelection
 from flexopt.selection.problem import broken, resting, value_at
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
@@ -109,6 +109,13 @@ class PlaceLoops:
 def problems_of(chosen: Chosen) -> tuple[SelectionProblem, ...]:
     """The problem of each target."""
     return (chosen.problem,) if isinstance(chosen, Selection) else chosen.problems
+
+
+def chosen_gains(chosen: Chosen) -> dict[str, float]:
+    """Those that were chosen with the best configuration: the machine would have them."""
+    if isinstance(chosen, OutcomeSelection):
+        return dict(chosen.gains[0])
+    return chosen.gains if isinstance(chosen, ByLoop) else {}
 
 
 def broken_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:

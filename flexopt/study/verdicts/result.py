@@ -17,7 +17,7 @@ from flexopt.foundation.printing import Printed
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import unseen_told
-from flexopt.loop.settings import LoopSettings
+from flexopt.loop.settings import LoopSettings, in_calls
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
@@ -25,7 +25,7 @@ from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import broken, elsewhere, reached
 from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import FASTER, RULE, Word, gains_in_words, spoken
-from flexopt.study.verdicts.place_loops import Chosen, found_in, problems_of
+from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of
 from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD, allowed, told
 
 if TYPE_CHECKING:
@@ -345,9 +345,12 @@ class Verdict(Pictured, Printed, Result):
 
     @property
     def handed_on(self) -> str:
-        """Which gains follow from the posture, and how other calls are given them; empty where all were given."""
+        """Which gains follow from the posture or were chosen, and how other calls are given them; empty of none."""
         where = "the present place" if self._stay else FIRST
-        return self.settings.handed_on(f"{where} at target 1" if len(self.problems) > 1 else where)
+        follow = self.settings.handed_on(f"{where} at target 1" if len(self.problems) > 1 else where)
+        gains = {name: f"{gain:.10g}" for name, gain in chosen_gains(self.selection).items()}
+        chosen = f"the gains were chosen with {FIRST}; to keep them: {in_calls(gains)}" if gains else ""
+        return "; ".join(filter(None, (chosen, follow)))
 
     @property
     def proven(self) -> bool:

@@ -33,9 +33,7 @@ from flexopt.model.loop import Loop, LoopLike, gain_ranges, under_control
 from flexopt.model.problem import SelectionKeywords, SelectionOptions, judged_by
 from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 from flexopt.selection import Selection, SelectionProblem, select, solve_problem, solve_selection
-from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.several import BasePlan, Stand
-from flexopt.selection.several.by_loop import ByLoop
 from flexopt.study.asked import any_problem
 from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import FASTER, MOST, Decision, Place, decide, deciding, faster, ranked, spoken
@@ -48,6 +46,7 @@ from flexopt.study.verdicts.place_loops import (
     besides_driving,
     broken_at,
     broken_within,
+    chosen_gains,
     configurations_of,
     drive_to,
     problems_of,
@@ -317,13 +316,7 @@ def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, t
     machine, control = first.machine, first.control
     own = cast("Loop | None", loop or getattr(problem, "loop", None) or machine.loop) or Loop()
     own = under_control(own, machine, control, "verdict")
-    # Gains that were chosen with the best configuration are those that the machine would have.
-    gains = dict[str, float]()
-    if isinstance(chosen, OutcomeSelection):
-        gains = dict(chosen.gains[0])
-    elif isinstance(chosen, ByLoop):
-        gains = chosen.gains
-    own = own.model_copy(update={name: (gain,) for name, gain in gains.items()})
+    own = own.model_copy(update={name: (gain,) for name, gain in chosen_gains(chosen).items()})
     return own, ranges or getattr(problem, "uncertainty", None) or machine.uncertainty or GROUND
 
 
