@@ -251,7 +251,7 @@ class _Lines:
     def tick(self, passed: float) -> None:
         """Say it, after so many seconds."""
         self.said = self.at
-        click.echo(f"{self.at or self.what}, {passed:.0f} s", err=True)
+        click.echo(f"{self.at or f'{self.what}: 0 so far'}, {passed:.0f} s", err=True)
 
     def end(self) -> None:
         """Say what was not said yet."""

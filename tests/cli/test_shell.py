@@ -234,8 +234,8 @@ def test_a_clock_runs_where_nothing_else_tells_that_work_goes_on(monkeypatch: py
     barred = told(Terminal(), "starts, ", bar=True)
     assert "starts, 0 s" in barred
     assert "simulate" not in barred[barred.index("starts") :]  # before, where a busy processor begins the bar late
-    lines = told(io.StringIO(), "starts, ", bar=True).splitlines()
-    assert re.fullmatch(r"starts, \d+ s", lines[-1])
+    lines = told(io.StringIO(), "starts: 0 so far, ", bar=True).splitlines()
+    assert re.fullmatch(r"starts: 0 so far, \d+ s", lines[-1])
     monkeypatch.setattr(VOICE, "quiet", True)
     monkeypatch.setattr("flexopt.cli.common.TICK", 0.01)
     quiet = Terminal()
