@@ -62,9 +62,9 @@ class Outcome(Result):
         settling, swing: of the standard move, in which the end-point starts beside its target along one task row, the
             worst row: after which time |e| stays below 2 % of its start, s, NaN where it does not in a minute; and the
             base's largest turn about one of its axes, rad (of a base that cannot turn a shift, m: `swing_unit`), for
-            each m of the move: without `gravity` what motion alone makes of it. What gives beyond the first body that
-            has a mass is the arm's, not the base's. The commands show the error from the start, so that the first dead
-            time does not count; the move starts where one of them changes.
+            each m of the move: without `gravity` what motion alone makes of it. An elastic root of the arm, which gives
+            in a way in which the base gives already, is no part of the base. The commands show the error from the
+            start, so that the first dead time does not count; the move starts where one of them changes.
         gradient: exact derivatives of each of these by `base`, `posture`, `parameters`, `kp`, `kv`, `ki`, `dead_time`
             and the drives' numbers; (m, size) of what there is for each mode. NaN where eigenvalues meet. By a dead
             time of whole samples those are of a longer one; of settling and swing NaN where

@@ -19,6 +19,8 @@ from flexopt.model.tree_quantities import axes_about, snapped_rows
 
 MatrixRows = tuple[tuple[float, float, float], ...]
 PLANES = ("xy", "xz", "yz")
+# Axes that lie in one plane but for this, or along one line, give no further direction.
+PARALLEL = 1e-6
 TURN = "turn"  # of the anchor frame since it stood at first
 
 
@@ -59,8 +61,8 @@ class Skeleton:
             plane first, where it has one.
         up: which of these points up.
         coupled_springs, coupled_dampers: pairs of bodies whose joints have a stiffness or damping, i ≤ j.
-        base: bodies on passive joints from the ground up to the first that has a mass: what gives beyond it is the
-            arm's, as an elastic root of a boom.
+        base: bodies on passive joints from the ground up to the first joint that gives as the base does already: that
+            is the arm's, as an elastic root of a boom, which turns about an axis of the base.
         constants: names of all that its motion has;  zeros: those that are exactly zero and are left out.
         chain: whether it is a chain of parallel hinges in a vertical plane, on passive slides along its axes, without
             rotors and with all its mass beyond the slides: `ChainMotion` then has its motion in closed form.
@@ -239,12 +241,18 @@ def skeleton(tree: KinematicTree) -> Skeleton:
 
 def _base(tree: KinematicTree) -> tuple[int, ...]:
     """See `Skeleton.base`."""
-    names, found = [body.name for body in tree.bodies], list[int]()
+    names = [body.name for body in tree.bodies]
+    turned, given = dict[int, Array](), dict[int, dict[str, list[Array]]]()
     for i, body in enumerate(tree.bodies):
-        before = None if body.parent is None else names.index(body.parent)
-        carried = before is None or (before in found and not tree.bodies[before].mass)
-        found += [i] if body.joint.passive and carried else []
-    return tuple(found)
+        before = -1 if body.parent is None else names.index(body.parent)
+        if not body.joint.passive or (before >= 0 and before not in given):
+            continue
+        turned[i] = turned.get(before, np.eye(3)) @ np.array(body.rotation)
+        kind, axis = body.joint.kind, turned[i] @ np.array(body.joint.axis)
+        known = given.get(before, {"hinge": [], "slide": []})
+        if not known[kind] or np.linalg.matrix_rank(np.array([*known[kind], axis]), tol=PARALLEL) > len(known[kind]):
+            given[i] = known | {kind: [*known[kind], axis]}
+    return tuple(given)
 
 
 def _is_chain(s: Skeleton, tree: KinematicTree) -> bool:

@@ -265,3 +265,16 @@ def test_an_elastic_root_of_the_arm_is_not_the_base() -> None:
         assert run.peak_base_rotation == pytest.approx(turns[rows[0]], rel=1e-9)
         assert (turns[rows[1]] > 2 * turns[rows[0]]) == (stiffness == 2e5)
     assert swings[1] == pytest.approx(swings[0], rel=0.5)
+
+
+def test_a_base_whose_axles_have_masses_turns_as_one_without() -> None:
+    """Bodies between its springs are the base's, too, as light as these are."""
+    data, posture = flexopt.load("truck-crane").to_dict(), (0.61, 0.8256, -0.939, 0.7858)
+    heavy = [body | {"mass": 1e-3} if body["name"].startswith("truck.") else body for body in data["bodies"]]
+    loop = {"kp": 1e4, "kv": 5e3, "drive": "torque", "nullspace_damping": 1e3}
+    plain, split = (
+        flexopt.outcome(flexopt.tree_from_dict({**data, "bodies": bodies}), posture, loop=loop)
+        for bodies in (data["bodies"], heavy)
+    )
+    assert (plain.swing_unit, split.swing_unit) == ("rad", "rad")
+    assert split.swing == pytest.approx(plain.swing, rel=1e-4)
