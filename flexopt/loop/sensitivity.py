@@ -65,8 +65,8 @@ class Sensitivity(Pictured, Result):
         mean, deviation: of each output over the samples, (s,).
         samples: base samples; each output was computed (k + 2) times as often.
         crossing: modes, from 0, that change places within the ranges, or trade shapes, in groups. w_i is of the mode
-            with the i-th frequency, whichever that is: of these it jumps, so that slopes are no bound (NaN), and what
-            moves one past another seems to matter.
+            with the i-th frequency, whichever that is: of these it jumps, or changes within a little, so that slopes at
+            samples are no bound (NaN), and what moves one mode past another seems to matter.
         most: for each output the name with the largest total index; `""` where its interval overlaps that of another,
             or modes change places, so that it cannot be told, or where the output does not vary.
 
@@ -104,7 +104,7 @@ class Sensitivity(Pictured, Result):
         found: list[str] = []
         crossing = {k for group in self.crossing for k in group}
         for s, (total, ends) in enumerate(zip(self.total, self.total_interval, strict=True)):
-            if s in crossing or not np.all(np.isfinite(total)):
+            if (s in crossing and len(self.names) > 1) or not np.all(np.isfinite(total)):
                 found.append("")
                 continue
             best = int(np.argmax(total))
@@ -147,7 +147,7 @@ class Sensitivity(Pictured, Result):
                 )
             why = {"undecided": ": the intervals overlap", "nothing": ", it does not vary"}.get(self.said[s], "")
             if self.said[s] == "undecided" and (group := next((each for each in self.crossing if s in each), ())):
-                why = f": modes {listed(str(i + 1) for i in group)} change places within the ranges"
+                why = f": modes {listed(str(i + 1) for i in group)} change places or trade shapes within the ranges"
             lines.append(f"    matters most: {self.said[s]}{why}")
         return "\n".join(lines)
 

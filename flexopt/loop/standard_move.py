@@ -101,8 +101,7 @@ class StandardMove:
     @cached_property
     def _base_rows(self) -> Vector:
         """The base's turns (where nothing turns, shifts) as rows of s."""
-        plant, p = self.motions.plant, self.sample.parts
-        rows = list(self.motions.loop.shape.base_hinges) or list(range(plant.n_passive))
+        p, rows = self.sample.parts, self.motions.loop.shape.base_rows
         found = np.zeros((len(rows), len(p.flow)))
         found[:, : len(self._to_q)] = self._to_q[rows]
         return found

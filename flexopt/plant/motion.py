@@ -86,6 +86,12 @@ class Motion(ABC):
         return [row for row in self.hinges if self.structure.passive[row] in self.structure.base]
 
     @property
+    def base_rows(self) -> list[int]:
+        """Rows of q that say how far the base turns, of one that cannot how far it shifts; without any all passive."""
+        slides = [row for row, i in enumerate(self.structure.passive) if i in self.structure.base]
+        return self.base_hinges or slides or list(range(len(self.structure.passive)))
+
+    @property
     def offset(self) -> ca.SX:
         """The constant part of q = A u + `offset`, the placement being 0."""
         return ca.SX.zeros(self.n, 1)

@@ -74,7 +74,11 @@ def test_modes_that_change_places_are_not_judged() -> None:
         assert found.crossing == crossing
         assert bool(np.isnan(found.bound).all()) == bool(crossing)
         assert found.most == (("",) if crossing else ("payload.mass",)) * 4
-        assert ("modes 1, 2, 3 and 4 change places" in repr(found)) == bool(crossing)
+        assert ("modes 1, 2, 3 and 4 change places or trade shapes" in repr(found)) == bool(crossing)
+        # Of a single number there is no doubt.
+        alone = flexopt.sensitivity(machine(3e4), posture, ranges={"yaw.stiffness": ends}, samples=64)
+        assert set(alone.most) <= {"", "yaw.stiffness"}
+        assert alone.most[0] == "yaw.stiffness" or not crossing
         if not crossing:
             assert (found.total_interval[..., 0] <= found.bound + 2 * found.bound_error + 1e-9).all()
 

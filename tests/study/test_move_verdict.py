@@ -640,16 +640,25 @@ def test_what_all_targets_rest_on_is_told_once() -> None:
     assert replace(place, rests_on=((), ())).rest == ""
 
 
+def value_of(machine: Any, name: str) -> float:
+    return next(each.value for each in machine.parameters if each.name == name)
+
+
 def test_a_place_that_cannot_hold_a_heavier_load_is_told() -> None:
     """Choices keep the share of efforts with the file's payload; with more of it the joints' own torques say."""
     machine = flexopt.load("boom-stick-bucket")
     asked: dict[str, Any] = {
         "base": 0.0, "constraints": {"holding": 0.9}, "loop": "default", "starts": 2, "members": 4, "runs": 0,
     }  # fmt: skip
-    load = next(each.value for each in machine.parameters if each.name == "payload.mass")
+    load = value_of(machine, "payload.mass")
     words = list[list[str]]()
     for heaviest in (1.001 * load, 4e4):
-        ground = {"payload.mass": (load, heaviest), "stiffness": (0.9, 1.1)}
+        # Those that no constraint depends on, before it, hide nothing.
+        ground = {
+            f"{word}.{d}": (0.9, 1.1) for word in ("base.stiffness", "base.damping") for d in ("x", "y", "rotation")
+        }
+        ground = {name: tuple(end * value_of(machine, name) for end in ends) for name, ends in ground.items()}
+        ground |= {"dead_time": (0.0, 0.01), "payload.mass": (load, heaviest)}
         found = flexopt.verdict(machine, (7.0, 1.0), ranges=ground, **asked)
         words.append([place.breaks for place in found.places])
         assert all((place.broken in repr(found)) for place in found.places)

@@ -7,10 +7,10 @@ several targets the worst counts.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +27,7 @@ from flexopt.selection.continua import unwound
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
 from flexopt.selection.outcomes.result import ChosenByLoop, OutcomeSelection
-from flexopt.selection.problem import broken, resting, value_at
+from flexopt.selection.problem import broken, resting, rows_with, value_at
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import held_by_loop
@@ -46,6 +46,8 @@ LOOKED = 12
 LEAST_TOLD = 1e-3
 # So many times the usual number of postures is looked at where a placement is given.
 FINER = 6
+# What moves constraints by less, of their scale, does not matter to them.
+MOVED = 1e-9
 # From so many of these the objective is climbed.
 CLIMBED = 16
 
@@ -134,13 +136,12 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
 
     Choices keep those of statics, as of what joints hold, with the file's payload.
     """
-    corners = [box.numbers(u)[0] for u in box.corners(CORNERED)]
     of_each = list[str]()
     for k, (problem, at) in enumerate(zip(problems_of(chosen), stand, strict=True), start=1):
         z = np.concatenate(at)
         if broken(problem, z, asked=True):
             continue
-        p = next((p for p in corners if broken(problem, z, asked=True, p=p)), None)
+        p = next((p for p in _corners(problem, z, box) if broken(problem, z, asked=True, p=p)), None)
         if p is None:
             continue
         for entries in box.entries:
@@ -153,6 +154,26 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
         target = "" if len(stand) == 1 else f" at target {k}"
         of_each.append(f"{broken(problem, z, asked=True, p=p)}{target} where {where}")
     return "; ".join(of_each)
+
+
+def _corners(problem: SelectionProblem, z: Vector, box: UncertaintyBox) -> Iterator[Vector]:
+    """The machine's numbers (n_par,) at corners of the intervals that constraints depend on, the first few of them."""
+    count, scale = len(box.uncertainty), problem.row_bounds[2]
+
+    def with_end(i: int, end: float) -> Vector:
+        p = box.nominal.copy()
+        p[box.entries[i]] = box.numbers(np.where(np.arange(count) == i, end, 0.5))[0][box.entries[i]]
+        return p
+
+    rows = [[rows_with(problem, z, with_end(i, end)) for end in (0.0, 1.0)] for i in range(count)]
+    moved = [float(np.abs((high - low) / scale).max()) for low, high in rows]
+    most = sorted(range(count), key=lambda i: -moved[i])[:CORNERED]
+    chosen = [i for i in most if moved[i] > MOVED]
+    for ends in product((0.0, 1.0), repeat=len(chosen)):
+        p = box.nominal.copy()
+        for i, end in zip(chosen, ends, strict=True):
+            p[box.entries[i]] = with_end(i, end)[box.entries[i]]
+        yield p
 
 
 def resting_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> list[tuple[str, ...]]:

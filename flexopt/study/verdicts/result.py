@@ -234,7 +234,7 @@ class Verdict(Pictured, Printed, Result):
             elif measure == "settling" and math.isnan(value) and not math.isnan(before):
                 found.append(f"does not settle in a minute instead of in {before:.4g} s")
         told = [f"in the worst case it {', '.join(found)} there"] if found else []
-        return "; ".join([*told, *([f"it {there.breaks}"] if there.breaks else [])])
+        return "; ".join([*told, *([f"it {there.breaks}"] if there.breaks and not stay.breaks else [])])
 
     @property
     def problems(self) -> tuple[SelectionProblem, ...]:
