@@ -468,8 +468,20 @@ def reached(problem: SelectionProblem, z: Vector) -> Vector:
 UNASKED = re.compile(f"^limits of |^singularity margin$| {re.escape(GROUND)}$")
 
 
-def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False, p: Vector | None = None) -> str:
+def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
     """Which limits and constraints a configuration breaks, the target aside, the worst first; empty where none.
+
+    `asked`: as of `broken_names`.
+    """
+    worst = broken_names(problem, z, asked=asked)
+    if not worst:
+        return ""
+    more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
+    return f"breaks {', '.join(worst[:NAMED])}{more}"
+
+
+def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p: Vector | None = None) -> list[str]:
+    """Names of the limits and constraints that a configuration breaks, the target aside, the worst first.
 
     `asked`: of those alone that somebody asked for: no limits, no margin from singular postures, no assumed ground.
     `p`: the machine's numbers, where they may be others; the user's own constraints are with its own.
@@ -481,11 +493,7 @@ def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False, p: Vect
     names += [row.name for row in problem.constraints[problem.target.size :]]
     names += [row.name for row in problem.own_constraints]
     order: list[int] = np.argsort(-away, kind="stable").tolist()
-    worst = [names[k] for k in order if away[k] > BROKEN and not (asked and UNASKED.search(names[k]))]
-    if not worst:
-        return ""
-    more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
-    return f"breaks {', '.join(worst[:NAMED])}{more}"
+    return [names[k] for k in order if away[k] > BROKEN and not (asked and UNASKED.search(names[k]))]
 
 
 def resting(problem: SelectionProblem, z: Vector) -> list[str]:

@@ -27,7 +27,7 @@ from flexopt.selection.continua import unwound
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
 from flexopt.selection.outcomes.result import ChosenByLoop, OutcomeSelection
-from flexopt.selection.problem import broken, resting, rows_with, value_at
+from flexopt.selection.problem import broken, broken_names, resting, rows_with, value_at
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import held_by_loop
@@ -136,24 +136,40 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
 
     Choices keep those of statics, as of what joints hold, with the file's payload.
     """
-    of_each = list[str]()
+    found = dict[str, dict[str, list[int]]]()
     for k, (problem, at) in enumerate(zip(problems_of(chosen), stand, strict=True), start=1):
-        z = np.concatenate(at)
-        if broken(problem, z, asked=True):
+        z, seen = np.concatenate(at), set[str]()
+        if broken_names(problem, z, asked=True):
             continue
-        p = next((p for p in _corners(problem, z, box) if broken(problem, z, asked=True, p=p)), None)
-        if p is None:
-            continue
-        for entries in box.entries:
-            without = p.copy()
-            without[entries] = box.nominal[entries]
-            # What breaks nothing is not told.
-            p = without if broken(problem, z, asked=True, p=without) else p
-        others = [(own, x) for own, x in zip(box.machine.parameters, p.tolist(), strict=True) if own.value != x]
-        where = listed(f"{own.name} is {x:.4g} {own.unit}" for own, x in others)
-        target = "" if len(stand) == 1 else f" at target {k}"
-        of_each.append(f"{broken(problem, z, asked=True, p=p)}{target} where {where}")
-    return "; ".join(of_each)
+        for p in _corners(problem, z, box):
+            for name in broken_names(problem, z, asked=True, p=p):
+                if name not in seen:
+                    seen.add(name)
+                    where = _numbers_told(_least_of(problem, z, box, p, name), box)
+                    found.setdefault(where, {}).setdefault(name, []).append(k)
+    told = list[str]()
+    for where, names in found.items():
+        each = [
+            name if len(stand) == 1 or len(at) == len(stand) else f"{name} at target {listed(map(str, at))}"
+            for name, at in names.items()
+        ]
+        told.append(f"breaks {', '.join(each)} where {where}")
+    return "; ".join(told)
+
+
+def _least_of(problem: SelectionProblem, z: Vector, box: UncertaintyBox, p: Vector, name: str) -> Vector:
+    """The numbers p with as many of the file's own as leave the constraint broken."""
+    for entries in box.entries:
+        without = p.copy()
+        without[entries] = box.nominal[entries]
+        p = without if name in broken_names(problem, z, asked=True, p=without) else p
+    return p
+
+
+def _numbers_told(p: Vector, box: UncertaintyBox) -> str:
+    """Those that are not the file's."""
+    others = [(own, x) for own, x in zip(box.machine.parameters, p.tolist(), strict=True) if own.value != x]
+    return listed(f"{own.name} is {x:.4g} {own.unit}" for own, x in others)
 
 
 def _corners(problem: SelectionProblem, z: Vector, box: UncertaintyBox) -> Iterator[Vector]:
