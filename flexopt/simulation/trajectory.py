@@ -81,9 +81,8 @@ class Trajectory(Pictured, Result):
         overshoot: how far the end-point went beyond its target, as a share of the error at the start; None where base
             or target move.
         end_error: |e| at the end, m; None where the run left the finite numbers.
-        peak_base_rotation: largest deflection from equilibrium of a hinge by which the base turns, rad: of a planar
-            machine the base's rotation, in space of any passive hinge that no actuated joint carries; None where there
-            is none.
+        peak_base_rotation: largest deflection from equilibrium of a hinge by which the base turns, rad; of an elastic
+            root of the arm, which turns about an axis of the base, it is none. None where the base has no hinge.
         residual_oscillation: largest energy of each flexible mode in the last period of the slowest, (m,), J. The modes
             are those where the run begins, without a controller: what a base or target that moves leads to has others.
         frequencies_hz: of these modes, (m,).

@@ -88,8 +88,8 @@ class Runs(Result):
 def long_enough(modes_hz: Iterable[float], rate: float, least: float = DURATION) -> float:
     """How long a run takes to show whether the slowest of these modes grows, s."""
     slowest_hz, longest = min(modes_hz), min(LONGEST, SAMPLES / rate)
-    # Of what is slower still no run can tell.
-    return max(least, min(PERIODS / slowest_hz, longest)) if slowest_hz * longest >= FEWEST_WINDOWS else least
+    # Of what is slower still no run can tell, of members with half the frequency, too.
+    return max(least, min(PERIODS / slowest_hz, longest)) if slowest_hz * longest >= 2 * FEWEST_WINDOWS else least
 
 
 def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duration: float) -> Runs:
