@@ -94,9 +94,7 @@ def plot_plan(sheet: Sheet, plan: BasePlan) -> None:
     machine, shots = plan.problems[0].machine, _some(len(plan.places), SHOTS)
     shapes = [shape_of(machine, plan.places[k].evaluation) for k in shots]
     # All shots see the same plane: a machine in space from above, where its way is seen, unless it stays in a plane.
-    above = np.hstack([views(shape)[-1].of(shape.skeleton) for shape in shapes])
-    _, across = np.linalg.svd(above - above.mean(axis=1, keepdims=True))[1]
-    view = views(shapes[0])[0 if across <= FLAT * shapes[0].size else -1]
+    view = view_of_way(shapes)
     rows = -(-len(shots) // ROW)
     units = sorted(set(e.base_units))
     outer = sheet.figure.add_gridspec(2, 1, height_ratios=[1.15 * rows, 1.6])
@@ -126,6 +124,16 @@ def plot_plan(sheet: Sheet, plan: BasePlan) -> None:
     for panel in panels:
         panel.set_xlabel("time, s")
     _title(sheet, plan)
+
+
+def view_of_way(shapes: Sequence[Shape]) -> View:
+    """From above; of machines that stay in one upright plane across that."""
+    above = np.hstack([views(shape)[-1].of(shape.skeleton) for shape in shapes])
+    directions, sizes, _ = np.linalg.svd(above - above.mean(axis=1, keepdims=True))
+    if sizes[1] > FLAT * shapes[0].size:
+        return views(shapes[0])[-1]
+    along: Points = directions[:, 0] * (1.0 if directions[:, 0].sum() > 0 else -1.0)
+    return views(shapes[0], along)[0]
 
 
 def _draw_strip(sheet: Sheet, grid: Any, plan: BasePlan, shots: list[int], shapes: Sequence[Shape], view: View) -> None:

@@ -160,11 +160,14 @@ def _support(machine: AnyMachine, skeleton: Points, base: Points) -> Points | No
     return np.vstack([corners + place[:, None], height])
 
 
-def views(shape: Shape) -> tuple[View, ...]:
-    """One view of a planar machine; of one in space from the side, across the arm's main direction, and from above."""
+def views(shape: Shape, along: Points | None = None) -> tuple[View, ...]:
+    """One view of a planar machine; of one in space from the side, across the arm's main direction, and from above.
+
+    `along`: another direction than the arm's, (2,), level.
+    """
     if shape.skeleton.shape[0] == 2:
         return (View("", np.eye(2), ("x, m (inertial frame)", "y, m"), upright=True, origin=shape.skeleton[:, 0]),)
-    along = shape.skeleton[:2, -1] - shape.skeleton[:2, 0]
+    along = shape.skeleton[:2, -1] - shape.skeleton[:2, 0] if along is None else along
     length = float(np.hypot(*along))
     along = along / length if length > UPRIGHT * shape.size else np.array([1.0, 0.0])
     yaw = math.degrees(math.atan2(along[1], along[0]))

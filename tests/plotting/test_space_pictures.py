@@ -16,7 +16,8 @@ from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
 from flexopt.plotting.scene import Actor, draw_scene
 from flexopt.plotting.scenery import draw_scenery, scenery_points
-from flexopt.plotting.shape import capsule_outline, shape_at, shape_of, views
+from flexopt.plotting.several import view_of_way
+from flexopt.plotting.shape import Shape, capsule_outline, shape_at, shape_of, views
 from flexopt.plotting.trajectory import deflection_panel
 from tests.oracles.spatial import grounded, in_space, pinocchio_tree, random_tree
 from tests.plotting.looking import faults
@@ -304,3 +305,17 @@ def test_a_stand_says_what_its_areas_hold_for():
     named = [text.get_text() for text in above.get_legend().get_texts()]
     assert len(named) == 1
     assert named[0].endswith("may stand here")
+
+
+def test_a_way_in_an_upright_plane_is_seen_from_across_it():
+    """Whichever plane, also where the arm stands upright at first; any other way from above."""
+    upright = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 1.0, 2.0]])
+
+    def at(x: float, y: float) -> Shape:
+        return Shape(upright + np.array([[x], [y], [0.0]]), ((0, 1), (1, 2)))
+
+    for along in ((1.0, 0.0), (0.0, 1.0), (0.6, 0.8)):
+        view = view_of_way([at(0.0, 0.0), at(*along)])
+        assert view.upright
+        np.testing.assert_allclose(view.of(np.array([*along, 0.0])), [1.0, 0.0], atol=1e-12)
+    assert not view_of_way([at(0.0, 0.0), at(1.0, 0.0), at(0.0, 1.0)]).upright

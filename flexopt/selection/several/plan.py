@@ -179,7 +179,7 @@ def plan_base(
     attempts = len(ends), len(good)
     good = not_below(program, good, begins, "way")
     good, unverified = taken_up(program, good, ends, "way")
-    end = _shortest(program, good, None if still is None else program.packed(still))
+    end = _shortest(program, good)
     best = program.unwound(end.x)
     places = places_at(program, best)
     stated: Document = {
@@ -303,15 +303,11 @@ def _with_own(
     return first + [[both, reached_from(own, sample_bases((own,), *OWN, seed), seed)] for own, both in others]
 
 
-def _shortest(program: Program, good: list[End], still: Vector | None) -> End:
-    """The shortest of the ways near the verified ones, and near standing still, that keep the best worst V."""
+def _shortest(program: Program, good: list[End]) -> End:
+    """The shortest of the ways near the verified ones that keep the best worst V."""
     level = program.worth(good[0].x) / program.size - KEPT
     shorter = program.kept(level)
     ways: list[End] = []
-    # Where V is flat a climb from there may have driven off.
-    if still is not None and program.worth(still) / program.size >= level and not infeasible(program, still):
-        found = end_from(shorter, still)
-        ways += [] if found.violations else [found]
     for end in good:
         if program.worth(end.x) / program.size >= level:
             moved = end_from(shorter, end.x)
