@@ -15,6 +15,7 @@ from flexopt.foundation.arrays import BaseLike, PostureLike, Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import Control
 from flexopt.foundation.doubt import in_degrees
+from flexopt.foundation.plain import listed
 from flexopt.foundation.results import Result
 from flexopt.foundation.rounding import without_rounding
 from flexopt.loop.lag import LaggedModes, lagged_modes
@@ -149,7 +150,7 @@ class Outcome(Result):
                 f"{self.frequencies_hz[i]:9.4f} Hz {self.damping_ratios[i]:10.3e}"
             )
         if fed := [str(i + 1) for i in np.flatnonzero((self.lag_reserve < 0) & (self.first_order_decay > 0)).tolist()]:
-            modes = f"mode {fed[0]}" if len(fed) == 1 else f"modes {', '.join(fed[:-1])} and {fed[-1]}"
+            modes = f"mode{'s' * (len(fed) > 1)} {listed(fed)}"
             lines.append(f"  {modes}, reserve below 0: {self.despite_reserve}")
         why = from_sample_to_sample(
             -self.decay, self.decay_rounding, self.frequency_hz, self.settings.rate, self.settings.nullspace_damping

@@ -14,7 +14,7 @@ from flexopt.coprime.margin import RIGID_MARGIN
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
-from flexopt.foundation.plain import counted
+from flexopt.foundation.plain import counted, listed
 from flexopt.foundation.results import Tabled
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import EXCITES, Evaluation, excites_rigid
@@ -493,8 +493,7 @@ SHOWN = 12
 
 
 def _numbered(targets: list[int]) -> str:
-    *before, last = map(str, targets)
-    return f"targets {', '.join(before)} and {last}" if before else f"target {last}"
+    return f"target{'s' * (len(targets) > 1)} {listed(map(str, targets))}"
 
 
 def _path(time: Vector, points: Vector) -> Path:
