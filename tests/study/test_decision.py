@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flexopt.study.verdicts.decision import Place, decide, deciding, faster, ranked
-from flexopt.study.verdicts.verdict import first_places, overlooked, shares_better
+from flexopt.study.verdicts.verdict import first_places, fit_places, overlooked, shares_better
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
 
@@ -27,6 +27,15 @@ def test_a_place_that_is_better_everywhere_is_moved_to() -> None:
     assert decide(STAY, [also]).reason.endswith(", for a drive of 2 m, boom by -0.4 rad")
     # What solves leave of a base that stays is no way.
     assert decide(STAY, [place("near", 3 * GROUNDS, 6e-11)]).reason.endswith(", for a drive of 0 m")
+
+
+def test_places_that_break_constraints_on_some_ground_count_where_all_do() -> None:
+    kept, broken = "", "breaks holding of boom where payload.mass is 3000 kg"
+    assert fit_places({"stay": kept, "candidate 1": broken, "candidate 2": kept}, "") == ["stay", "candidate 2"]
+    assert fit_places({"stay": broken, "candidate 1": broken}, "") == ["stay", "candidate 1"]
+    assert fit_places({"stay": kept, "candidate 1": broken}, "breaks clearance of boom") == ["candidate 1"]
+    assert fit_places({"stay": kept}, "breaks clearance of boom") == []
+    assert "no place found that keeps the constraints on every ground dec" in decide(STAY, [], barred=True).reason
 
 
 def test_places_that_a_search_finds_slower_than_their_members_give_way() -> None:

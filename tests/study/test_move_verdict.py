@@ -25,7 +25,7 @@ from flexopt.study.page import with_minus
 from flexopt.study.verdicts.confirmation import nonlinear_runs
 from flexopt.study.verdicts.place_loops import configurations_of, unreached
 from flexopt.study.verdicts.places import allowed, told
-from flexopt.study.verdicts.result import GROUND_ASSUMED
+from flexopt.study.verdicts.result import GROUND_ASSUMED, PlaceVerdict
 
 ARTICLE = {"kp": 1e4, "kv": 1e3}
 
@@ -678,6 +678,69 @@ def test_a_place_that_cannot_hold_a_heavier_load_is_told() -> None:
         if place.breaks:
             assert place.breaks.startswith("breaks holding of ")
             assert place.breaks.endswith(" where payload.mass is 4e+04 kg")
+
+
+def overloaded(place: PlaceVerdict, heaviest: float) -> list[set[str]]:
+    """At each target the joints whose cylinders bear less than what they hold of this load, by `evaluate` alone."""
+    data = flexopt.load("boom-stick-bucket").to_dict()
+    data["payload"]["mass"] = heaviest
+    heavy = flexopt.machine_from_dict(data)
+    pushes, pulls = ({each["name"]: each["force"][k] for each in data["cylinders"]} for k in (1, 0))
+    found = list[set[str]]()
+    for base, posture in place.stands:
+        held = flexopt.evaluate(heavy, posture, base=base).cylinders
+        found.append({c.name for c in held if c.force > 0.9 * pushes[c.name] or -c.force > 0.9 * pulls[c.name]})
+    return found
+
+
+@pytest.mark.parametrize(
+    ("targets", "heaviest", "word"),
+    [
+        ([(5.0, -1.0)], 2500.0, "move"),  # candidate 1 breaks it, others do not
+        ([(5.0, -1.0)], 4500.0, "move"),  # the present place, too
+        ([(6.0, 3.0)], 3300.0, "stay"),  # there is but one candidate
+        ([(5.0, -1.0), (6.0, -1.0)], 4500.0, "move"),  # at one target, at each
+        ([(6.0, 1.0), (7.0, 2.0)], 4000.0, "move"),  # every place breaks it
+    ],
+)
+def test_no_machine_is_sent_where_it_cannot_hold_the_heaviest_load(
+    targets: list[tuple[float, float]], heaviest: float, word: str
+) -> None:
+    """Where another place keeps constraints on every ground; what a place breaks is judged by `evaluate` alone."""
+    machine = flexopt.load("boom-stick-bucket")
+    asked: dict[str, Any] = {"base": 0.0, "constraints": {"holding": 0.9}, "starts": 6}
+    if len(targets) > 1:
+        chosen: Any = flexopt.select_stand(machine, targets, **asked)
+    else:
+        chosen = flexopt.select(machine, targets[0], **asked)
+    ranges = {"payload.mass": (1000.0, heaviest), "stiffness": (0.5, 2.0)}
+    found = flexopt.verdict(chosen, loop="default", ranges=ranges, members=4, runs=0)
+    broken = {place.name: overloaded(place, heaviest) for place in found.places}
+    for place in found.places:
+        every = set.union(*broken[place.name])
+        assert bool(place.breaks) == bool(every)
+        for name in every:
+            at = [k for k, names in enumerate(broken[place.name], start=1) if name in names]
+            where = "" if len(at) == len(targets) else f" at target {' and '.join(map(str, at))}"
+            assert f"by {name}{where}" in place.breaks
+    keeping = [name for name, each in broken.items() if not any(each)]
+    assert found.word == word
+    if keeping:
+        assert found.place in keeping
+        assert {name for name in broken if name not in keeping} == {
+            *found.excluded,
+            *(["stay"] if any(broken["stay"]) else []),
+        } & set(broken)
+        assert not found.drawbacks.startswith("every place")
+        if any(broken["stay"]):
+            assert found.reason.startswith(f"the present place {found.places[0].breaks}")
+        if word == "stay":
+            assert "no place found that keeps the constraints on every ground" in found.reason
+    else:
+        assert found.excluded == ()
+        there = next(place for place in found.places if place.name == found.place)
+        assert f"every place found breaks constraints on some ground: {there.name} {there.breaks}" in found.drawbacks
+    assert found.to_dict()["excluded"] == list(found.excluded)
 
 
 @pytest.mark.parametrize("softer", [0.01, 0.003])

@@ -33,12 +33,15 @@ RULE = (
     "tried do in a place what no move does with the present gains, or no place is stable on every ground and other "
     "gains make one so; runs confirm it. STAY: the present place is stable on every ground, runs confirm it, and no "
     f"other is better on more than {100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else. A present place that "
-    "breaks constraints that were asked for is none to stay at, and is not among the places. Where no nonlinear runs "
-    "were asked for, they need not confirm. Of several places to move to it is that with the least drive among those "
+    "breaks constraints that were asked for is none to stay at, and is not among the places; nor is one that breaks "
+    "them at a corner of what is uncertain, where another place keeps them. Where no nonlinear runs were asked for, "
+    "they need not confirm. Of several places to move to it is that with the least drive among those "
     f"whose slowest decay is within {100 * FASTER:.0f} % of the best."
 )  # fmt: skip
 
 
+# Those found, where others are none to move to.
+KEEPING = " that keeps the constraints on every ground"
 # Why there is no staying, usually.
 UNREACHED = "from the present placement the arm does not reach {} within its limits"
 
@@ -96,6 +99,7 @@ def decide(
     alternates: str = "",
     absent: str = UNREACHED.format("the target"),
     most: float = 0.0,
+    barred: bool = False,
 ) -> Decision:
     """The word by `RULE`.
 
@@ -110,7 +114,9 @@ def decide(
         alternates: why the loop changes its sign at every sample, where it grows so in every place.
         absent: why there is no staying.
         most: share of the members on which a place is better than staying, of all that were judged.
+        barred: whether some that were found are not among these, for they break constraints on some ground.
     """
+    found = f"no place found{KEEPING * barred}"
     sound = [place for place in others if place.holds and place.name not in unconfirmed]
     best = _best([place for place in sound if stay is None or _pays(place, stay)])
     if changed is not None and changed.holds and _spares(changed, stay, best, sound):
@@ -130,7 +136,7 @@ def decide(
         if share <= 1 - MOST:
             most = max(share, most)
             where = f"more than {100 * most:.0f} % of the grounds" if most else "any ground"
-            reason = f"no place found {BETTER} on {where}"
+            reason = f"{found} {BETTER} on {where}"
             return Decision("stay", stay.name, f"{reason}; slowest decay here {stay.slowest:.3g}/s")
         return Decision("cannot tell", rival.name, _why_not(rival, share, unconfirmed))
     if stay is not None and sound:
@@ -150,7 +156,7 @@ def decide(
     if refuted is not None and refuted.holds:
         named = f" ({gains_in_words(gains)})" if gains else ""
         with_others = f"; with others{named} {spoken(refuted.name)} is, but nonlinear runs do not confirm that"
-    reason = f"no place found is stable on every ground with the present gains{with_others}"
+    reason = f"{found} is stable on every ground with the present gains{with_others}"
     return Decision("cannot tell", "", reason + (f"; it grows at {alternates}" if alternates else ""))
 
 

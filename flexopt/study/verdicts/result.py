@@ -159,7 +159,7 @@ class Verdict(Pictured, Printed, Result):
         word: `"move"`, `"stay"`, `"change gains"` or `"cannot tell"`;  sentence: it, with where to and why.
         place: which place it speaks of;  reason: why.
         drawbacks: what is worse by a tenth or more where it sends the machine than where it stands, in the worst case,
-            a sentence: the word goes by the decay; empty where nothing is.
+            and what it breaks as every place found does, a sentence: the word goes by the decay; empty where nothing.
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
         gains: those to change to.
         rule: by which the word was found.
@@ -176,6 +176,8 @@ class Verdict(Pictured, Printed, Result):
             is more than a centimetre off is told in words, too, and the numbers of staying are those beside the target.
         present_breaks: which constraints that were asked for staying does not keep, "breaks …"; empty where it keeps
             them.
+        excluded: names of candidates to which the word does not send, for they break constraints on some ground, and
+            another place does not.
         assumes_ground: whether nobody said what is uncertain, so that `uncertainty` is the usual one of springs.
 
     Example:
@@ -196,12 +198,13 @@ class Verdict(Pictured, Printed, Result):
     selection: Chosen = field(repr=False)
     provenance: Document = field(repr=False)
     present_breaks: str = ""
+    excluded: tuple[str, ...] = ()
     assumes_ground: bool = False
 
     DOCUMENT = """
     word sentence place reason drawbacks measure gains rule targets[m] present_end_point[m] present_off[m]
     present_breaks places assumed
-    settings uncertainty=_uncertainty members judged proven provenance
+    settings uncertainty=_uncertainty members judged excluded proven provenance
     """
 
     @property
@@ -213,8 +216,13 @@ class Verdict(Pictured, Printed, Result):
     def drawbacks(self) -> str:
         """See the class."""
         stay, there = self._stay, next((place for place in self.places if place.name == self.place), None)
-        if self.word != "move" or stay is None or there is None:
+        if self.word != "move" or there is None:
             return ""
+        # Else another place would keep them, and this one would be none to move to.
+        no_better = f"every place found breaks constraints on some ground: {there.name} {there.breaks}"
+        no_better *= bool(there.breaks)
+        if stay is None:
+            return no_better
         highest = f"above {self.settings.highest_kp:.4g}"
         compared = (
             ("settles in {}", "settling", "greatest", 1.0, "s", ""),
@@ -233,8 +241,8 @@ class Verdict(Pictured, Printed, Result):
                 found.append(words.format(f"{factor * value:.4g} instead of {instead} {unit}"))
             elif measure == "settling" and math.isnan(value) and not math.isnan(before):
                 found.append(f"does not settle in a minute instead of in {before:.4g} s")
-        told = [f"in the worst case it {', '.join(found)} there"] if found else []
-        return "; ".join([*told, *([f"it {there.breaks}"] if there.breaks and not stay.breaks else [])])
+        told = f"in the worst case it {', '.join(found)} there" if found else ""
+        return "; ".join(filter(None, (told, no_better)))
 
     @property
     def problems(self) -> tuple[SelectionProblem, ...]:
@@ -320,13 +328,16 @@ class Verdict(Pictured, Printed, Result):
         if len(names) == self.judged:
             return ""
         whys = {FIRST: f"comes first by {self.selection.objective}"}
-        more = [f", and {name}, which {whys.get(name, MOST_OFTEN)}" for name in names[TOLD:]]
+        kept = self.judged - len(self.excluded)
+        first = min(TOLD, kept or self.judged)
+        more = [f", and {name}, which {whys.get(name, MOST_OFTEN)}" for name in names[first:]]
         found = found_in(self.selection)
         of_all = f" of {found}" if found > self.judged else ""
-        return (
-            f"{self.judged}{of_all} candidates were judged; shown are the {TOLD} that are stable on the most grounds "
-            f"and, of these, decay fastest in the worst case found{''.join(more)}"
-        )
+        shown = f"the {TOLD} that are stable on the most grounds and, of these, decay fastest in the worst case found"
+        if self.excluded and kept:
+            keep = "those that keep the constraints on every ground"
+            shown = keep if kept <= TOLD else f"of {keep} {shown}"
+        return f"{self.judged}{of_all} candidates were judged; shown are {shown}{''.join(more)}"
 
     @property
     def sought_by(self) -> str:

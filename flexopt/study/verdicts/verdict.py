@@ -158,29 +158,35 @@ def verdict(
     each = _each(loops, lambda name: loops[name].decays(points), lambda done, of: stages.within(done, 2 * of))
     decays: dict[str, Vector] = {name: own.min(axis=0) for name, own in each.items()}
     others = [name for name in ranked(decays) if name != STAY]
+    held = {name: [(each.base, each.posture) for each in stand] for name, stand in stands.items()}
+    now_breaks = broken_at(chosen, held[STAY]) if STAY in held else ""
+    within = {name: broken_within(chosen, at, box) for name, at in held.items()}
+    fit = fit_places(within, now_breaks)
 
     @cache
     def search(name: str) -> Slowest:
         return loops[name].slowest(points, each[name])
 
-    first_ones = first_places(others, decays, lambda name: search(name).decay)
+    first_ones = first_places(
+        [name for name in others if name in fit] or others, decays, lambda name: search(name).decay
+    )
     told = list(dict.fromkeys(name for name in (STAY, *first_ones, FIRST) if name in stands))
     shares = shares_better(decays)
-    told += overlooked(shares, told)
+    fit_shares = {name: share for name, share in shares.items() if name in fit}
+    told += overlooked(fit_shares, [name for name in told if name in fit])
     slowest = _each(told, search, lambda done, of: stages.within(of + done, 2 * of))
     drives = {name: drive_to(stands[name], cast(Vector, now)) for name in told}
     stages.next()
     first_runs = partial(_first_runs, loops, each, points[:runs], duration)
     shown = _each(told if runs else [], first_runs, stages.within)
     stages.next()
-    breaks = broken_at(chosen, [(e.base, e.posture) for e in stands[STAY]]) if STAY in stands else ""
-    absent = f"the present place {breaks}" if breaks or STAY in stands else unreached(chosen)
+    absent = f"the present place {now_breaks or within[STAY]}" if STAY in stands else unreached(chosen)
     known = {
         name: Place(name, decays[name], slowest[name].decay, drives[name][0],
                     besides_driving(machine, drives[name][1], stands[name], solved.present_posture))
-        for name in told if not (breaks and name == STAY)
+        for name in told if name in fit
     }  # fmt: skip
-    stay, rest = known.get(STAY), [known[name] for name in told if name != STAY]
+    stay, rest = known.get(STAY), [place for name, place in known.items() if name != STAY]
     unconfirmed = [name for name, run in shown.items() if run.confirming < MOST]
     tried = tried_gains(asked) if known and _tries(asked, known, unconfirmed) else ""
     changed, gains = _changed(asked, known, loops, slowest, points) if tried else (None, {})
@@ -190,13 +196,13 @@ def verdict(
     decision = decide(
         stay, rest, changed and changed[0], unconfirmed, tried=tried, refuted=refuted, gains=gains,
         alternates=_alternates(loops, slowest) if tried else "", absent=absent,
-        most=max(shares.values(), default=0.0),
+        most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
     )  # fmt: skip
-    if decision.word != "move" and (breaks or STAY not in stands):
-        decision = replace(decision, reason=f"{absent}; {'apart from it ' if breaks else ''}{decision.reason}")
+    if decision.word != "move" and stay is None:
+        decision = replace(decision, reason=f"{absent}; {'apart from it ' if STAY in stands else ''}{decision.reason}")
     bands = _each(told, lambda name: _place(
         name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name], drives[name],
-        shown.get(name), chosen,
+        shown.get(name), chosen, within[name],
     ), stages.within)  # fmt: skip
     stages.next()
     return Verdict(
@@ -215,8 +221,18 @@ def verdict(
         provenance=provenance(
             machine, members=members, runs=runs, duration=duration, selection=chosen.provenance["options"]
         ),
-        present_breaks=breaks,
+        excluded=tuple(name for name in stands if name not in fit and name != STAY),
+        present_breaks=now_breaks,
     )
+
+
+def fit_places(within: Mapping[str, str], now_breaks: str) -> list[str]:
+    """To which one may move, or stay at: those that break nothing on any ground, where there is one, else all.
+
+    `within`: what each breaks at corners of what is uncertain; the present one none where it breaks something at all.
+    """
+    places = [name for name in within if not (now_breaks and name == STAY)]
+    return [name for name in places if not within[name]] or places
 
 
 def shares_better(decays: Mapping[str, Vector]) -> dict[str, float]:
@@ -384,6 +400,7 @@ def _place(
     drive: tuple[float, float],
     runs: Runs | None,
     chosen: Chosen,
+    breaks: str,
 ) -> PlaceVerdict:
     members = [None, *place.box.corners(FEW), slowest.member]
     looked = [[(loop.outcome(u), u) for u in members] for loop in place.loops]
@@ -425,7 +442,7 @@ def _place(
         runs=runs,
         unseen=_is_unseen(place.loops[slowest.target], slowest),
         rests_on=tuple(resting_at(chosen, held)),
-        breaks=broken_within(chosen, held, place.box),
+        breaks=breaks,
     )
 
 
