@@ -14,7 +14,6 @@ from functools import cached_property
 from itertools import product
 from typing import Any, cast
 
-import casadi as ca
 import numpy as np
 
 from flexopt.errors import Fault
@@ -27,7 +26,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.choices import ALLOWED_GAIN, DELAY_MARGIN, SETTLING, SWING
 from flexopt.model.loop import DELAY_MAX, GAINS
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
-from flexopt.plant import build_plant
+from flexopt.plant import build_plant, moving_end_point
 
 # Corners are members up to that many intervals; searches start at so many of the slowest, and take so many steps.
 CORNERED, SEARCHES, STEPS = 6, 2, 12
@@ -49,8 +48,6 @@ LEVELS, SHORT = 12, 0.999
 FEW = 3
 # Measures of `LoopPoint` whose worst is searched for: 1 where that is the least, −1 where it is the greatest.
 SENSES = {ALLOWED_GAIN: 1.0, DELAY_MARGIN: 1.0, SETTLING: -1.0, SWING: -1.0}
-# Parameters that a message names.
-NAMED = 4
 # As how likely to be chance a correlation is none.
 CHANCE = 0.05
 # A measure, and the member (k,) whose it is.
@@ -81,15 +78,11 @@ class UncertaintyBox:
         Where the end-point depends on what is uncertain, a posture that reaches the target does so no more.
         """
         found, plant = list[Fault](), build_plant(self.machine)
-        g = plant.graph
-        point = plant.end_point(plant.rest(g.base, g.posture, g.p), g.base, g.p)
-        moved = set(ca.jacobian_sparsity(point, g.p).get_triplet()[1])
         for k, (each, entries) in enumerate(zip(self.uncertainty, self.entries, strict=True)):
             if each.of == (LATE,) and each.value is not None and each.value[1] * rate > DELAY_MAX:
                 sentence = f"must be at most {DELAY_MAX} samples of {1 / rate:g} s"
                 found.append(Fault(f"ranges[{k}].value", sentence, f"{each.value[1]:g}"))
-            if moved & set(entries):
-                names = ", ".join(self.machine.parameters[i].name for i in sorted(moved & set(entries))[:NAMED])
+            if names := moving_end_point(plant, entries):
                 found.append(Fault(f"ranges[{k}].of", f"moves the end-point ({names}): postures would miss", each.name))
         return found
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,7 @@ from flexopt.errors import ImplausibleMachine, InputError, ModelError, raise_if_
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import TABLE, ArgumentCheck, by, flag, of_machine, words
 from flexopt.foundation.coordinates import check_base_range
-from flexopt.foundation.plain import shown
-from flexopt.foundation.quantities import entries, several
+from flexopt.foundation.quantities import entries
 from flexopt.foundation.warned import warn_user
 from flexopt.model.choices import (
     ELBOWS,
@@ -31,7 +30,7 @@ from flexopt.model.file_model import read_table, validated
 from flexopt.model.loop import DEFAULT_LOOP, Loop, loop_faults
 from flexopt.model.machine import AnyMachine
 from flexopt.model.plausibility import distant_ranges, warn_weightless
-from flexopt.model.uncertainty import Uncertainty, kind_of, uncertainty_faults
+from flexopt.model.uncertainty import Uncertainty, ranges_by_place, uncertainty_faults
 
 
 def targets(least: int) -> ArgumentCheck:
@@ -109,10 +108,7 @@ def _ranges(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -
     given: Any = arguments.checked(field, value, lambda v: v, [])
     if isinstance(given, Mapping | list | tuple) and not given and not arguments.faulty(field):
         arguments.note(field, "must not be empty", value)
-    named = cast(Mapping[Any, Any], given) if isinstance(given, Mapping) and "of" not in given else None
-    tables = {f"[{k}]": each for k, each in enumerate(several(given))}
-    if named is not None:
-        tables = {f"[{shown(name)}]": {"of": name, kind_of(name): ends} for name, ends in named.items()}
+    tables = ranges_by_place(given)
     found = [arguments.collect(f"{field}{where}", lambda each=each: _uncertain(each)) for where, each in tables.items()]
     known = tuple(each for each in found if each is not None)
     if len(known) == len(tables):

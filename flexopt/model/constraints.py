@@ -39,6 +39,7 @@ from flexopt.model.own import Constraint, check_own_constraints, is_function
 from flexopt.model.polygons import POLYGON, Corners, check_simple_polygon
 from flexopt.model.targets import SOME_COORDINATES
 from flexopt.model.tree_quantities import scaled_direction
+from flexopt.model.uncertainty import Uncertainty, ranges_by_place
 
 Area = Interval | Corners
 _IN_M = "numbers in m: [x, y] in the plane, [x, y, z] in space"
@@ -248,6 +249,14 @@ class LeastOutcomes(FileModel):
     swing: Annotated[float, _POSITIVE] | None = None
 
 
+@Checked
+def _check_within(value: Any) -> tuple[Any, ...]:
+    """Entries of a list, or of a table from names to (lower, upper)."""
+    if not isinstance(value, Mapping | list | tuple) or not value:
+        raise ValueError("must be a list of tables, [[constraints.within]] in a file, as of [[uncertainty]]")
+    return tuple(ranges_by_place(value).values())
+
+
 class Constraints(FileModel):
     """What a configuration must keep, the passive coordinates at rest; what is left out does not bind.
 
@@ -262,13 +271,15 @@ class Constraints(FileModel):
         self_clearance: least distance between capsules of bodies that joints move against each other, neighbours and
             pairs that overlap in every posture aside, m.
         tip_over_margin: least distance of the centre of mass from the edges of the support polygon, seen from above, m.
-        holding: share of each joint's effort that gravity may take, with the payload of the machine's file.
+        holding: share of each joint's effort that gravity may take, with the payload of the machine's file, or `within`.
         tool_angle: range of the end-point's inclination, rad; one number for an exact value. In the plane the angle of
             its link from the horizontal, anticlockwise; in space atan2 of the heights of the tips of its frame's first
             and last axis: how far the first axis points above the horizontal while the last one points up.
         travel: cost of leaving the present configuration.
         outcome: what the real loop must do at least, or at most, over all that is uncertain; with `flexopt.select`'s
             `loop`.
+        within: numbers of the machine that may be others, as of `[[uncertainty]]`, four at most: whatever depends on
+            them, as `holding` and `tip_over_margin` on the payload, is kept at all corners of these intervals, too.
         own: `flexopt.Constraint`s of the user's own, which files cannot have.
     """
 
@@ -284,6 +295,7 @@ class Constraints(FileModel):
     tool_angle: Annotated[Interval, _check_tool_angle] | None = None
     travel: Travel | None = None
     outcome: LeastOutcomes | None = None
+    within: Annotated[tuple[Uncertainty, ...], _check_within] | None = None
     own: Annotated[tuple[Any, ...], check_own_constraints] | None = None
 
     @field_serializer("own")

@@ -5,15 +5,16 @@ In: tables. Out: frozen `Uncertainty`s, and what of them does not go with their 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from pydantic import ConfigDict
 
 from flexopt.errors import Fault
 from flexopt.foundation.arrays import TableLike
 from flexopt.foundation.nearest import hint_or_list
+from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import Quantity, a_list, accepting, pair, several
 from flexopt.model.file_model import BuiltByCall
 from flexopt.model.loop import DEAD_TIME
@@ -103,6 +104,14 @@ RangesLike = TableLike | Sequence[Uncertainty | TableLike]
 def kind_of(name: Any) -> str:
     """Whether (lower, upper) of that name alone are of a factor, as of all springs, or of a value."""
     return "factor" if isinstance(name, str) and name in (SPRINGS, DAMPERS) else "value"
+
+
+def ranges_by_place(given: Any) -> dict[str, Any]:
+    """Entries of ranges by where they stand: of a table from names to (lower, upper), or of a list."""
+    if isinstance(given, Mapping) and "of" not in given:
+        named = cast(Mapping[Any, Any], given).items()
+        return {f"[{shown(name)}]": {"of": name, kind_of(name): ends} for name, ends in named}
+    return {f"[{k}]": each for k, each in enumerate(several(given))}
 
 
 def parameters_of(names: Sequence[str], machine: Any) -> tuple[int, ...]:

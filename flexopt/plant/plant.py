@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -20,6 +21,8 @@ from flexopt.plant.mass_centre import centre_of_mass
 
 # Newton iterations for the static deflection; it converges quadratically from rest, in 4 or 5 for real machines.
 STATIC_ITERATIONS = 12
+# Parameters that a message names.
+NAMED = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -402,3 +405,11 @@ def build_plant(machine: AnyMachine) -> Plant:
 @lru_cache(maxsize=32)
 def _built(machine: AnyMachine) -> Plant:
     return Plant(machine, build_graph(machine))
+
+
+def moving_end_point(plant: Plant, entries: Sequence[int]) -> str:
+    """Names of the first few of these entries of p that the end-point depends on, as lengths; empty where none."""
+    g = plant.graph
+    point = plant.end_point(plant.rest(g.base, g.posture, g.p), g.base, g.p)
+    moving = set(ca.jacobian_sparsity(point, g.p).get_triplet()[1]) & set(entries)
+    return ", ".join(plant.machine.parameters[i].name for i in sorted(moving)[:NAMED])

@@ -285,9 +285,10 @@ def test_in_order(walk, objectives, control, gravity):
 
 # What a loop must do at least has branches of its own, walked over in test_measures.
 def constrained():
-    assert set(CONSTRAINTS) == set(Constraints.model_fields) - {"own", "outcome"}, "a kind of constraint is not walked"
+    asked = CONSTRAINTS | {"within": [{"of": "arm3.mass", "factor": (0.7, 1.5)}]}
+    assert set(asked) == set(Constraints.model_fields) - {"own", "outcome"}, "a kind of constraint is not walked"
     machine = flexopt.tree_from_dict(slewing())
-    options = {"constraints": CONSTRAINTS, "starts": 2, **PRESENT}
+    options = {"constraints": asked, "starts": 2, **PRESENT}
     return flexopt.build_selection(machine, (3.5, 1.0, 1.2), **options)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -11,10 +11,12 @@ import casadi as ca
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
+from flexopt.model.uncertainty import parameters_of
 from flexopt.plant import Plant, build_plant
 from flexopt.selection.constraints import (
     areas,
     clearance,
+    corners,
     ground,
     holding,
     manipulability,
@@ -65,20 +67,51 @@ class ConstraintSet:
     @property
     def placed(self) -> bool:
         """Whether places in the inertial frame enter other than heights."""
+        parts = [shape[:2] if kind == corners.KIND else (kind, shape) for kind, shape, _ in self.structure]
         return any(
-            kind not in EVERYWHERE and not (kind == "clearance" and shape[0] == "ground")
-            for kind, shape, _ in self.structure
+            kind not in EVERYWHERE and not (kind == "clearance" and shape[0] == "ground") for kind, shape in parts
         )
 
 
 def constraint_faults(plant: Plant, constraints: Constraints) -> list[Fault]:
     """What stands in the way of these constraints for a machine; fields are those of `Constraints`."""
-    return [fault for kind in KINDS.values() for fault in kind.faults(plant, constraints)]
+    found = [fault for kind in KINDS.values() for fault in kind.faults(plant, constraints)]
+    within = constraints.within or ()
+    wrong = corners.within_faults(plant, within)
+    if within and not found and not wrong:
+        on = {entry for group in _asked(plant, constraints) for _, entry in _dependence(plant, group)}
+        sentence = "nothing that was asked for depends on it; holding and tip_over_margin do on masses"
+        wrong += [
+            Fault(f"within[{k}].of", sentence, each.name)
+            for k, each in enumerate(within)
+            if not on & set(parameters_of(each.of, plant.machine))
+        ]
+    return found + wrong
 
 
 def constraint_labels(plant: Plant, constraints: Constraints) -> list[str]:
     """What the rows of constraints without faults are called."""
-    return [row.name for kind in KINDS.values() for group in kind.groups(plant, constraints) for row in group.rows]
+    return [row.name for group in _groups(plant, constraints) for row in group.rows]
+
+
+def _asked(plant: Plant, constraints: Constraints) -> list[Group]:
+    """With the machine's own numbers."""
+    return [group for kind in KINDS.values() for group in kind.groups(plant, constraints)]
+
+
+def _groups(plant: Plant, constraints: Constraints, assumed_ground: float | None = None) -> list[Group]:
+    """All of constraints without faults."""
+    groups = _asked(plant, constraints)
+    if assumed_ground is not None:
+        groups += ground.ground_groups(plant, assumed_ground)
+    within = constraints.within or ()
+    return groups + corners.corner_groups(plant, groups, within, partial(_dependence, plant))
+
+
+def _dependence(plant: Plant, group: Group) -> list[tuple[int, int]]:
+    """Which rows of a group depend on which entries of p."""
+    function = _functions(plant.machine, (group.structure,))[0]
+    return list(zip(*function.jac_sparsity(0, function.index_in("p")).get_triplet(), strict=True))
 
 
 def build_constraints(plant: Plant, constraints: Constraints, assumed_ground: float | None = None) -> ConstraintSet:
@@ -95,11 +128,7 @@ def build_constraints(plant: Plant, constraints: Constraints, assumed_ground: fl
         InputError: the machine lacks what a kind needs, or bodies and coordinates do not suit it; lists every fault.
     """
     raise_if_any(InputError, "constraints", constraint_faults(plant, constraints))
-    groups: list[Group] = []
-    for kind in KINDS.values():
-        groups += kind.groups(plant, constraints)
-    if assumed_ground is not None:
-        groups += ground.ground_groups(plant, assumed_ground)
+    groups = _groups(plant, constraints, assumed_ground)
     rows = tuple(row for group in groups for row in group.rows)
     structure = tuple(group.structure for group in groups)
     function, report = _functions(plant.machine, structure)
@@ -124,14 +153,25 @@ def _functions(machine: AnyMachine, structure: Structure) -> tuple[ca.Function, 
     reported: list[ca.SX] = []
     start = 0
     for name, shape, count in structure:
-        kind, numbers = KINDS[name], c[start : start + count]
-        made = kind.graph(scene, shape, numbers)
+        made, told = _made(scene, name, shape, c[start : start + count])
         rows += made
-        reported += kind.report(scene, shape, numbers) if kind.report is not None else made
+        reported += told
         start += count
     # What is called a few times for people is not worth the search for equal parts.
     report = _function("constraint_values", scene, c, reported, "value", cse=False)
     return _function("constraints", scene, c, rows, "g", cse=True), report
+
+
+def _made(scene: Scene, name: str, shape: Any, numbers: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
+    """The rows of a group as a solver sees them, and as people do."""
+    if name == corners.KIND:
+        name, shape, entries, kept = shape
+        other = corners.at_corner(scene, entries, numbers[: len(entries)])
+        rows, told = _made(other, name, shape, numbers[len(entries) :])
+        return [rows[k] for k in kept], [told[k] for k in kept]
+    kind = KINDS[name]
+    rows = kind.graph(scene, shape, numbers)
+    return rows, rows if kind.report is None else kind.report(scene, shape, numbers)
 
 
 def _function(name: str, scene: Scene, c: ca.SX, rows: list[ca.SX], output: str, *, cse: bool) -> ca.Function:

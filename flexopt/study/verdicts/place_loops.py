@@ -23,6 +23,7 @@ from flexopt.loop.uncertain import CORNERED, UncertainLoop, UncertaintyBox
 from flexopt.model import AnyMachine
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
+from flexopt.selection.constraints.corners import told_numbers
 from flexopt.selection.continua import unwound
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
@@ -145,7 +146,7 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
             for name in broken_names(problem, z, asked=True, p=p):
                 if name not in seen:
                     seen.add(name)
-                    where = _numbers_told(_least_of(problem, z, box, p, name), box)
+                    where = told_numbers(box.machine, _least_of(problem, z, box, p, name))
                     found.setdefault(where, {}).setdefault(name, []).append(k)
     told = list[str]()
     for where, names in found.items():
@@ -164,12 +165,6 @@ def _least_of(problem: SelectionProblem, z: Vector, box: UncertaintyBox, p: Vect
         without[entries] = box.nominal[entries]
         p = without if name in broken_names(problem, z, asked=True, p=without) else p
     return p
-
-
-def _numbers_told(p: Vector, box: UncertaintyBox) -> str:
-    """Those that are not the file's."""
-    others = [(own, x) for own, x in zip(box.machine.parameters, p.tolist(), strict=True) if own.value != x]
-    return listed(f"{own.name} is {x:.4g} {own.unit}" for own, x in others)
 
 
 def _corners(problem: SelectionProblem, z: Vector, box: UncertaintyBox) -> Iterator[Vector]:
