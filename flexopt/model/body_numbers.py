@@ -42,7 +42,8 @@ class BodyNumbers:
         hinge: whether its joint turns;  bears: share of the weight that its joint holds, at least `ASIDE`, that of a
             slide that is level and of a hinge that stands upright;  springs: of each whether it turns, its stiffness,
             and that share of it;  effort, speed: of the drive (infinite: none);  limits: of the joint;  rest: its rest
-            value;  end: whether `length` is that to the end-point of a tree.
+            value;  joint: the joint's field and name;  driven: its name, where an actuator moves it;  end: whether
+            `length` is that to the end-point of a tree.
     """
 
     where: str
@@ -67,6 +68,7 @@ class BodyNumbers:
     limits: tuple[float, float] | None = None
     rest: tuple[str, float] | None = None
     joint: str = ""
+    driven: str = ""
     end: bool = False
     children: list[BodyNumbers] = field(default_factory=list["BodyNumbers"])
 
@@ -127,6 +129,7 @@ def _planar(machine: Machine) -> tuple[list[BodyNumbers], float]:
             springs={f"{where}.stiffness": (True, link.stiffness, 1.0)} if link.passive and link.stiffness else {},
             effort=link.effort or math.inf, speed=link.speed or math.inf, limits=link.limits,
             rest=(f"{where}.rest", link.rest) if link.passive else None, joint=where, moments=(link.inertia,),
+            driven="" if link.passive else link.name,
             about_centre=link.inertia - link.mass * (link.com**2 + link.com_offset**2),
         )  # fmt: skip
         parts[-1].children.append(inner)
@@ -242,5 +245,6 @@ def _body(
         bears=bears, springs={f"{moved}.stiffness": (hinge, stiffness, bears)} if joint.passive and stiffness else {},
         effort=joint.effort or math.inf, speed=joint.speed or math.inf, limits=joint.limits,
         rest=(f"{moved}.rest", joint.rest) if joint.passive and hinge else None, joint=moved,
+        driven="" if joint.passive else joint.name,
         end=machine.end_point.body == body.name and np.array_equal(far, machine.end_point.position),
     )  # fmt: skip

@@ -271,7 +271,7 @@ class Constraints(FileModel):
         self_clearance: least distance between capsules of bodies that joints move against each other, neighbours and
             pairs that overlap in every posture aside, m.
         tip_over_margin: least distance of the centre of mass from the edges of the support polygon, seen from above, m.
-        holding: share of each joint's effort that gravity may take, with the payload of the machine's file, or `within`.
+        holding: share of each joint's effort that gravity may take, with the file's payload; of others see `within`.
         tool_angle: range of the end-point's inclination, rad; one number for an exact value. In the plane the angle of
             its link from the horizontal, anticlockwise; in space atan2 of the heights of the tips of its frame's first
             and last axis: how far the first axis points above the horizontal while the last one points up.

@@ -12,6 +12,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+import numpy as np
+
 from flexopt.errors import ImplausibleMachine
 from flexopt.foundation.results import Result
 from flexopt.foundation.warned import warn_user
@@ -38,6 +40,7 @@ CONCENTRATED = 0.03  # radius of gyration over a body's size in the plane
 FLAT = 0.1  # height of the first joint over the base's length
 BASE_MASS = ("base.mass", "mass of the base")  # the field's name, of planar machines and in space
 ALIKE, UNLIKE = 3, 1.1  # bodies of one mass and inertia, and longest over shortest of these
+LEVERS = 9  # lever arms of a cylinder, of which the longest counts
 NAMED = 7  # of them, in a sentence
 BEYOND = 1.5  # times the way to the next joint, from which on capsules say how large a body is
 DISTANT = 10.0  # times that a range may lie away from the file's number
@@ -78,7 +81,7 @@ def implausible_numbers(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
                 *_springs(part, machine.gravity, reach),
                 *_drives(part, machine, reach),
             ]
-        found += [*_totals(machine, parts, reach), *_placeholders(parts)]
+        found += [*_cylinders(machine, parts, reach), *_totals(machine, parts, reach), *_placeholders(parts)]
     if machine.gravity and not GRAVITY[0] < machine.gravity < GRAVITY[1]:
         found.append(
             ImplausibleNumber("gravity", f"{machine.gravity:g} m/s²", "is far from 9.81 m/s²", "in other units?")
@@ -279,8 +282,7 @@ def _pushed(bears: float) -> str:
 
 
 def _drives(part: BodyNumbers, machine: AnyMachine, reach: float) -> Iterator[ImplausibleNumber]:
-    mass, moment = part.weight
-    needed = part.bears * (moment if part.hinge else mass) * (machine.gravity or 9.81)
+    needed = _weight(part, machine)
     if part.effort < WEAK * needed:
         unit, far = ("N m", ", at its full reach") if part.hinge else ("N", "")
         yield ImplausibleNumber(
@@ -299,6 +301,37 @@ def _drives(part: BodyNumbers, machine: AnyMachine, reach: float) -> Iterator[Im
             f"the end-point would move at up to {tip:.0f} m/s",
             f"probably in {meant}/s: {speed:.4g} {unit}",
         )
+
+
+def _weight(part: BodyNumbers, machine: AnyMachine) -> float:
+    """What the weight asks of the body's joint at its full reach, N m or N."""
+    mass, moment = part.weight
+    return part.bears * (moment if part.hinge else mass) * (machine.gravity or 9.81)
+
+
+def _cylinders(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) -> Iterator[ImplausibleNumber]:
+    """Forces and speeds of cylinders, by the longest lever arm that they have on the way of their joint."""
+    of_joint = {part.driven: part for part in parts if part.driven}
+    for k, (cylinder, (ends, _)) in enumerate(zip(machine.cylinders, machine.stroke_ranges, strict=True)):
+        part, where = of_joint[cylinder.joint], f"cylinders[{k}] ({cylinder.name})"
+        lever = float(np.nanmax(np.abs(machine.travel(cylinder).ratios(np.linspace(*ends, LEVERS)))))
+        force, speed = max(cylinder.force or (math.inf,)), max(cylinder.speed)
+        needed = _weight(part, machine) / lever
+        if force < WEAK * needed:
+            yield ImplausibleNumber(
+                f"{where}.force",
+                f"{force:g} N",
+                f"is little beside {_pushed(part.bears)}what the joint carries, {needed:.3g} N at its full reach",
+                f"probably in kN: {1000 * force:g} N",
+            )
+        tip = speed / lever * (reach if part.hinge else 1.0)
+        if tip > TIP_SPEED_MAX:
+            yield ImplausibleNumber(
+                f"{where}.speed",
+                f"{speed:g} m/s",
+                f"the end-point would move at up to {tip:.0f} m/s",
+                f"probably in mm/s: {speed / 1000:.4g} m/s",
+            )
 
 
 def _totals(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) -> Iterator[ImplausibleNumber]:

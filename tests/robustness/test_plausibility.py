@@ -250,6 +250,18 @@ def test_slips_in_shipped_machines(name: str, slip: str) -> None:
     assert any(re.search(word, sentence) for sentence in sentences), sentences
 
 
+@pytest.mark.parametrize(("key", "factor", "word"), [("force", 1e-3, "in kN"), ("speed", 1e3, "in mm/s")])
+@pytest.mark.parametrize("name", ["boom-stick-bucket", "slewing-excavator"])
+def test_slips_of_cylinders(name: str, key: str, factor: float, word: str) -> None:
+    """Each cylinder by itself, and what was meant with its number."""
+    for k, own in enumerate(shipped(name)["cylinders"]):
+        data = shipped(name)
+        data["cylinders"][k][key] = scaled(own[key], factor)
+        (sentence,) = told(data)
+        assert sentence.startswith(f"cylinders[{k}] ({own['name']}).{key} = {factor * max(own[key]):g} ")
+        assert f"probably {word}: {max(own[key]):g} " in sentence
+
+
 @pytest.mark.long("dampers")
 @pytest.mark.parametrize("slip", SLIPS)
 def test_slips_in_random_machines(slip: str) -> None:

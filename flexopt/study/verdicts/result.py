@@ -128,7 +128,7 @@ class PlaceVerdict(Result):
     @property
     def broken(self) -> str:
         """What it breaks where other numbers than the file's hold, a sentence; empty where nothing."""
-        return self.breaks and f"{self.name} {self.breaks}; constraints were kept with the file's numbers"
+        return self.breaks and f"{self.name} {self.breaks}; constraints.within keeps constraints there, too"
 
     @property
     def unconfirmed(self) -> str:
