@@ -80,18 +80,24 @@ class LoopStructure:
         return len(self.motion.rows)
 
     @property
+    def redundant(self) -> bool:
+        """Whether the arm has a self-motion, which the controller does not hold."""
+        return self.law != "none" and motion_of(self.motion, {}).n_joints > self.n_task
+
+    @property
     def drifting(self) -> bool:
-        """Whether the arm has a self-motion that nothing brakes."""
-        joints = motion_of(self.motion, {}).n_joints
-        return self.law != "none" and joints > self.n_task and not self.nullspace_damped
+        """Whether nothing brakes it either."""
+        return self.redundant and not self.nullspace_damped
 
     @property
     def bends(self) -> bool:
         """Whether the base may come to rest elsewhere than by design, bent without moving.
 
-        Where the arm drifts; and under weight that of other members of an ensemble, or of a machine that moves away.
+        Where the arm drifts; and under weight that of other members of an ensemble, of a machine that moves away, or of
+        an arm whose self-motion is braked but not held.
         """
-        return self.drifting or (self.gravity and (self.own_model or self.moving_base or self.moving_target))
+        moves = self.redundant or self.own_model or self.moving_base or self.moving_target
+        return self.drifting or (self.gravity and moves)
 
     @property
     def n_base(self) -> int:

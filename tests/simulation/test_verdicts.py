@@ -240,3 +240,28 @@ def test_a_slow_swing_of_an_arm_that_drifts_is_no_growth(duration: float) -> Non
     assert run.run.word == "converges"
     assert run.growth_rate < 2 * run.growth_rate_error
     assert run.verdict == "converges"
+
+
+@pytest.mark.long("slewing-excavator")
+@pytest.mark.parametrize(
+    ("name", "posture"),
+    [
+        ("boom-stick-bucket", (-0.9, -1.2, -0.4)),
+        ("truck-crane", (0.1, 0.47, -0.355, 0.6)),
+        ("slewing-excavator", (0.2, 0.5, -1.2, -0.5)),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::flexopt.FlexoptWarning")
+def test_an_arm_whose_self_motion_creeps_under_its_weight_is_no_growth(name: str, posture: tuple[float, ...]) -> None:
+    """The damper brakes it and holds it nowhere: the base stays bent, a little more each minute, and does not swing."""
+    machine = flexopt.load(name)
+    loop = {"kp": 1e6, "kv": 3e5, "nullspace_damping": 1e4, "rate": 100.0, "drive": "torque"}
+    options = {"base": (0.0,) * len(machine.base_coordinates), "gravity": True}
+    run = flexopt.simulate(machine, posture, duration=30.0, loop=loop, **options)
+    decay = flexopt.outcome(machine, posture, loop=loop, **options).decay
+    assert decay > 0
+    assert run.verdict == run.run.word == "converges"
+    assert abs(-run.growth_rate - decay) < 3 * run.growth_rate_error
+    # The base hangs, and what it has of speed is nothing beside that.
+    last = np.abs(np.diff(run.deflection[-200:], axis=0)).max()
+    assert np.abs(run.deflection[-1]).max() > 1e3 * last > 0
