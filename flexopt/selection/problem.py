@@ -410,6 +410,7 @@ class SelectionProblem:
             **{name: None if value is None else value.tolist() for name, value in present.items()},
             "starts": self.starts,
             "seed": self.seed,
+            "assumed": [vars(assumption) for assumption in self.assumed],
         }
 
     def to_dict(self) -> Document:

@@ -189,7 +189,6 @@ def solved(
     assert candidates[0].evaluation is not None
     options = {"target": problem.target.tolist(), "objective": problem.name, "slack": problem.slack} | problem.stated
     options |= {"weights": [objective.weights.tolist() for objective in problem.sought]}
-    options |= {"assumed": [vars(assumption) for assumption in problem.assumed]}
     return Selection(
         best=candidates[0],
         candidates=tuple(candidates),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -323,3 +324,14 @@ def test_a_joint_margin_is_kept_whatever_is_assumed():
         q = candidate.evaluation.posture
         assert np.all(q >= low + 0.1 - 1e-9)
         assert np.all(q <= high - 0.1 + 1e-9)
+
+
+def test_answers_to_any_question_say_what_was_assumed_in_their_provenance() -> None:
+    """By modes, by the loop, of several targets: else a comparison tells a difference that is none."""
+    machine = flexopt.load("boom-stick-bucket")
+    few: dict[str, Any] = {"base": 0.0, "starts": 1}
+    chosen = [flexopt.select(machine, (7.0, 1.0), objective=word, **few) for word in ("w1", "decay")]
+    chosen.append(flexopt.select_stand(machine, [(7.0, 1.0)], **few))
+    told = [answer.provenance["options"]["assumed"] for answer in chosen]
+    assert [each["name"] for each in told[0]] == ["ground", "limits", "reach", "self_clearance"]
+    assert told[1] == told[2] == told[0]
