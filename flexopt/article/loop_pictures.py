@@ -60,6 +60,7 @@ def plot_figure10(stopped: BaseTrajectory, climb: BaseTrajectory) -> Figure:
     ]
     first = draw_stack(figure, [grid[row, 1] for row in range(3)], panels, legends=1)[0]
     first.set_xlim(0.0, 1.02 * float(climb.time[-1]))
+    figure.suptitle("Fig. 10: the base's way by nullspace augmentation")
     return figure
 
 

@@ -125,14 +125,21 @@ class Reproduction(Result):
         marks["B, point of its measures"] = WORKSPACE_B_OF_MEASURES[0]
         curves = self.curves["transpose", "up"], self.curves["inverse", "up"]
         look: dict[str, Any] = {"theme": theme, "size": size}
+        runs = {
+            "figure9": (self.loops.figure9, "Fig. 9: the closed loop at postures A and B of Table 2"),
+            "figures11and12": (self.loops.adjustment, "Figs. 11 and 12: with and without the way of Fig. 10"),
+        }
+        of_runs = {name: plot_trajectories(each, **look) for name, (each, _) in runs.items()}
+        for name, (_, title) in runs.items():
+            of_runs[name].legends[0].set_title(title)
         return {
             "figure5": draw.plot_figure5(inverse, self.arms, **look),
             "figure6": draw.plot_figure6(transpose, inverse, self.arms, **look),
             "figure7": draw.plot_figure7(transpose, inverse, **look),
             "figure8": draw.plot_figure8(*curves, marks, **look),
-            "figure9": plot_trajectories(self.loops.figure9, **look),
+            "figure9": of_runs["figure9"],
             "figure10": draw_loops.plot_figure10(self.loops.stopped, self.loops.climb, **look),
-            "figures11and12": plot_trajectories(self.loops.adjustment, **look),
+            "figures11and12": of_runs["figures11and12"],
             "gains": draw_loops.plot_gains(self.gains, self.loops.pairs, kv=KV_HELD, ratios=RATIOS, **look),
             "gaps": draw.plot_gaps(self.gaps, **look),
         }
