@@ -31,9 +31,9 @@ from flexopt.cli.common import (
     of_picture,
     option,
     print_json,
+    ranges_table,
     read,
     say,
-    table,
     tell,
     typed,
     value,
@@ -164,7 +164,7 @@ def select_command(
     identified = None if log is None else _identified(log, imu, settings, as_json)
     if asks_for_loop(settings.get("objective"), settings.get("constraints")):
         settings["loop"] = _loop(own, judged["loop"])
-        settings["ranges"] = table("--ranges", judged["ranges"]) or settings.get("ranges")
+        settings["ranges"] = ranges_table(judged["ranges"]) or settings.get("ranges")
     if proof is not None and not certify:
         raise InputError("select: --proof goes with --certify", [Fault("--proof", "goes with --certify", proof)])
     if certify and "target" not in settings:
@@ -275,7 +275,7 @@ def _refuse_early(settings: dict[str, Any], judged: dict[str, tuple[str, ...]], 
     arguments = Arguments("select", settings["machine"])
     for name, asked in (
         ("loop", real_loop(own["loop"], judged["loop"])),
-        ("ranges", table("--ranges", judged["ranges"])),
+        ("ranges", ranges_table(judged["ranges"])),
     ):
         if asked is not None:
             TABLE[name](arguments, name, asked)
@@ -306,7 +306,7 @@ def _judgement(
 ) -> Verdict:
     from flexopt.study import verdict  # noqa: PLC0415  (`evaluate` does not need it)
 
-    ground = table("--ranges", ranges) or own["uncertainty"]
+    ground = ranges_table(ranges) or own["uncertainty"]
     return verdict(result, loop=_loop(own, loop), ranges=ground, progress=progress)
 
 

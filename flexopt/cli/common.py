@@ -26,6 +26,7 @@ from flexopt.foundation.escapes import terminal
 from flexopt.foundation.pictures import SIZES
 from flexopt.foundation.writing import write_file
 from flexopt.model.choices import ELBOWS
+from flexopt.model.uncertainty import RangesLike, kind_of
 
 BAD_INPUT, FAILED, ABORTED = 2, 3, 130
 FILE_NAME_MAX = 255
@@ -447,6 +448,20 @@ def table(name: str, entries: tuple[str, ...], read: Callable[[str], Any] = plac
             raise InputError(f"{name} = {entry!r}: {key.strip()} is given twice")
         found[key.strip()] = read(value)
     return found or None
+
+
+def ranges_table(entries: tuple[str, ...]) -> RangesLike | None:
+    """What `--ranges` names, as calls take it; of ends as x0.5,x2 one factor of all that is meant by the name."""
+    factors = [re.fullmatch(r"\s*([^=\s]+)\s*=\s*x([^,]+),\s*x(.+)", entry) for entry in entries]
+    if not any(factors):
+        return table("--ranges", entries)
+    found = list[dict[str, Any]]()
+    for entry, factor in zip(entries, factors, strict=True):
+        if factor:
+            found.append({"of": factor[1], "factor": placement(f"{factor[2]},{factor[3]}")})
+        else:
+            found += [{"of": name, kind_of(name): ends} for name, ends in (table("--ranges", (entry,)) or {}).items()]
+    return found
 
 
 JSON = option("--json", "as_json", is_flag=True, help="Print one JSON document.")

@@ -22,6 +22,7 @@ from flexopt.cli.common import (
     number,
     numbers,
     of_picture,
+    ranges_table,
     read,
     say_once,
     table,
@@ -50,7 +51,8 @@ RANGES = value(
     "--ranges",
     "NAME=LO,HI",
     "What is known between two numbers only, may be repeated: stiffness or damping of all that gives, as factors "
-    "(stiffness=0.5,2), parameters (payload.mass=0,300), dead_time; in place of the file's [[uncertainty]].",
+    "(stiffness=0.5,2), parameters (payload.mass=0,300), or one factor of any (payload.mass=x0.5,x2), dead_time; in "
+    "place of the file's [[uncertainty]].",
     multiple=True,
 )
 # What a verdict rests on.
@@ -143,7 +145,7 @@ def verdict_command(as_json: bool, problem: str, html: str | None, pdf: str | No
     with working(options, as_json, "percent") as progress:
         asked, own = asked_problem("verdict", problem, options)
         settings = given(options, "members", "runs", "duration")
-        ranges = table("--ranges", options["ranges"])
+        ranges = ranges_table(options["ranges"])
         result = verdict(asked, loop=real_loop(own, options["loop"]), ranges=ranges, progress=progress, **settings)
     if html is not None:
         write_output("--html", html, lambda: result.to_html(html))
@@ -173,7 +175,7 @@ def region_command(as_json: bool, machine: str, **options: Any) -> None:
     with working(options, as_json, "parts") as progress:
         posture = asked_posture("region", loaded, options)
         settings = given(options, "base", "control", "gravity", "points", "boxes")
-        loop, ranges = real_loop(loaded.loop, options["loop"]), table("--ranges", options["ranges"])
+        loop, ranges = real_loop(loaded.loop, options["loop"]), ranges_table(options["ranges"])
         result = stable_region(loaded, posture, loop=loop, ranges=ranges, progress=progress, **settings)
     hand_out(result)
 

@@ -25,9 +25,9 @@ from flexopt.cli.common import (
     handing_out,
     of_picture,
     print_json,
+    ranges_table,
     read,
     say,
-    table,
     tell,
     value,
     whole,
@@ -142,7 +142,7 @@ def sensitivity_command(as_json: bool, machine: str, **options: Any) -> None:
     loaded = read(load, machine)
     with working(options, as_json):
         posture = asked_posture("sensitivity", loaded, options)
-        ranges, loop = table("--ranges", options["ranges"]), real_loop(loaded.loop, options["loop"])
+        ranges, loop = ranges_table(options["ranges"]), real_loop(loaded.loop, options["loop"])
         chosen = given(options, "base", "control", "gravity", "samples")
         result = sensitivity(loaded, posture, loop=loop, ranges=ranges, **chosen)
     hand_out(result)

@@ -27,6 +27,7 @@ from flexopt.cli.common import (
     of_sheet,
     option,
     placement,
+    ranges_table,
     read,
     table,
     tell,
@@ -186,7 +187,7 @@ def report_command(as_json: bool, problem: str, out: str | None, pdf: str | None
         simulation = given(options, *LOOPS)
         result = report(
             asked, experiment=experiment, simulation=simulation, points=options["points"], progress=progress,
-            loop=real_loop(own, options["loop"]), ranges=table("--ranges", options["ranges"]),
+            loop=real_loop(own, options["loop"]), ranges=ranges_table(options["ranges"]),
             **given(options, "members", "runs"),
         )  # fmt: skip
     announce("the pictures are drawn", always=True)

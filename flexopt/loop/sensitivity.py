@@ -200,6 +200,8 @@ def sensitivity(
     elif any(each.of == (LATE,) for each in known):
         fault = Fault("ranges", "dead_time goes with a loop, which neither this call nor the machine has", LATE)
         raise_if_any(InputError, "sensitivity", [fault])
+    else:
+        raise_if_any(InputError, "sensitivity", box.indefinite())
     of = _Outputs(box, held, placed, settings.control, gravity=gravity)
     loops = None if asked is None else UncertainLoop(settings, placed, held, gravity, box)
     a, b = _saltelli(len(known), samples, seed)

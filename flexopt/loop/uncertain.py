@@ -25,7 +25,7 @@ from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.model import AnyMachine
 from flexopt.model.choices import ALLOWED_GAIN, DELAY_MARGIN, SETTLING, SWING
 from flexopt.model.loop import DELAY_MAX, GAINS
-from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
+from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of, told_numbers
 from flexopt.plant import build_plant, moving_end_point
 
 # Corners are members up to that many intervals; searches start at so many of the slowest, and take so many steps.
@@ -48,6 +48,8 @@ LEVELS, SHORT = 12, 0.999
 FEW = 3
 # Measures of `LoopPoint` whose worst is searched for: 1 where that is the least, −1 where it is the greatest.
 SENSES = {ALLOWED_GAIN: 1.0, DELAY_MARGIN: 1.0, SETTLING: -1.0, SWING: -1.0}
+# Least eigenvalue, in units of the diagonal, as of the matrices of a file.
+INDEFINITE = 1e-12
 # As how likely to be chance a correlation is none.
 CHANCE = 0.05
 # A measure, and the member (k,) whose it is.
@@ -77,7 +79,7 @@ class UncertaintyBox:
 
         Where the end-point depends on what is uncertain, a posture that reaches the target does so no more.
         """
-        found, plant = list[Fault](), build_plant(self.machine)
+        found, plant = self.indefinite(), build_plant(self.machine)
         for k, (each, entries) in enumerate(zip(self.uncertainty, self.entries, strict=True)):
             if each.of == (LATE,) and each.value is not None and each.value[1] * rate > DELAY_MAX:
                 sentence = f"must be at most {DELAY_MAX} samples of {1 / rate:g} s"
@@ -85,6 +87,28 @@ class UncertaintyBox:
             if names := moving_end_point(plant, entries):
                 found.append(Fault(f"ranges[{k}].of", f"moves the end-point ({names}): postures would miss", each.name))
         return found
+
+    def indefinite(self) -> list[Fault]:
+        """Springs that hold the base no more, or dampers that drive it, at a corner of what is uncertain.
+
+        Their matrices are linear in each number by itself: what is definite at all corners is so in between.
+        """
+        plant = build_plant(self.machine)
+        m, names = plant.n_passive, ("the springs' stiffness matrix", "the dampers' matrix")
+        for name, of, least in zip(names, (plant.stiffness, plant.damping), (INDEFINITE, -INDEFINITE), strict=True):
+            entries = set(of.jac_sparsity(0, 0).get_triplet()[1])
+            on = [k for k, own in enumerate(self.entries) if entries & set(own)]
+            for ends in product((0.0, 1.0), repeat=len(on)):
+                u = np.full(len(self.uncertainty), 0.5)
+                u[on] = ends
+                p = np.where(np.isin(np.arange(self.nominal.size), [*entries]), self.numbers(u)[0], self.nominal)
+                matrix = of(p).full()[:m, :m]
+                size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
+                if np.linalg.eigvalsh(matrix / np.outer(size, size))[0] <= least:
+                    word = "definite" if least > 0 else "semidefinite"
+                    sentence = f"{name} is not positive {word} where {told_numbers(self.machine, p.tolist())}"
+                    return [Fault("ranges", sentence)]
+        return []
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from pydantic import ConfigDict
 from flexopt.errors import Fault
 from flexopt.foundation.arrays import TableLike
 from flexopt.foundation.nearest import hint_or_list
-from flexopt.foundation.plain import shown
+from flexopt.foundation.plain import listed, shown
 from flexopt.foundation.quantities import Quantity, a_list, accepting, pair, several
 from flexopt.model.file_model import BuiltByCall
 from flexopt.model.loop import DEAD_TIME
@@ -122,6 +122,12 @@ def parameters_of(names: Sequence[str], machine: Any) -> tuple[int, ...]:
         listed = enumerate(parameter.name for parameter in machine.parameters)
         found |= {k for k, name in listed if name == word or name in passive or fnmatchcase(name, word)}
     return tuple(sorted(found))
+
+
+def told_numbers(machine: Any, p: Sequence[float]) -> str:
+    """Those of p (n_par) that are not the machine's own, in words."""
+    others = [(own, x) for own, x in zip(machine.parameters, p, strict=True) if own.value != x]
+    return listed(f"{own.name} is {x:.4g} {own.unit}".rstrip() for own, x in others) if others else ""
 
 
 # What is taken where nothing is said of the ground: one factor of all springs. Built without the checks, whose schema

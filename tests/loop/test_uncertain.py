@@ -262,3 +262,34 @@ def test_a_motion_that_is_the_slowest_in_a_narrow_part_of_the_box_is_found() -> 
     slowest, where = uncertain.slowest(members, decays)
     assert slowest <= worst + 1e-9
     assert uncertain.outcome(where).decay().value == pytest.approx(slowest)
+
+
+def test_springs_that_hold_the_base_no_more_are_refused() -> None:
+    """Told by an eigenvalue of the matrix itself; by each of the calls, with a loop and without."""
+    machine, posture = flexopt.load("slewing-excavator"), CASES["slewing-excavator"][0]
+    own = {each.name: each.value for each in machine.parameters}
+    across = "stiffness.base.x.base.pitch"
+    assert own["stiffness.base.x.base.z"] == 0
+    # Pitch hangs on heave, too: of the three together the determinant is 0 there.
+    heave = own["stiffness.base.z.base.pitch"] ** 2 / own["stiffness.base.z.base.z"]
+    most = float(np.sqrt(own["stiffness.base.x.base.x"] * (own["stiffness.base.pitch.base.pitch"] - heave)))
+    sentence = "ranges: the springs' stiffness matrix is not positive definite where stiffness.base.x.base.pitch is"
+    for share, refused in ((0.99, False), (1.01, True)):
+        box = UncertaintyBox(machine, (Uncertainty(of=across, value=(0.0, share * most)),), 0.0)
+        assert bool(box.indefinite()) == refused
+    ranges, loop = {across: (0.0, 1.01 * most), "payload.mass": (900.0, 1100.0)}, {"kp": 3e6, "kv": 6e5}
+    with pytest.raises(flexopt.InputError, match=sentence):
+        flexopt.sensitivity(machine, posture, ranges=ranges, samples=64)
+    with pytest.raises(flexopt.InputError, match=sentence):
+        flexopt.sensitivity(machine, posture, ranges=ranges, samples=64, loop=loop)
+    with pytest.raises(flexopt.InputError, match=sentence):
+        flexopt.stable_region(machine, posture, ranges=ranges, loop=loop)
+    data = machine.to_dict()
+    held = data["stiffness_matrix"]["joints"]
+    of_joint = {body["joint"]["name"]: body["joint"] for body in data["bodies"] if body["joint"]["name"] in held}
+    dampers = np.diag([of_joint[name].pop("damping") for name in held])
+    matrix = flexopt.tree_from_dict(data | {"damping_matrix": {"joints": held, "matrix": dampers.tolist()}})
+    for most, word in ((1e3, None), (1e6, "damping.base.x.base.pitch is 1e+06 N s")):
+        box = UncertaintyBox(matrix, (Uncertainty(of="damping.base.x.base.pitch", value=(0.0, most)),), 0.0)
+        told = [fault.sentence for fault in box.indefinite()]
+        assert told == ([] if word is None else [f"the dampers' matrix is not positive semidefinite where {word}"])

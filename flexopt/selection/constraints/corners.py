@@ -16,9 +16,8 @@ import numpy as np
 
 from flexopt.errors import Fault
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.plain import listed
 from flexopt.model import AnyMachine
-from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of, uncertainty_faults
+from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of, told_numbers, uncertainty_faults
 from flexopt.plant import Plant, moving_end_point
 from flexopt.selection.constraints.kind import Group, Scene
 
@@ -62,7 +61,7 @@ def corner_groups(
         kept = tuple(sorted({row for row, entry in on if entry in entries}))
         for ends in product((0, 1), repeat=len(moving)):
             p = _with_ends(machine, [within[i] for i in moving], ends)
-            if where := told_numbers(machine, p):
+            if where := told_numbers(machine, p.tolist()):
                 rows = tuple(replace(group.rows[k], name=f"{group.rows[k].name} where {where}") for k in kept)
                 shape = (group.kind, group.shape, tuple(entries), kept)
                 found.append(Group(KIND, shape, (*p[entries].tolist(), *group.constants), rows))
@@ -74,12 +73,6 @@ def at_corner(scene: Scene, entries: Sequence[int], numbers: ca.SX) -> Scene:
     p = ca.SX(scene.p)
     p[list(entries)] = numbers
     return replace(scene, p=p)
-
-
-def told_numbers(machine: AnyMachine, p: Vector) -> str:
-    """Those of p (n_par,) that are not the machine's own, in words."""
-    others = [(own, x) for own, x in zip(machine.parameters, p.tolist(), strict=True) if own.value != x]
-    return listed(f"{own.name} is {x:.4g} {own.unit}".rstrip() for own, x in others) if others else ""
 
 
 def _with_ends(machine: AnyMachine, within: Sequence[Uncertainty], ends: Sequence[int]) -> Vector:

@@ -21,9 +21,9 @@ from flexopt.foundation.plain import listed
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import CORNERED, UncertainLoop, UncertaintyBox
 from flexopt.model import AnyMachine
+from flexopt.model.uncertainty import told_numbers
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
-from flexopt.selection.constraints.corners import told_numbers
 from flexopt.selection.continua import unwound
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
@@ -146,7 +146,7 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
             for name in broken_names(problem, z, asked=True, p=p):
                 if name not in seen:
                     seen.add(name)
-                    where = told_numbers(box.machine, _least_of(problem, z, box, p, name))
+                    where = told_numbers(box.machine, _least_of(problem, z, box, p, name).tolist())
                     found.setdefault(where, {}).setdefault(name, []).append(k)
     told = list[str]()
     for where, names in found.items():
