@@ -153,20 +153,22 @@ def linearised(scenario: Scenario) -> SampledLoop:
             f"(the states move by {moved:.2g} in one sample); give gravity_compensation = True"
         )
     if s.exact:
-        return exactly(s, here)
-    return _spectrum(s, np.array(_derivative(structure).call([x, e, c])[0]), s.options.integrator)
+        return exactly(s, x, here)
+    return _spectrum(s, x, np.array(_derivative(structure).call([x, e, c])[0]), s.options.integrator)
 
 
-def exactly(scenario: Scenario, here: Tangent) -> SampledLoop:
-    """The loop about a state of rest, advanced exactly."""
-    return _spectrum(scenario, here.sample(scenario.period, float(np.ravel(scenario.parts["early"])[0])), EXACT)
+def exactly(scenario: Scenario, x: Vector, here: Tangent) -> SampledLoop:
+    """The loop about a state of rest x, advanced exactly."""
+    return _spectrum(scenario, x, here.sample(scenario.period, float(np.ravel(scenario.parts["early"])[0])), EXACT)
 
 
-def _spectrum(scenario: Scenario, matrix: Vector, integrator: str) -> SampledLoop:
-    s = scenario
+def _spectrum(scenario: Scenario, x: Vector, matrix: Vector, integrator: str) -> SampledLoop:
+    """With the self-motion of the posture in which the loop rests: under weight that may be another than by design."""
+    s, n = scenario, scenario.loop.shape.n
+    q = s.q_design + s.loop.to_q @ (x - s.resting)[:n]
     most = neutral_directions(s.loop.structure, s.loop.shape.n_joints, s.parts.get("kp"), s.parts.get("ki"))
     plant = build_plant(s.machine)
-    own = partial(OwnMotion.at, plant, s.q_design, s.base, plant.parameter_values, s.loop.to_q)
+    own = partial(OwnMotion.at, plant, q, s.base, plant.parameter_values, s.loop.to_q)
     return spectrum(matrix, s.period, most, s.loop.shape.n_joints - s.loop.shape.n_task, own, integrator)
 
 

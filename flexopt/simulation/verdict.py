@@ -114,7 +114,7 @@ def about(bare: Scenario, x: Vector, e: Vector, parts: Mapping[str, Any] | None 
         return NO_REST
     found = at_rest(scenario.loop.structure, x, e, scenario.constants)
     try:
-        return NO_REST if found is None else exactly(scenario, found[1])
+        return NO_REST if found is None else exactly(scenario, *found)
     except FlexoptError as error:
         return str(error)
 

@@ -265,3 +265,29 @@ def test_an_arm_whose_self_motion_creeps_under_its_weight_is_no_growth(name: str
     # The base hangs, and what it has of speed is nothing beside that.
     last = np.abs(np.diff(run.deflection[-200:], axis=0)).max()
     assert np.abs(run.deflection[-1]).max() > 1e3 * last > 0
+
+
+@pytest.mark.filterwarnings("ignore::flexopt.FlexoptWarning")
+@pytest.mark.parametrize(
+    ("posture", "shown"),
+    [((-0.9, -1.2, -0.4), True), ((-0.5, -1.9, -1.0), False)],  # of 20 s, two of its swings, the other shows nothing
+)
+def test_the_self_motion_is_told_apart_where_the_arm_comes_to_rest(posture: tuple[float, ...], *, shown: bool) -> None:
+    """A load that the controller knows wrong moves the arm along its self-motion, which is another there.
+
+    Of its energy little lies in that of the design posture. The motion itself changes nothing at the end-point.
+    """
+    machine = flexopt.load("boom-stick-bucket")
+    payload = next(each.value for each in machine.parameters if each.name == "payload.mass")
+    ensemble = flexopt.simulate_ensemble(
+        machine, posture, base=[0.0], gravity=True, loop="default", duration=20.0,
+        vary={"payload.mass": [0.9 * payload, payload]},
+    )  # fmt: skip
+    nominal = flexopt.outcome(machine, posture, base=[0.0], gravity=True, loop="default")
+    known = [loop for loop in ensemble.linear_loops if not isinstance(loop, str)]
+    assert known
+    for loop in known:
+        assert len(loop.drift) == 1
+        assert abs(loop.drift[0]) < 1e-2 * nominal.decay < -loop.growth_rate
+    if shown:
+        assert "converges" in ensemble.verdict
