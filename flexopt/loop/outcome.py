@@ -127,13 +127,14 @@ class LoopPoint:
         q[: len(of["held"])] = of["held"]
         return q
 
+    @cached_property
     def _own(self) -> OwnMotion:
         of, motions = self.numbers, self.motions
         return OwnMotion.at(motions.plant, self.configuration, of["base"], of["p"], motions.loop.to_q)
 
     def spectrum_of(self, matrix: Vector) -> SampledLoop:
         """Eigenvalues of a Φ of this loop."""
-        return spectrum(matrix, self.period, self._neutral, self._excess, self._own)
+        return spectrum(matrix, self.period, self._neutral, self._excess, lambda: self._own)
 
     @cached_property
     def loop(self) -> SampledLoop:
