@@ -80,7 +80,7 @@ STATUSES = {
     "NOT_FINITE": (18, "an input is NaN or infinite"),
     "OUT_OF_RANGE": (19, "bounds reversed, margin or tolerance outside (0, 1), weights negative or all 0, budget, "
                      "starts, a machine parameter outside the range of machine files"),
-    "NO_FEASIBLE": (20, "the target is out of reach, or no start could be brought to a feasible point"),
+    "NO_FEASIBLE": (20, "the target is out of reach, or no start led to a feasible point: give one that is near"),
     "ENDED_EARLY": (21, "budget or deadline ended before the first feasible point; whether there is one is not known"),
 }  # fmt: skip
 

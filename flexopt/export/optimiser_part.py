@@ -151,8 +151,9 @@ class OptimiserPart:
     @cached_property
     def _example(self) -> str:
         """C statements that solve one problem and leave `found` (a status) and `answer`."""
-        target = self.vectors(VECTOR_COUNT, VECTOR_SEED)[0].target
-        return self.writer.render("optimiser_example.c", target=target.tolist())
+        # From its start: from the optimiser's own ones some targets are not found.
+        first = self.vectors(VECTOR_COUNT, VECTOR_SEED)[0]
+        return self.writer.render("optimiser_example.c", target=first.target.tolist(), start=first.start.tolist())
 
     def example_call(self) -> str:
         """The same as a block of an example's main()."""

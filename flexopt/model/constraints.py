@@ -280,6 +280,7 @@ class Constraints(FileModel):
             `loop`.
         within: numbers of the machine that may be others, as of `[[uncertainty]]`, four at most: whatever depends on
             them, as `holding` and `tip_over_margin` on the payload, is kept at all corners of these intervals, too.
+            What is `own` is kept with the file's numbers.
         own: `flexopt.Constraint`s of the user's own, which files cannot have.
     """
 

@@ -324,7 +324,8 @@ def _cylinders(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) 
                 f"is little beside {_pushed(part.bears)}what the joint carries, {needed:.3g} N at its full reach",
                 f"probably in kN: {1000 * force:g} N",
             )
-        tip = speed / lever * (reach if part.hinge else 1.0)
+        beyond = max(path + max(carried.length, carried.com) for carried, path in part.outward())
+        tip = speed / lever * (min(beyond, reach) if part.hinge else 1.0)
         if tip > TIP_SPEED_MAX:
             yield ImplausibleNumber(
                 f"{where}.speed",

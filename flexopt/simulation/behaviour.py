@@ -27,6 +27,8 @@ FEWEST_WINDOWS = 4
 FEWEST_FITTED = 3
 # A mode whose kinetic energy stays below this share of its elastic one is bent slowly: a hundredth of its frequency.
 QUASI_STATIC = 1e-4
+# Where the base is bent slowly, an end-point that is not settled creeps away: by so much from one quarter to the next.
+CREPT = 1.05
 # An amplitude that ends so many times larger than it began has grown, whatever it does in the end.
 GROWN = 3.0
 
@@ -38,7 +40,8 @@ class Behaviour:
     Attributes:
         grows: the verdict (N,): the run left the finite numbers, or some mode's amplitude grows: its growth rate
             exceeds twice its standard error, or it ends three times as large as it began, or no smaller and without a
-            decay of twice that error. A mode at rest at the start is taken to begin in the middle of its motion.
+            decay of twice that error. A mode at rest at the start is taken to begin in the middle of its motion. So
+            does one, where the base `bends`, whose end-point creeps away from its target: then that growth is told.
         grown: how many times as large as at its beginning a mode's amplitude is in the end, of those that grow the one
             with the most (N,); 1 where none does.
         growth_rate: of the mode that has the most energy in the end among those that clearly grow, or else of the one
@@ -178,6 +181,10 @@ def behaviour(
         clearly = growing & (rate > 2 * error)
         times_larger = np.where(growing & (first > 0), last / first, 1.0)
     told = _told(rate, clearly, last)
+    creeps, creep, creep_error = _creeping(times[begin:], squared_error[begin:], squared_error[:1], grounds)
+    creeps &= ~np.any(growing, axis=0)
+    slowest = np.where(creeps, creep, np.take_along_axis(rate, told[None], axis=0)[0])
+    doubt = np.where(creeps, creep_error, _doubt(rate, error, bend, last, told, np.any(clearly, axis=0)))
 
     loud = ~(squared_error <= np.maximum(SETTLED**2 * squared_error[:1], STILL**2))
     last_loud = len(loud) - 1 - np.argmax(loud[::-1], axis=0)
@@ -187,21 +194,41 @@ def behaviour(
         for squares, end in ((squared_error, end_error), (rotation, end_rotation))
     )
     return Behaviour(
-        grows=diverged | np.any(growing, axis=0),
+        grows=diverged | np.any(growing, axis=0) | creeps,
         grown=np.max(times_larger, axis=0, initial=1.0),
-        growth_rate=np.take_along_axis(rate, told[None], axis=0)[0],
-        growth_rate_error=_doubt(rate, error, bend, last, told, np.any(clearly, axis=0)),
+        growth_rate=slowest,
+        growth_rate_error=doubt,
         settling_time=np.where(loud[-1], np.nan, settling),
         peak_error=np.where(diverged, np.inf, peak),
         end_error=np.where(diverged, np.inf, end_error),
         peak_base_rotation=turn if grounds.turns else np.full_like(turn, np.nan),
         residual_oscillation=peaks[-1],
         finite_until=finite,
-        significant=diverged | ~wavering,
+        significant=diverged | ~wavering | creeps,
         short=short,
         slowest_hz=grounds.slowest_hz,
         duration=float(times[-1]),
     )
+
+
+def _creeping(
+    times: Vector, squared_error: Vector, first: Vector, grounds: Grounds
+) -> tuple[NDArray[np.bool_], Vector, Vector]:
+    """Where the end-point creeps away (N,), at which rate, 1/s, and by how much that of the quarter before differs.
+
+    An arm that pulls the base over, or is carried away by it, does not swing.
+    """
+    count = len(squared_error) // FEWEST_WINDOWS
+    quarter = count * float(times[-1] - times[0]) / max(len(squared_error), 1)
+    none = np.zeros(squared_error.shape[1])
+    if not grounds.bends or count == 0 or quarter * (grounds.swing_hz or grounds.slowest_hz) < 1:
+        return none > 0, none, none
+    whole = squared_error[len(squared_error) - FEWEST_WINDOWS * count :]
+    parts = np.max(whole.reshape(FEWEST_WINDOWS, count, -1), axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rates = 0.5 * np.diff(np.log(parts), axis=0) / quarter
+        away = (parts[-1] > CREPT**2 * parts[-2]) & (parts[-1] > np.maximum(SETTLED**2 * first[0], STILL**2))
+        return away, rates[-1], np.abs(rates[-1] - rates[-2])
 
 
 def _told(rate: Vector, growing: NDArray[np.bool_], last: Vector) -> NDArray[np.intp]:

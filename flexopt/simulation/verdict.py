@@ -28,6 +28,8 @@ from flexopt.simulation.scenario import Scenario
 LoopVerdict = Literal["converges", "grows", "undecided"]
 # Damping ratio below which a loop's swing goes on for periods.
 LASTING = 0.1
+# A run grows as the self-motion drifts, to this factor.
+DRAWN = 3.0
 NO_REST = "near its end the loop rests nowhere"
 
 
@@ -140,7 +142,7 @@ def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> 
         return Judgement(run.word, f"{said}; {other}")
     if eigenvalues == "undecided":
         return Judgement("undecided", f"{said}, but {other}, to rounding")
-    return Judgement("undecided", f"{said}, but {other}: {_why(linear, ended)}")
+    return Judgement("undecided", f"{said}, but {other}: {_why(run, linear, ended)}")
 
 
 def alternating(linear: SampledLoop, ended: Ended | None) -> str:
@@ -151,8 +153,10 @@ def alternating(linear: SampledLoop, ended: Ended | None) -> str:
     return from_sample_to_sample(linear.growth_rate, linear.rounding, linear.frequency_hz, rate, damper)
 
 
-def _why(linear: SampledLoop, ended: Ended | None) -> str:
+def _why(run: Shown, linear: SampledLoop, ended: Ended | None) -> str:
     """What sets run and eigenvalues apart."""
+    if linear.growth_rate < 0 < run.rate < DRAWN * max(linear.drift, default=0.0):
+        return "the arm's self-motion, which the controller does not hold, takes the base with it"
     own = None if ended is None else ended.integrated()
     if own is None or ended is None:
         return "the run is too short to show it, too large for a linear loop, or damped by its own integrator"

@@ -262,6 +262,19 @@ def test_slips_of_cylinders(name: str, key: str, factor: float, word: str) -> No
         assert f"probably {word}: {max(own[key]):g} " in sentence
 
 
+def test_a_tool_at_the_end_of_a_long_boom_is_quick() -> None:
+    """A short lever moves the tool alone, 1.7 m, however far the boom reaches."""
+    data = shipped("boom-stick-bucket")
+    for link, length in zip(data["links"], (14.0, 12.0), strict=False):
+        link |= {"length": length, "com": length / 2, "com_offset": 0.0, "inertia": link["mass"] * length**2 / 12}
+    data["links"][2]["limits"] = [-0.9, 0.9]
+    data["cylinders"] = [
+        {"name": "tool cylinder", "joint": "bucket", "base_point": [11.5, 0.06], "rod_point": [0.0, 0.06],
+         "length": [0.4, 0.6], "speed": [0.5, 0.4], "force": [2e5, 3e5]}
+    ]  # fmt: skip
+    assert not any("cylinder" in sentence for sentence in told(data))
+
+
 @pytest.mark.long("dampers")
 @pytest.mark.parametrize("slip", SLIPS)
 def test_slips_in_random_machines(slip: str) -> None:

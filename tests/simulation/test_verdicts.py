@@ -291,3 +291,33 @@ def test_the_self_motion_is_told_apart_where_the_arm_comes_to_rest(posture: tupl
         assert abs(loop.drift[0]) < 1e-2 * nominal.decay < -loop.growth_rate
     if shown:
         assert "converges" in ensemble.verdict
+
+
+@pytest.mark.long("20000.0")
+@pytest.mark.filterwarnings("ignore::flexopt.FlexoptWarning")
+@pytest.mark.parametrize("gain", [1e4, 2e4])
+def test_a_base_that_tips_over_slowly_does_not_converge(gain: float) -> None:
+    """A hundredth of the tilting spring: it hardly swings, and takes the end-point ever farther from its target.
+
+    With the lower gain the linear loop has a real pole to the right; with the other what takes the base with it is
+    the self-motion.
+    """
+    data = flexopt.load("boom-stick-bucket").to_dict()
+    data["base"]["stiffness"]["rotation"] *= 0.01
+    run = flexopt.simulate(
+        flexopt.machine_from_dict(data), (-0.9, -1.2, -0.4), base=[0.0], gravity=True, gravity_compensation=True,
+        kp=gain, kv=gain, nullspace_damping=1e4, rate=100.0, duration=120.0,
+    )  # fmt: skip
+    away = np.linalg.norm(run.error, axis=1)
+    later, last = (away[int(share * (len(away) - 1))] for share in (0.75, 1.0))
+    assert last > 1.2 * later > 1.0 * away[len(away) // 2]
+    assert run.run.word == "grows"
+    if run.linear is not None and run.linear.growth_rate > 0:
+        assert run.verdict == "grows"
+        assert run.growth_rate == pytest.approx(run.linear.growth_rate, rel=0.15)
+    else:
+        assert run.verdict == "undecided"
+        assert run.verdict_reason.endswith(
+            "the arm's self-motion, which the controller does not hold, takes the base with it"
+        )
+    assert (gain == 1e4) == (run.verdict == "grows")

@@ -743,6 +743,34 @@ def test_no_machine_is_sent_where_it_cannot_hold_the_heaviest_load(
     assert found.to_dict()["excluded"] == list(found.excluded)
 
 
+def test_a_load_that_is_known_but_another_than_the_files_counts_alike() -> None:
+    """An interval of one number, which nothing moves within."""
+    machine = flexopt.load("boom-stick-bucket")
+    chosen = flexopt.select(machine, (5.0, -1.0), base=0.0, constraints={"holding": 0.9}, starts=6)
+    alike = [
+        flexopt.verdict(chosen, loop="default", ranges={"payload.mass": (low, 2500.0)}, members=4, runs=0)
+        for low in (2499.0, 2500.0)
+    ]
+    assert alike[0].excluded == alike[1].excluded == ("candidate 1",)
+
+
+def test_staying_where_every_place_breaks_constraints_is_told() -> None:
+    """Rows at corners of `within` have their numbers beside those of the ranges."""
+    machine = flexopt.load("boom-stick-bucket")
+    asked: dict[str, Any] = {"holding": 0.9, "within": {"payload.mass": (0.0, 2500.0)}}
+    chosen = flexopt.select(machine, (7.0, 1.0), base=0.0, constraints=asked, starts=2, base_range=(-0.05, 0.05))
+    ranges = {"payload.mass": (0.0, 9000.0)}
+    found = flexopt.verdict(chosen, loop="default", ranges=ranges, members=4, runs=0)
+    assert all(place.breaks for place in found.places)
+    assert found.excluded == ()
+    if found.word in ("stay", "move"):
+        assert "every place found breaks constraints on some ground: " in found.drawbacks
+    heavy = flexopt.verdict(chosen, loop="default", ranges={"stick.mass": (1000.0, 2e4)}, members=4, runs=0)
+    sentences = [place.breaks for place in heavy.places if "payload" in place.breaks]
+    assert sentences
+    assert all(re.search(r"where payload.mass is 2500 kg and stick.mass is", sentence) for sentence in sentences)
+
+
 @pytest.mark.parametrize("softer", [0.01, 0.003])
 def test_runs_of_slow_machines_last_ten_periods(softer: float) -> None:
     """Of 3 s nothing can be told of them, which is said."""

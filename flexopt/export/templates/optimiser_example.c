@@ -1,4 +1,7 @@
 static {{ prefix }}_optimiser_workspace memory;
+static const {{ prefix }}_real start[{{ PREFIX }}_OPTIMISER_N_Z] = {
+{%- for x in start %}{{ number(x) }}{% if not loop.last %}, {% endif %}{% endfor -%}
+}; /* or NULL */
 {{ prefix }}_optimiser_problem problem;
 {{ prefix }}_optimiser_options options;
 {{ prefix }}_optimiser_result answer;
@@ -8,4 +11,4 @@ static {{ prefix }}_optimiser_workspace memory;
 {% for x in target %}
 problem.target[{{ loop.index0 }}] = {{ number(x) }};
 {% endfor %}
-found = {{ prefix }}_optimiser_solve(&problem, NULL, &options, &memory, &answer);
+found = {{ prefix }}_optimiser_solve(&problem, start, &options, &memory, &answer);

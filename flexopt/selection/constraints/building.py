@@ -80,7 +80,10 @@ def constraint_faults(plant: Plant, constraints: Constraints) -> list[Fault]:
     wrong = corners.within_faults(plant, within)
     if within and not found and not wrong:
         on = {entry for group in _asked(plant, constraints) for _, entry in _dependence(plant, group)}
-        sentence = "nothing that was asked for depends on it; holding and tip_over_margin do on masses"
+        sentence = (
+            "no constraint of flexopt's that was asked for depends on it; holding and tip_over_margin do on masses"
+        )
+        sentence += "; constraints of your own are kept with the file's numbers" if constraints.own else ""
         wrong += [
             Fault(f"within[{k}].of", sentence, each.name)
             for k, each in enumerate(within)

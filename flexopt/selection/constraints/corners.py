@@ -22,6 +22,8 @@ from flexopt.plant import Plant, moving_end_point
 from flexopt.selection.constraints.kind import Group, Scene
 
 KIND = "corner"
+# In the names of rows, before the numbers.
+WHERE = " where "
 # Intervals; every one doubles the rows.
 MOST = 4
 
@@ -62,7 +64,7 @@ def corner_groups(
         for ends in product((0, 1), repeat=len(moving)):
             p = _with_ends(machine, [within[i] for i in moving], ends)
             if where := told_numbers(machine, p.tolist()):
-                rows = tuple(replace(group.rows[k], name=f"{group.rows[k].name} where {where}") for k in kept)
+                rows = tuple(replace(group.rows[k], name=group.rows[k].name + WHERE + where) for k in kept)
                 shape = (group.kind, group.shape, tuple(entries), kept)
                 found.append(Group(KIND, shape, (*p[entries].tolist(), *group.constants), rows))
     return found

@@ -121,7 +121,7 @@ def decide(
     best = _best([place for place in sound if stay is None or _pays(place, stay)])
     if changed is not None and changed.holds and _spares(changed, stay, best, sound):
         doubted = [place for place in others if place.holds and place.name in unconfirmed]
-        return Decision("change gains", changed.name, _why_gains(changed, stay, best, sound, doubted))
+        return Decision("change gains", changed.name, _why_gains(changed, stay, best, sound, doubted, found))
     if best is not None:
         reason = absent
         if stay is not None:
@@ -240,7 +240,12 @@ def _spares(changed: Place, stay: Place | None, best: Place | None, sound: Seque
 
 
 def _why_gains(
-    changed: Place, stay: Place | None, best: Place | None, sound: Sequence[Place], doubted: Sequence[Place]
+    changed: Place,
+    stay: Place | None,
+    best: Place | None,
+    sound: Sequence[Place],
+    doubted: Sequence[Place],
+    found: str,
 ) -> str:
     reason = f"with the new gains the slowest decay at {spoken(changed.name)} is {changed.slowest:.3g}/s"
     if best is not None:
@@ -256,4 +261,4 @@ def _why_gains(
         names, one = listed(place.name for place in doubted), len(doubted) == 1
         stable = f"{names} {'is' if one else 'are'} stable on every ground, too"
         return f"{reason}; with the present ones {stable}, but nonlinear runs do not confirm {'it' if one else 'them'}"
-    return f"{reason}; with the present ones no place found is stable on every ground"
+    return f"{reason}; with the present ones {found} is stable on every ground"

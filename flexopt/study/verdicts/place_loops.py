@@ -24,6 +24,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import told_numbers
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
+from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.continua import unwound
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
@@ -143,10 +144,13 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
         if broken_names(problem, z, asked=True):
             continue
         for p in _corners(problem, z, box):
-            for name in broken_names(problem, z, asked=True, p=p):
+            for row in broken_names(problem, z, asked=True, p=p):
+                # Of rows at corners of `constraints.within` that which is broken most, with its numbers.
+                name, _, corner = row.partition(WHERE)
                 if name not in seen:
                     seen.add(name)
-                    where = told_numbers(box.machine, _least_of(problem, z, box, p, name).tolist())
+                    where = told_numbers(box.machine, _least_of(problem, z, box, p, row).tolist())
+                    where = " and ".join(filter(None, (corner, where)))
                     found.setdefault(where, {}).setdefault(name, []).append(k)
     told = list[str]()
     for where, names in found.items():
@@ -154,7 +158,7 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
             name if len(stand) == 1 or len(at) == len(stand) else f"{name} at target {listed(map(str, at))}"
             for name, at in names.items()
         ]
-        told.append(f"breaks {', '.join(each)} where {where}")
+        told.append(f"breaks {', '.join(each)}{WHERE}{where}")
     return "; ".join(told)
 
 
@@ -176,8 +180,9 @@ def _corners(problem: SelectionProblem, z: Vector, box: UncertaintyBox) -> Itera
         p[box.entries[i]] = box.numbers(np.where(np.arange(count) == i, end, 0.5))[0][box.entries[i]]
         return p
 
+    own = rows_with(problem, z, box.nominal)
     rows = [[rows_with(problem, z, with_end(i, end)) for end in (0.0, 1.0)] for i in range(count)]
-    moved = [float(np.abs((high - low) / scale).max()) for low, high in rows]
+    moved = [max(float(np.abs((row - own) / scale).max()) for row in each) for each in rows]
     most = sorted(range(count), key=lambda i: -moved[i])[:CORNERED]
     chosen = [i for i in most if moved[i] > MOVED]
     for ends in product((0.0, 1.0), repeat=len(chosen)):

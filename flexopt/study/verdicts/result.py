@@ -159,7 +159,7 @@ class Verdict(Pictured, Printed, Result):
         word: `"move"`, `"stay"`, `"change gains"` or `"cannot tell"`;  sentence: it, with where to and why.
         place: which place it speaks of;  reason: why.
         drawbacks: what is worse by a tenth or more where it sends the machine than where it stands, in the worst case,
-            and what it breaks as every place found does, a sentence: the word goes by the decay; empty where nothing.
+            and what it breaks as every place found does, in words: the word goes by the decay; empty where nothing is.
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
         gains: those to change to.
         rule: by which the word was found.
@@ -216,12 +216,12 @@ class Verdict(Pictured, Printed, Result):
     def drawbacks(self) -> str:
         """See the class."""
         stay, there = self._stay, next((place for place in self.places if place.name == self.place), None)
-        if self.word != "move" or there is None:
+        if self.word not in ("move", "stay") or there is None:
             return ""
         # Else another place would keep them, and this one would be none to move to.
-        no_better = f"every place found breaks constraints on some ground: {there.name} {there.breaks}"
+        no_better = f"every place found breaks constraints on some ground: {spoken(there.name)} {there.breaks}"
         no_better *= bool(there.breaks)
-        if stay is None:
+        if stay is None or stay is there:
             return no_better
         highest = f"above {self.settings.highest_kp:.4g}"
         compared = (

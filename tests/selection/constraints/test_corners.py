@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import product
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -95,7 +96,7 @@ def test_factors_and_several_numbers_of_one_interval() -> None:
         ({"payload.mas": (0.0, 1.0)}, "payload.mass"),
         ({"dead_time": (0.0, 0.01)}, "is a number of the loop"),
         ({"stick.length": (2.0, 4.0)}, "moves the end-point (stick.length)"),
-        ({"base.stiffness.x": (1e5, 2e6)}, "nothing that was asked for depends on it"),
+        ({"base.stiffness.x": (1e5, 2e6)}, "that was asked for depends on it"),
         ({f"{body}.mass": (1.0, 2000.0) for body in ("base", "boom", "stick", "bucket", "payload")}, "at most 4"),
         ({"payload.mass": (2.0, 1.0)}, "constraints.within[0].value"),
         ([], "must be a list"),
@@ -133,3 +134,10 @@ def test_a_choice_keeps_what_the_heaviest_load_needs() -> None:
     found = flexopt.verdict(kept, loop="default", ranges={"payload.mass": (0.0, heaviest)}, members=4, runs=0)
     assert not any(place.breaks for place in found.places)
     assert not found.excluded
+
+
+def test_own_constraints_are_said_to_be_kept_with_the_files_numbers() -> None:
+    own = ca.Function("heavy", [p := ca.MX.sym("p", len(flexopt.load("excavator").parameters))], [p[0]], ["p"], ["g"])
+    asked = [own, {"within": {"payload.mass": (0.0, 500.0)}}]
+    with pytest.raises(flexopt.InputError, match="constraints of your own are kept with the file's numbers"):
+        flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), constraints=asked)
