@@ -138,6 +138,9 @@ def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> 
     if run.short and not (run.ended < run.duration and eigenvalues == "grows"):
         needed = f"four periods of the slowest mode, {run.slowest_hz:.4g} Hz, undisturbed"
         return Judgement("undecided", f"{said}, too short to tell: it takes {needed}; {other}")
+    away = max(linear.drift, default=0.0) * run.duration
+    if eigenvalues == run.word == "converges" and away > 1:
+        return Judgement("undecided", f"{said}; {other}: within the run the arm leaves its posture along it")
     if eigenvalues == run.word:
         return Judgement(run.word, f"{said}; {other}")
     if eigenvalues == "undecided":

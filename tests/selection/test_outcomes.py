@@ -326,3 +326,15 @@ def test_the_present_configuration_is_climbed_from() -> None:
     again = flexopt.select(EXCAVATOR, TARGET, base=at.base, posture=at.posture, **options)
     assert again.best.objective >= best.objective - 1e-9
     assert any(np.abs(each.z - best.z).max() < 1e-4 for each in again.candidates)
+
+
+def test_where_no_step_leads_onto_the_constraints_these_are_named() -> None:
+    """A margin wider than half the undercarriage, by what the loop does."""
+    machine = flexopt.load("boom-stick-bucket")
+    span = machine.to_dict()["support"]["span"]
+    asked = {"tip_over_margin": 0.52 * (span[1] - span[0])}
+    with pytest.raises(flexopt.NoSolutionFound) as caught:
+        flexopt.select(
+            machine, (7.0, 1.0), base=0.0, posture=(-0.9, -1.2, -0.4), objective="decay", constraints=asked, starts=2
+        )
+    assert "tip-over margin from x" in str(caught.value)

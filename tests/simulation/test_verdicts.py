@@ -321,3 +321,19 @@ def test_a_base_that_tips_over_slowly_does_not_converge(gain: float) -> None:
             "the arm's self-motion, which the controller does not hold, takes the base with it"
         )
     assert (gain == 1e4) == (run.verdict == "grows")
+
+
+@pytest.mark.filterwarnings("ignore::flexopt.FlexoptWarning")
+def test_an_arm_that_leaves_its_posture_within_the_run_does_not_converge() -> None:
+    """Its weight drives the self-motion, which little brakes: the bucket turns by a radian, and the base is quiet."""
+    data = flexopt.load("boom-stick-bucket").to_dict()
+    data["base"]["stiffness"] = {name: 0.4 * value for name, value in data["base"]["stiffness"].items()}
+    run = flexopt.simulate(
+        flexopt.machine_from_dict(data), (-2.267, -2.219, -1.855), base=[0.0], gravity=True, gravity_compensation=True,
+        kp=1e6, kv=3e5, nullspace_damping=100.0, rate=100.0, duration=100.0,
+    )  # fmt: skip
+    assert np.abs(run.q[-1] - run.q[0])[3:].max() > 1.0
+    assert run.linear is not None
+    assert run.linear.growth_rate < 0 < run.linear.drift[0]
+    assert run.verdict == "undecided"
+    assert run.verdict_reason.endswith("within the run the arm leaves its posture along it")

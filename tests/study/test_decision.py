@@ -40,6 +40,11 @@ def test_places_that_break_constraints_on_some_ground_count_where_all_do() -> No
     told = decide(grows, [], place("candidate 1", GROUNDS), barred=True, gains={"kp": [1.0]})
     assert told.word == "change gains"
     assert told.reason.endswith("no place found that keeps the constraints on every ground is stable on every ground")
+    refuted = decide(
+        grows, [], refuted=place("candidate 1", GROUNDS), doubt="the run of 20 s grows", gains={"kp": [1.0]}
+    )
+    assert refuted.word == "cannot tell"
+    assert refuted.reason.endswith("but nonlinear runs do not confirm that: the run of 20 s grows")
 
 
 def test_places_that_a_search_finds_slower_than_their_members_give_way() -> None:

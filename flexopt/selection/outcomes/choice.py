@@ -33,7 +33,7 @@ from flexopt.selection.outcomes.climb import Climbed, climbed, first_order
 from flexopt.selection.outcomes.program import OutcomeProgram, least_over, worst_of
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import ALIKE, Seed, lifted, separation, starting_points
-from flexopt.selection.problem import SelectionProblem, reached
+from flexopt.selection.problem import SelectionProblem, broken, reached
 from flexopt.selection.result import Attempt, Candidate, Kept
 from flexopt.selection.solve import constraint_values
 
@@ -85,7 +85,7 @@ def outcome_selection(
             starts.append(now)
     found = climbs(program, starts, count, progress)
     attempts = tuple(_attempt(program, start, each) for start, each in zip(starts, found, strict=True))
-    ends, unverified = distinct_optima(program, found)
+    ends, unverified = distinct_optima(program, found, starts)
     groups = _continua(program, ends)
     # What is as fast goes by the way there.
     best = groups[0][0].value
@@ -123,8 +123,12 @@ def climbs(
     return in_parallel(partial(_climbed, program, starts), len(starts), workers, progress, at_once=len(starts) > 1)
 
 
-def distinct_optima(program: OutcomeProgram, found: list[Climbed | None]) -> tuple[list[Climbed], float | None]:
+def distinct_optima(
+    program: OutcomeProgram, found: list[Climbed | None], starts: Sequence[Vector] = ()
+) -> tuple[list[Climbed], float | None]:
     """Ends that hold, the best first, those at the same place once; and what an end that does not hold has more.
+
+    `starts`: of one configuration's climbs, whose constraints are told where none leads anywhere.
 
     Raises:
         NoSolutionFound: there is none.
@@ -135,7 +139,7 @@ def distinct_optima(program: OutcomeProgram, found: list[Climbed | None]) -> tup
         if all(separation(program, each.y, other.y) > SAME_POINT for other in distinct):
             distinct.append(each)
     if not distinct:
-        raise _none(program, found)
+        raise _none(program, found, starts)
     worth = distinct[0].value + NEW * abs(distinct[0].value)
     more = [each.value for each in found if each is not None and not each.holds and each.value > worth]
     return distinct, program.measure.sign * max(more) if more else None
@@ -248,7 +252,7 @@ def _attempt(program: OutcomeProgram, start: Vector, end: Climbed | None) -> Att
     return Attempt(tuple(program.z(start).tolist()), "verified to first order", value)
 
 
-def _none(program: OutcomeProgram, found: list[Climbed | None]) -> NoSolutionFound:
+def _none(program: OutcomeProgram, found: list[Climbed | None], starts: Sequence[Vector]) -> NoSolutionFound:
     ends = [each for each in found if each is not None]
     best = max(ends, key=lambda each: each.value, default=None)
     names = program.names[: program.n_z]
@@ -257,6 +261,9 @@ def _none(program: OutcomeProgram, found: list[Climbed | None]) -> NoSolutionFou
     why = ""
     if any(math.isinf(each.value) for each in ends):
         why = f": some led to {UNDONE}; a least decay beside it, constraints.outcome.decay, keeps them from there"
+    elif not ends and len(starts):
+        breaks = broken(program.problem, program.z(starts[0]))
+        why = f": no step led onto the constraints; the first began where it {breaks}" if breaks else ""
     return NoSolutionFound(
         f"select: none of {counted(len(found), 'climb')} ended at a stationary point{why}",
         violations=left, iterate=iterate,

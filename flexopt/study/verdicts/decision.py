@@ -95,6 +95,7 @@ def decide(
     *,
     tried: str = "",
     refuted: Place | None = None,
+    doubt: str = "",
     gains: Mapping[str, Sequence[float]] | None = None,
     alternates: str = "",
     absent: str = UNREACHED.format("the target"),
@@ -109,7 +110,7 @@ def decide(
         changed: the best place with other gains, where runs confirm it.
         unconfirmed: names of places that nonlinear runs do not confirm.
         tried: which other gains were; empty for none.
-        refuted: the best place with other gains, where runs do not confirm it.
+        refuted: the best place with other gains, where runs do not confirm it;  doubt: why the first of them does not.
         gains: these other gains.
         alternates: why the loop changes its sign at every sample, where it grows so in every place.
         absent: why there is no staying.
@@ -156,6 +157,7 @@ def decide(
     if refuted is not None and refuted.holds:
         named = f" ({gains_in_words(gains)})" if gains else ""
         with_others = f"; with others{named} {spoken(refuted.name)} is, but nonlinear runs do not confirm that"
+        with_others += f": {doubt}" if doubt else ""
     reason = f"{found} is stable on every ground with the present gains{with_others}"
     return Decision("cannot tell", "", reason + (f"; it grows at {alternates}" if alternates else ""))
 

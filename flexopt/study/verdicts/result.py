@@ -133,7 +133,9 @@ class PlaceVerdict(Result):
     @property
     def unconfirmed(self) -> str:
         """Why the first of the nonlinear runs that does not confirm a stable loop does not; empty where all do."""
-        why = next(filter(None, self.runs.reasons), "") if self.runs and self.decay.least > 0 else ""
+        words = zip(self.runs.verdicts, self.runs.reasons, strict=True) if self.runs else ()
+        # That a loop grows where its eigenvalues do is no news.
+        why = next((why for word, why in words if why and (word == "converges" or self.decay.least > 0)), "")
         return why and f"{self.name}, a nonlinear run that does not confirm: {why}"
 
     @property
@@ -216,12 +218,12 @@ class Verdict(Pictured, Printed, Result):
     def drawbacks(self) -> str:
         """See the class."""
         stay, there = self._stay, next((place for place in self.places if place.name == self.place), None)
-        if self.word not in ("move", "stay") or there is None:
+        if self.word == "cannot tell" or there is None:
             return ""
         # Else another place would keep them, and this one would be none to move to.
         no_better = f"every place found breaks constraints on some ground: {spoken(there.name)} {there.breaks}"
         no_better *= bool(there.breaks)
-        if stay is None or stay is there:
+        if stay is None or self.word != "move":
             return no_better
         highest = f"above {self.settings.highest_kp:.4g}"
         compared = (

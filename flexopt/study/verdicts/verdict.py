@@ -190,16 +190,16 @@ def verdict(
     unconfirmed = [name for name, run in shown.items() if run.confirming < MOST]
     tried = tried_gains(asked) if known and _tries(asked, known, unconfirmed) else ""
     changed, gains = _changed(asked, known, loops, slowest, points) if tried else (None, {})
-    refuted = changed and changed[0] if _refuted(changed, points[:runs], duration) else None
+    refuted = changed and changed[0] if (doubt := _refuted(changed, points[:runs], duration)) else None
     changed = None if refuted else changed
     stages.next()
     decision = decide(
-        stay, rest, changed and changed[0], unconfirmed, tried=tried, refuted=refuted, gains=gains,
+        stay, rest, changed and changed[0], unconfirmed, tried=tried, refuted=refuted, doubt=doubt, gains=gains,
         alternates=_alternates(loops, slowest) if tried else "", absent=absent,
         most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
     )  # fmt: skip
     if decision.word != "move" and stay is None:
-        decision = replace(decision, reason=f"{absent}; {'apart from it ' if STAY in stands else ''}{decision.reason}")
+        decision = replace(decision, reason=f"{absent}; {decision.reason}")
     bands = _each(told, lambda name: _place(
         name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name], drives[name],
         shown.get(name), chosen, within[name],
@@ -277,12 +277,12 @@ def _each(names: Collection[str], work: Callable[[str], T], tell: Progress) -> d
     return made
 
 
-def _refuted(changed: tuple[Place, PlaceLoops] | None, members: Vector, duration: float | None) -> bool:
-    """Whether nonlinear runs of these members do not confirm what is proposed."""
+def _refuted(changed: tuple[Place, PlaceLoops] | None, members: Vector, duration: float | None) -> str:
+    """Why nonlinear runs of these members do not confirm what is proposed; empty where they do."""
     if changed is None or not len(members):
-        return False
-    loops = changed[1]
-    return loops.runs(members, loops.decays(members), duration).confirming < MOST
+        return ""
+    runs = changed[1].runs(members, changed[1].decays(members), duration)
+    return "" if runs.confirming >= MOST else next(filter(None, runs.reasons), "")
 
 
 def _first_runs(
@@ -466,4 +466,5 @@ def _measure(
     which, rank = matters_most(box, points, values.tolist()) if values.min() < 0 < values.max() else ("", 0.0)
     if which:
         return f"to tell, measure {which}: {what} goes with it (rank correlation {rank:+.2f})"
-    return f"no measurement alone tells: with {what} goes nothing that is uncertain by itself" if rank else ""
+    seen = f"of the {len(points)} members looked at {what} goes with nothing that is uncertain by itself"
+    return f"no measurement alone is seen to tell: {seen}" if rank else ""
