@@ -119,9 +119,9 @@ class Quantities:
             return values
         return values + self.of_own(objective.own, bases, postures)[objective.own.row] * objective.own.sign
 
-    def of_own(self, term: OwnTerm, bases: Vector, postures: Vector) -> Vector:
-        """Every entry of an own Function at points, (k, N)."""
-        graphs, p = self.own(term), self.measures.plant.parameter_values
+    def of_own(self, term: OwnTerm, bases: Vector, postures: Vector, p: Any = None) -> Vector:
+        """Every entry of an own Function at points, (k, N); with other numbers of the machine, p (n_par,)."""
+        graphs, p = self.own(term), self.measures.plant.parameter_values if p is None else p
         return graphs.values_at.call([bases, postures, p, term.weights(), graphs.left()])[0].full()
 
     def pulls(self, objective: Objective, bases: Vector, postures: Vector) -> Vector:

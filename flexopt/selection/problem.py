@@ -366,10 +366,7 @@ class SelectionProblem:
             >>> bound.own_values(np.array([0.0, 0.75, -2.0]))
             array([0.25])
         """
-        n_base = len(self.machine.base_coordinates)
-        terms = [OwnTerm(constraint.function) for constraint in self.asked.own or ()]
-        found = [self.quantities.of_own(term, z[:n_base], z[n_base:]).ravel() for term in terms]
-        return np.concatenate([np.zeros(0), *found])
+        return own_with(self, z, None)
 
     @public()
     def solver(self, *, quick: bool = False) -> ca.Function:
@@ -485,11 +482,11 @@ def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p
     """Names of the limits and constraints that a configuration breaks, the target aside, the worst first.
 
     `asked`: of those alone that somebody asked for: no limits, no margin from singular postures, no assumed ground.
-    `p`: the machine's numbers, where they may be others; the user's own constraints are with its own.
+    `p`: the machine's numbers, where they may be others.
     """
     outside: Vector = np.maximum(problem.lower - z, z - problem.upper) / problem.scale
     rows = np.abs(beyond_bounds(problem, z, p))[problem.target.size :]
-    away = np.concatenate([outside, rows, beyond_own(problem, z)])
+    away = np.concatenate([outside, rows, beyond_own(problem, z, p)])
     names = [f"limits of {variable.name}" for variable in problem.variables]
     names += [row.name for row in problem.constraints[problem.target.size :]]
     names += [row.name for row in problem.own_constraints]
@@ -526,6 +523,14 @@ def rows_with(problem: SelectionProblem, z: Vector, p: Any) -> Vector:
     return np.concatenate([part.full().ravel() for part in parts])
 
 
+def own_with(problem: SelectionProblem, z: Vector, p: Any) -> Vector:
+    """The values of the user's own constraints at z, of a machine with the numbers p (n_par,); None: with its own."""
+    n_base = len(problem.machine.base_coordinates)
+    terms = [OwnTerm(constraint.function) for constraint in problem.asked.own or ()]
+    found = [problem.quantities.of_own(term, z[:n_base], z[n_base:], p).ravel() for term in terms]
+    return np.concatenate([np.zeros(0), *found])
+
+
 def beyond_bounds(problem: SelectionProblem, z: Vector, p: Vector | None = None) -> Vector:
     """By how much each constraint is above (> 0) or below its bounds at z, (n_rows,), in units of the scales."""
     rows = problem.rows(z) if p is None else rows_with(problem, z, p)
@@ -533,11 +538,11 @@ def beyond_bounds(problem: SelectionProblem, z: Vector, p: Vector | None = None)
     return (np.minimum(rows - lower, 0.0) + np.maximum(rows - upper, 0.0)) / scale
 
 
-def beyond_own(problem: SelectionProblem, z: Vector) -> Vector:
+def beyond_own(problem: SelectionProblem, z: Vector, p: Any = None) -> Vector:
     """By how much each entry of the user's own constraints is outside its bounds, in units of its scale."""
     rows = problem.own_constraints
     low, high, scale = (np.array([getattr(row, name) for row in rows]) for name in ("lower", "upper", "scale"))
-    values = problem.own_values(z) if rows else np.zeros(0)
+    values = own_with(problem, z, p)
     return np.maximum(np.maximum(low - values, values - high), 0.0) / scale
 
 

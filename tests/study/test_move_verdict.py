@@ -11,6 +11,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -752,6 +753,25 @@ def test_a_load_that_is_known_but_another_than_the_files_counts_alike() -> None:
         for low in (2499.0, 2500.0)
     ]
     assert alike[0].excluded == alike[1].excluded == ("candidate 1",)
+
+
+def test_own_constraints_are_looked_at_with_other_loads_too() -> None:
+    """A bound on the boom's torque, against the weight's of a machine whose file has the load."""
+    machine, heaviest, most = flexopt.load("boom-stick-bucket"), 3000.0, 2.6e5
+    x = ca.MX.sym("torques", 3)
+    own = flexopt.Constraint(ca.Function("boom_torque", [x], [x[0]], ["torques"], ["o"]), lower=-most, upper=most)
+    chosen = flexopt.select(machine, (6.0, 2.0), base=0.0, constraints=[own], starts=5)
+    found = flexopt.verdict(chosen, loop="default", ranges={"payload.mass": (0.0, heaviest)}, members=4, runs=0)
+    data = machine.to_dict()
+    data["payload"]["mass"] = heaviest
+    plant = flexopt.build_plant(flexopt.machine_from_dict(data))
+    for place in found.places:
+        q = plant.rest(place.base, place.posture, plant.parameter_values)
+        torque = float(plant.gravity(q, place.base, plant.parameter_values)[plant.n_passive])
+        assert bool(place.breaks) == (abs(torque) > most)
+        assert place.breaks in ("", "breaks boom_torque where payload.mass is 3000 kg")
+    assert found.excluded == ("candidate 1",)
+    assert found.place == "candidate 2"
 
 
 def test_staying_where_every_place_breaks_constraints_is_told() -> None:

@@ -20,6 +20,8 @@ from flexopt.study.verdicts.places import STAY
 Word = Literal["move", "stay", "change gains", "cannot tell"]
 # By which share of its decay one is faster than the other, and in which share of the members it must be.
 FASTER, MOST = 0.1, 0.95
+# Members of either sign that tell grounds apart.
+SEVERAL = 3
 # Of a decay, by which two are one: mirrored places differ by rounding.
 ALIKE = 1e-6
 # What "better" is, in every sentence.
@@ -177,7 +179,8 @@ def spoken(place: str) -> str:
 def deciding(decision: Decision, known: Mapping[str, Place], stay: Place | None) -> tuple[str, Vector]:
     """What decides where the word is "cannot tell", in words, and as numbers (n,) on the members, by sign."""
     place = known[decision.place or ranked({name: each.decays for name, each in known.items()})[0]]
-    if not place.holds and (place.decays > 0).all():  # the search alone found the ground on which it grows
+    grows = int(np.count_nonzero(place.decays <= 0))
+    if not place.holds and min(grows, place.decays.size - grows) < SEVERAL:  # so few that chance alone parts them
         return f"how far {spoken(place.name)} is from growing", place.decays - place.decays.mean()
     if not place.holds:
         # It cannot be had, whatever is gained elsewhere: what tells the grounds apart on which it grows decides.

@@ -29,7 +29,7 @@ from flexopt.selection.continua import unwound
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
 from flexopt.selection.outcomes.result import ChosenByLoop, OutcomeSelection
-from flexopt.selection.problem import broken, broken_names, resting, rows_with, value_at
+from flexopt.selection.problem import broken, broken_names, own_with, resting, rows_with, value_at
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import held_by_loop
@@ -136,7 +136,7 @@ def broken_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:
 def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: UncertaintyBox) -> str:
     """Which constraints that were asked for a place keeps with the file's numbers and breaks at a corner of the box.
 
-    Choices keep those of statics, as of what joints hold, with the file's payload.
+    Choices keep those of statics, as of what joints hold, and the user's own, with the file's payload.
     """
     found = dict[str, dict[str, list[int]]]()
     for k, (problem, at) in enumerate(zip(problems_of(chosen), stand, strict=True), start=1):
@@ -173,16 +173,19 @@ def _least_of(problem: SelectionProblem, z: Vector, box: UncertaintyBox, p: Vect
 
 def _corners(problem: SelectionProblem, z: Vector, box: UncertaintyBox) -> Iterator[Vector]:
     """The machine's numbers (n_par,) at corners of the intervals that constraints depend on, the first few of them."""
-    count, scale = len(box.uncertainty), problem.row_bounds[2]
+    count = len(box.uncertainty)
+    scale = np.append(problem.row_bounds[2], [row.scale for row in problem.own_constraints])
 
     def with_end(i: int, end: float) -> Vector:
         p = box.nominal.copy()
         p[box.entries[i]] = box.numbers(np.where(np.arange(count) == i, end, 0.5))[0][box.entries[i]]
         return p
 
-    own = rows_with(problem, z, box.nominal)
-    rows = [[rows_with(problem, z, with_end(i, end)) for end in (0.0, 1.0)] for i in range(count)]
-    moved = [max(float(np.abs((row - own) / scale).max()) for row in each) for each in rows]
+    def values(p: Vector) -> Vector:
+        return np.append(rows_with(problem, z, p), own_with(problem, z, p)) / scale
+
+    nominal = values(box.nominal)
+    moved = [max(float(np.abs(values(with_end(i, end)) - nominal).max()) for end in (0.0, 1.0)) for i in range(count)]
     most = sorted(range(count), key=lambda i: -moved[i])[:CORNERED]
     chosen = [i for i in most if moved[i] > MOVED]
     for ends in product((0.0, 1.0), repeat=len(chosen)):
