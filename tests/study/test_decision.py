@@ -267,8 +267,8 @@ def test_where_there_is_no_staying_a_stable_place_is_enough() -> None:
 def test_where_few_grounds_grow_the_decay_itself_decides() -> None:
     """A single one of eight, the heaviest load, tells nothing by its sign alone."""
     loads = np.linspace(0.0, 3.0, 8)
-    rival = Place("candidate 1", 0.5 - 0.18 * loads, -0.04)
-    stay = Place("stay", -np.ones(8), -1.0)
+    rival = Place("candidate 1", 0.5 - 0.18 * loads, -0.04, 1.0)
+    stay = Place("stay", -np.ones(8), -1.0, 0.0)
     what, values = deciding(decide(stay, [rival]), {"stay": stay, "candidate 1": rival}, stay)
     assert what == "how far candidate 1 is from growing"
     assert values == pytest.approx(rival.decays - rival.decays.mean())
