@@ -242,7 +242,7 @@ def test_a_slow_swing_of_an_arm_that_drifts_is_no_growth(duration: float) -> Non
     assert run.verdict == "converges"
 
 
-@pytest.mark.long("slewing-excavator")
+@pytest.mark.long("slewing-excavator-posture2")
 @pytest.mark.parametrize(
     ("name", "posture"),
     [
