@@ -694,6 +694,7 @@ def overloaded(place: PlaceVerdict, heaviest: float) -> list[set[str]]:
     return found
 
 
+@pytest.mark.long("targets1-4500.0-move")
 @pytest.mark.parametrize(
     ("targets", "heaviest", "word"),
     [
