@@ -44,6 +44,8 @@ MEMBERS = 64
 WALK = 5
 # Gains at which loops are looked at for one that grows, as far as this share of the least that is known to be allowed.
 LEVELS, SHORT = 12, 0.999
+# So many times members across the box are looked at, through that with the least margin of those before.
+CROSSED = 3
 # Intervals at whose corners a measure is looked at, 2³ at most; gradients lead to others.
 FEW = 3
 # Measures of `LoopPoint` whose worst is searched for: 1 where that is the least, −1 where it is the greatest.
@@ -124,6 +126,16 @@ class UncertaintyBox:
     def entries(self) -> list[list[int]]:
         """Of the parameters, what each interval concerns."""
         return [list(parameters_of(each.of, self.machine)) for each in self.uncertainty]
+
+    @property
+    def holds_nominal(self) -> bool:
+        """Whether the machine's own numbers, and the loop's dead time, lie in all intervals."""
+        for each, entries in zip(self.uncertainty, self.entries, strict=True):
+            low, high = each.factor or each.value or (0.0, 0.0)
+            own = [1.0] if each.factor else [self.nominal_dead_time] if each.of == (LATE,) else self.nominal[entries]
+            if not all(low <= x <= high for x in own):
+                return False
+        return True
 
     def corners(self, most: int) -> Vector:
         """Corners of the first intervals, so many at most, the others in their middle: (2^…, k)."""
@@ -380,6 +392,11 @@ class UncertainLoop:
             further += self.lower_gains(members, min(told), slowest)
         elif measure == DELAY_MARGIN:
             further += self.shorter_margins(members, min(told))
+            each = [*zip(values, (u for _, u in few), strict=True), *further]
+            least, u = min(each, key=lambda each: each[0] if not math.isnan(each[0]) else -math.inf)
+            if least <= known:
+                middle = np.full(members.shape[1], 0.5)
+                further += [] if math.isnan(least) else self.margins_across(least, middle if u is None else u)
         return values, further
 
     def farther(self, measure: str, few: Sequence[PointAt], values: Sequence[float]) -> list[ValueAt]:
@@ -418,6 +435,28 @@ class UncertainLoop:
                 least = value
             if math.isnan(least):
                 break
+        return found
+
+    def margins_across(self, least: float, u: Vector) -> list[ValueAt]:
+        """The like on lines across the box through the member u (k,) of the least that is known, and where slopes lead.
+
+        A margin is least between members where another motion comes to be the first that grows.
+        """
+        found = list[ValueAt]()
+        for _ in range(CROSSED):
+            before = least
+            for v in self.box.cross(u, 4 * ACROSS):
+                value = self.outcome(v).delay_margin(below=least).value
+                if not value >= least:
+                    found.append((value, v))
+                    least, u = value, v
+                if math.isnan(least):
+                    return found
+            if least == before:
+                break
+        if 0 < least < math.inf:
+            value, v = self._least(LoopPoint.delay_margin, u)
+            found += [(value, v)] if value < least else []
         return found
 
     def lower_gains(self, members: Vector, least: float, slowest: Vector) -> list[ValueAt]:

@@ -293,3 +293,25 @@ def test_springs_that_hold_the_base_no_more_are_refused() -> None:
         box = UncertaintyBox(matrix, (Uncertainty(of="damping.base.x.base.pitch", value=(0.0, most)),), 0.0)
         told = [fault.sentence for fault in box.indefinite()]
         assert told == ([] if word is None else [f"the dampers' matrix is not positive semidefinite where {word}"])
+
+
+@pytest.mark.parametrize(
+    ("posture", "kp", "kv"),
+    [((1.2894, -1.7237), 5839.0, 336.0), ((1.1378, -0.9658), 1156.0, 664.0), ((1.0962, -1.2049), 8209.0, 344.0)],
+)
+def test_the_least_delay_margin_lies_between_members(posture: tuple[float, float], kp: float, kv: float) -> None:
+    """At a stiffness within, where corners and few members bear up to a quarter more; against a fine grid."""
+    machine = flexopt.load("excavator")
+    stand = flexopt.evaluate(machine, posture, base=[0.0])
+    settings = loop_settings(machine, Loop(control="inverse", kp=kp, kv=kv, rate=100.0, dead_time=0.0), stand)
+    known = (Uncertainty(of="stiffness", factor=(0.4, 2.5)), Uncertainty(of="damping", factor=(1.0, 4.0)))
+    loop = UncertainLoop(settings, stand.base, stand.posture, False, UncertaintyBox(machine, known, 0.0))
+    members = loop.box.members(8)
+    few = [(loop.outcome(u), u) for u in loop.box.corners(2)]
+    values, further = loop.worst("delay_margin", few, members, members[0])
+    least = min([*values, *(value for value, _ in further)])
+    grid = [loop.outcome(np.array([x, 0.0])).delay_margin().value for x in np.linspace(0.0, 1.0, 101)]
+    assert least < 0.97 * min(values)
+    assert least <= 1.01 * min(grid)
+    at = min(further)[1]
+    assert loop.outcome(at).delay_margin().value == pytest.approx(least, rel=1e-9)

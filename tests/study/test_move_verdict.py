@@ -834,3 +834,25 @@ def test_an_arm_that_creeps_under_its_weight_is_judged_by_its_swing() -> None:
     runs = nonlinear_runs(loop, members, loop.decays(members), 20.0)
     assert (loop.decays(members) > 0).all()
     assert runs.verdicts == ("converges", "converges")
+
+
+def test_what_lies_outside_the_ranges_is_none_of_the_worst() -> None:
+    """The same posture and ranges, of two files that differ in a payload which the ranges replace."""
+    found = list[flexopt.Verdict]()
+    for load in (2500.0, 300.0):
+        data = flexopt.load("boom-stick-bucket").to_dict()
+        data["payload"]["mass"] = load
+        machine = flexopt.machine_from_dict(data)
+        loop = {"kp": 1.0, "kv": 0.1, "drive": "velocity", "servo_gain": 1e5, "rate": 50.0}
+        options: dict[str, Any] = {"base": 0.0, "posture": (-0.9, -1.2, -0.4), "starts": 1}
+        chosen = flexopt.select(machine, (7.0, 1.0), **options)
+        found.append(flexopt.verdict(chosen, loop=loop, ranges={"payload.mass": (2000.0, 3000.0)}, members=8, runs=0))
+    inside, outside = (verdict.places[0] for verdict in found)
+    assert inside.name == outside.name == "stay"
+    for measure in ("allowed_gain", "delay_margin", "settling", "swing"):
+        ends = [(getattr(place, measure).least, getattr(place, measure).greatest) for place in (inside, outside)]
+        # The file's own load is looked at, too, where it lies in the range; the search goes on from it.
+        assert ends[1] == pytest.approx(ends[0], rel=0.02), measure
+        worst = {"allowed_gain": 0, "delay_margin": 0, "settling": 1, "swing": 1}[measure]
+        assert ends[1][worst] == pytest.approx(ends[0][worst], rel=1e-3)
+    assert outside.decay.greatest <= inside.decay.greatest * (1 + 1e-9)

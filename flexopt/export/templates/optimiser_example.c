@@ -1,5 +1,5 @@
 static {{ prefix }}_optimiser_workspace memory;
-static const {{ prefix }}_real start[{{ PREFIX }}_OPTIMISER_N_Z] = {
+static const {{ prefix }}_real near_optimum[{{ PREFIX }}_OPTIMISER_N_Z] = {
 {%- for x in start %}{{ number(x) }}{% if not loop.last %}, {% endif %}{% endfor -%}
 }; /* or NULL */
 {{ prefix }}_optimiser_problem problem;
@@ -11,4 +11,4 @@ static const {{ prefix }}_real start[{{ PREFIX }}_OPTIMISER_N_Z] = {
 {% for x in target %}
 problem.target[{{ loop.index0 }}] = {{ number(x) }};
 {% endfor %}
-found = {{ prefix }}_optimiser_solve(&problem, start, &options, &memory, &answer);
+found = {{ prefix }}_optimiser_solve(&problem, near_optimum, &options, &memory, &answer);

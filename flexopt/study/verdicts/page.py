@@ -136,11 +136,12 @@ def _stand(verdict: Verdict) -> list[tuple[str, BoxNumber, str]]:
     found, stands, names = list[tuple[str, BoxNumber, str]](), _stands(place), _names(verdict)
     same = bool(np.all(place.base == place.stands[0][0]))
     for k, (at, values) in enumerate(stands):
+        first = place.base.shape[-1] if same else 0
         for i, ((name, unit), x) in enumerate(zip(names, values, strict=True)):
             placed = i < place.base.shape[-1]
             # A placement for all targets is said once.
             if not (placed and same and k):
-                told = f"{name}, {at}" if at and not (placed and same) else name
+                told = f"{at}: {name}" if at and i == first else name
                 found.append((told, BoxNumber(coordinate(x), x), unit))
     return found
 

@@ -405,19 +405,21 @@ def _place(
     members = [None, *place.box.corners(FEW), slowest.member]
     looked = [[(loop.outcome(u), u) for u in members] for loop in place.loops]
     nominal = min(few[0][0].decay().value for few in looked)
+    # Where ranges do not hold the file's own numbers, these are none of the worst.
+    own = 0 if place.box.holds_nominal else 1
     held = [(each.base, each.posture) for each in stands]
 
     def band(measure: str, factor: float = 1.0) -> Band:
         sense, each, further = SENSES[measure], list[list[float]](), list[float]()
         for loop, few in zip(place.loops, looked, strict=True):
-            known = float(np.min([math.inf, *further, *np.ravel(each)]))
-            values, more = loop.worst(measure, few, points, slowest.member, known)
-            each.append(values)
+            known = float(np.min([math.inf, *further, *np.ravel([values[own:] for values in each])]))
+            values, more = loop.worst(measure, few[own:], points, slowest.member, known)
+            each.append([*(getattr(at, measure)().value for at, _ in few[:own]), *values])
             further += [value for value, _ in more]
         # Of each member the worst target's; NaN where it is none: of a loop that grows there is no margin.
         told = sense * np.min(sense * np.array(each), axis=0)
-        every = np.append(told, further)
-        ends = (every.min(), told.max()) if sense > 0 else (told.min(), every.max())
+        every = np.append(told[own:], further)
+        ends = (every.min(), told[own:].max()) if sense > 0 else (told[own:].min(), every.max())
         return Band(*(factor * float(value) for value in (told[0], *ends)))
 
     return PlaceVerdict(
@@ -427,7 +429,7 @@ def _place(
         w=_rows([each.w for each in stands]),
         drive=drive[0],
         turn=drive[1],
-        decay=Band(nominal, slowest.decay, max(nominal, float(decays.max()))),
+        decay=Band(nominal, slowest.decay, max([float(decays.max()), *([] if own else [nominal])])),
         stable_share=float(np.mean(decays > 0)),
         slowest_at=place.box.told(slowest.member),
         slowest_hz=looked[slowest.target][-1][0].loop.frequency_hz,
