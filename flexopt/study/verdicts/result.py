@@ -67,8 +67,8 @@ class PlaceVerdict(Result):
         drift: growth rate of a redundant arm's self-motion, which is no part of the decay, with the file's numbers,
             1/s; NaN where nothing acts on it, or there is none.
         better: share of the members on which it decays a tenth faster than in the present place.
-        allowed_gain, delay_margin: as of `evaluate`; the least over the members and, of the gain, where a search leads
-            from there, the greatest that of few corners; NaN where there is no border.
+        allowed_gain, delay_margin: as of `evaluate`; the least over the members, across the box through the worst of
+            them and where a search leads from there, the greatest that of few corners; NaN where there is no border.
         settling, swing: over corners of the first intervals, where slopes lead from the worst of these, and the slowest
             member: of the standard move (see `flexopt.Outcome`), s, and the base's largest turn about one of its
             axes, rad, of a base that cannot turn its largest shift, m (`swing_unit`).
