@@ -409,7 +409,14 @@ def _built(machine: AnyMachine) -> Plant:
 
 def moving_end_point(plant: Plant, entries: Sequence[int]) -> str:
     """Names of the first few of these entries of p that the end-point depends on, as lengths; empty where none."""
+    moving = _end_point_entries(plant.machine) & set(entries)
+    return ", ".join(plant.machine.parameters[i].name for i in sorted(moving)[:NAMED])
+
+
+@lru_cache(maxsize=32)
+def _end_point_entries(machine: AnyMachine) -> frozenset[int]:
+    """Entries of p on which the end-point at rest depends; asked for every interval of every call."""
+    plant = _built(machine)
     g = plant.graph
     point = plant.end_point(plant.rest(g.base, g.posture, g.p), g.base, g.p)
-    moving = set(ca.jacobian_sparsity(point, g.p).get_triplet()[1]) & set(entries)
-    return ", ".join(plant.machine.parameters[i].name for i in sorted(moving)[:NAMED])
+    return frozenset(ca.jacobian_sparsity(point, g.p).get_triplet()[1])
