@@ -34,8 +34,8 @@ CORNERED, SEARCHES, STEPS = 6, 2, 12
 MOTIONS, STRIDE = 5, 0.2
 # So many of the slowest members, and of the motions of each, tell where frequencies meet; so many places are followed.
 MET, PAIRED, SHARP = 12, 8, 4
-# Members looked at across the box through the slowest one, in each interval.
-ACROSS = 5
+# Members looked at across the box through one, in each interval; more where a worst case lies in a narrow part.
+ACROSS, CLOSE = 5, 20
 # Rates are no straight lines: where motions come near to each other they fall more steeply than farther away.
 BENT = 3.0
 # Members that a worst case is looked for at.
@@ -375,7 +375,8 @@ class UncertainLoop:
         """One of `SENSES`' measures at a few members, and what a search from there finds of worse ones.
 
         Gradients lead to corners; of gains and dead times that the loop bears all members are looked at, up to the
-        least that is known. NaN, where a loop grows, is as bad as can be, and ends the search.
+        least that is known; of all but gains lines across the box through the worst. NaN, where a loop grows, is as
+        bad as can be, and ends the search.
 
         Args:
             measure: by name.
@@ -389,14 +390,17 @@ class UncertainLoop:
         if any(map(math.isnan, told)):
             return values, further
         if measure == ALLOWED_GAIN:
-            further += self.lower_gains(members, min(told), slowest)
-        elif measure == DELAY_MARGIN:
+            return values, further + self.lower_gains(members, min(told), slowest)
+        if measure == DELAY_MARGIN:
             further += self.shorter_margins(members, min(told))
-            each = [*zip(values, (u for _, u in few), strict=True), *further]
-            least, u = min(each, key=lambda each: each[0] if not math.isnan(each[0]) else -math.inf)
-            if least <= known:
-                middle = np.full(members.shape[1], 0.5)
-                further += [] if math.isnan(least) else self.margins_across(least, middle if u is None else u)
+        if any(math.isnan(value) for value, _ in further):
+            return values, further
+        sense = SENSES[measure]
+        middle = np.full(members.shape[1], 0.5)
+        looked: list[ValueAt] = [(x, middle if u is None else u) for x, (_, u) in zip(values, few, strict=True)]
+        worst, there = min([*looked, *further], key=lambda each: sense * each[0])
+        if sense < 0 or worst <= known:
+            further += self.across(measure, worst, there)
         return values, further
 
     def farther(self, measure: str, few: Sequence[PointAt], values: Sequence[float]) -> list[ValueAt]:
@@ -437,26 +441,36 @@ class UncertainLoop:
                 break
         return found
 
-    def margins_across(self, least: float, u: Vector) -> list[ValueAt]:
-        """The like on lines across the box through the member u (k,) of the least that is known, and where slopes lead.
+    def across(self, measure: str, worst: float, u: Vector) -> list[ValueAt]:
+        """Worse values of one of `SENSES`' measures on lines across the box through a member, and where slopes lead.
 
-        A margin is least between members where another motion comes to be the first that grows.
+        As one lies between members where another motion comes to be the first that grows, or the last that settles.
+
+        Args:
+            measure: by name;  worst: the worst that is known;  u: (k,) whose it is.
         """
-        found = list[ValueAt]()
+        found, sense = list[ValueAt](), SENSES[measure]
+
+        def measured(point: LoopPoint) -> Measured:
+            if measure == DELAY_MARGIN:
+                return point.delay_margin(below=worst)
+            found: Measured = getattr(point, measure)()
+            return found
+
         for _ in range(CROSSED):
-            before = least
-            for v in self.box.cross(u, 4 * ACROSS):
-                value = self.outcome(v).delay_margin(below=least).value
-                if not value >= least:
+            before = worst
+            for v in self.box.cross(u, CLOSE):
+                value = measured(self.outcome(v)).value
+                if not sense * value >= sense * worst:
                     found.append((value, v))
-                    least, u = value, v
-                if math.isnan(least):
+                    worst, u = value, v
+                if math.isnan(worst):
                     return found
-            if least == before:
+            if worst == before:
                 break
-        if 0 < least < math.inf:
-            value, v = self._least(LoopPoint.delay_margin, u)
-            found += [(value, v)] if value < least else []
+        if 0 < worst < math.inf:
+            value, v = self._least(lambda point: measured(point).times(sense), u)
+            found += [(sense * value, v)] if value < sense * worst else []
         return found
 
     def lower_gains(self, members: Vector, least: float, slowest: Vector) -> list[ValueAt]:

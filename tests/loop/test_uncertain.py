@@ -315,3 +315,29 @@ def test_the_least_delay_margin_lies_between_members(posture: tuple[float, float
     assert least <= 1.01 * min(grid)
     at = min(further)[1]
     assert loop.outcome(at).delay_margin().value == pytest.approx(least, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("posture", "kp", "kv"),
+    [
+        ((0.46, 0.85, -0.88, -0.33), 9.30e6, 1.06e6),
+        ((0.16, 0.68, -1.26, -0.68), 16.51e6, 1.41e6),
+        ((0.53, 0.88, -1.03, -0.2), 8.10e6, 0.99e6),
+    ],
+)
+def test_the_longest_settling_lies_between_members(posture: tuple[float, ...], kp: float, kv: float) -> None:
+    """At a stiffness within, where an excursion still leaves the band, by up to a quarter later; against a grid."""
+    machine = flexopt.load("slewing-excavator")
+    stand = flexopt.evaluate(machine, posture)
+    settings = loop_settings(machine, Loop(control="inverse", kp=kp, kv=kv, rate=100.0, dead_time=0.0), stand)
+    known = (Uncertainty(of="stiffness", factor=(0.5, 2.0)), Uncertainty(of="damping", factor=(0.7, 4.0)))
+    loop = UncertainLoop(settings, stand.base, stand.posture, False, UncertaintyBox(machine, known, 0.0))
+    few = [(loop.outcome(u), u) for u in [*loop.box.corners(2), loop.least_decay[1]]]
+    values, further = loop.worst("settling", few, loop.box.members(8), loop.least_decay[1])
+    longest, at = max(further, key=lambda each: each[0])
+    levels = np.linspace(0.0, 1.0, 26)
+    grid = [loop.outcome(np.array([x, y])).settling().value for x in levels for y in (0.0, 0.5, 1.0)]
+    assert longest > 1.02 * max(values)
+    # A jump may lie up to a twentieth of the interval from the nearest member of a line.
+    assert longest >= 0.99 * max(grid)
+    assert loop.outcome(at).settling().value == pytest.approx(longest, rel=1e-9)
