@@ -42,8 +42,9 @@ def explore_command(as_json: bool, machine: str, out: str | None, **options: Any
     """Write a page on which MACHINE (a name or a file of a machine or problem) is moved with the mouse.
 
     End-point and base can be dragged; modes, w_i, a map of them and how fast the loop decays follow. The browser
-    computes it all, without network or server. Of a problem the recommended configuration is computed and shown, too;
-    of several targets (end_points) the placement for all, held as for one. A problem with a path is refused.
+    computes it all, without network or server. Of a problem the configuration that is best by its objective is
+    computed and shown, too; of several targets (end_points) the placement for all, held as for one. A problem with a
+    path is refused.
     """
     from flexopt.explorer import explore  # noqa: PLC0415  (only this command needs it)
 

@@ -42,7 +42,7 @@ from flexopt.study.asked import one_placement
 from flexopt.study.verdicts.place_loops import held_at, held_now
 
 # What a problem would say.
-NOTHING_ASKED: dict[str, Any] = {"target": None, "which": "", "objective": None, "weights": None}
+NOTHING_ASKED: dict[str, Any] = {"target": None, "which": "", "by": "", "objective": None, "weights": None}
 # Height of the page in a notebook, px.
 HEIGHT = 900
 PRESENT, BEST = "present", "recommended"
@@ -160,8 +160,10 @@ def explore(
 
     Args:
         machine_or_problem: from `flexopt.load`, `flexopt.load_problem` or `flexopt.build_selection`. Of a problem the
-            recommended configuration is computed and shown as a ghost. Of several targets (`target.end_points`) it is
-            the placement for all of them with the posture of one; a path (`target.path`) is refused.
+            recommended configuration, the best by its objective, is computed and shown as a ghost; `flexopt.verdict`
+            looks at other candidates, too, and may send the machine to one of these. Of several targets
+            (`target.end_points`) it is the placement for all of them with the posture of one; a path (`target.path`) is
+            refused.
         posture: of a machine: the actuated joints at first, (n,), rad or m; by default one far from singular ones.
         base: of a machine: its placement at first, (n_b,), m and rad; 0 by default.
         control: of a machine: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; by default the loop's.
@@ -193,11 +195,11 @@ def explore(
     asked = (
         judged_by(machine_or_problem, known, None) if isinstance(machine_or_problem, Problem) else machine_or_problem
     )
-    problem, stands, which = _solved(asked, target or 1, progress)
+    problem, stands, which, by = _solved(asked, target or 1, progress)
     configurations = {name: (stand.base, stand.posture) for name, stand in stands.items() if stand is not None}
     title, own = (asked.name, asked.loop) if isinstance(asked, Problem) else (problem.machine.name, None)
     sought = problem.objectives[-1]
-    told = {"title": title, "target": problem.target.tolist(), "which": which}
+    told = {"title": title, "target": problem.target.tolist(), "which": which, "by": by}
     told |= {"objective": sought.name, "weights": sought.alpha}
     known = own if known is None else known
     return _page(problem.machine, configurations, problem.control, known, problem.gravity, told)
@@ -205,8 +207,8 @@ def explore(
 
 def _solved(
     asked: Problem | SelectionProblem, number: int, progress: Progress | None
-) -> tuple[SelectionProblem, dict[str, Evaluation | None], str]:
-    """The problem of one target, its configurations by name, and which of several targets it is, in words."""
+) -> tuple[SelectionProblem, dict[str, Evaluation | None], str, str]:
+    """The problem of one target, its configurations by name, which of several targets it is, and what is best by."""
     if isinstance(asked, SelectionProblem):
         found = solve_selection(asked, progress=progress)
     elif asked.target.end_points is not None:
@@ -214,11 +216,11 @@ def _solved(
         problem, best = stand.problems[number - 1], stand.places[number - 1].evaluation
         which = f"target {number} of {len(stand.places)}"
         # As a verdict has it.
-        return problem, {PRESENT: held_at(stand, number - 1), BEST: best}, which
+        return problem, {PRESENT: held_at(stand, number - 1), BEST: best}, which, stand.objective
     else:
         found = select(**asked.select_arguments(), progress=progress)
     now = None if found.initial is None else held_now(found.problem, found.initial)
-    return found.problem, {PRESENT: now, BEST: found.best.evaluation}, ""
+    return found.problem, {PRESENT: now, BEST: found.best.evaluation}, "", found.objective
 
 
 def _page(

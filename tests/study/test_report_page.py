@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pypdf
 import pytest
 from playwright.sync_api import Browser
@@ -107,6 +108,29 @@ def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
             return report.write(tmp_path_factory.mktemp(request.param))[0]
     report = flexopt.report(flexopt.load_problem(request.param), simulation={"duration": 2.0}, points=4)
     return report.write(tmp_path_factory.mktemp(request.param))[0]
+
+
+def test_the_chosen_place_is_the_verdicts(judged: flexopt.Report) -> None:
+    """In pictures, map, loops and words, though another candidate is the best by the objective; in the box, too."""
+    verdict = judged.verdict
+    assert verdict is not None
+    place = next(each for each in verdict.places if each.name == verdict.place)
+    assert verdict.place not in ("", STAY, "candidate 1")
+    stand = judged.stands["chosen"]
+    assert [*stand.base, *stand.posture] == [*np.ravel(place.base), *np.ravel(place.posture)]
+    run = judged.loops["chosen"].run
+    assert run.base[0].tolist() == stand.base.tolist()
+    assert judged.selection.best is judged.selection.candidates[0]
+    # The map is over the end-point as the arm's root sees it.
+    arm = stand.skeleton[:, -1] - stand.skeleton[:, 1]
+    assert judged.marks["chosen"] == pytest.approx(arm.tolist(), abs=1e-12)
+    best = judged.selection.best.evaluation.skeleton
+    assert abs(arm - (best[:, -1] - best[:, 1])).max() > 1.0
+    page = Parsed(page_text(judged))
+    words = f"Chosen: {verdict.place}, which the verdict is about; candidate 1 has the best w1."
+    assert [text.count(words) for _, text in page.all("figcaption")].count(1) == 1
+    assert words in [text for _, text in page.all("p")]
+    assert f"{verdict.place} (chosen: the verdict's)" in {text for tag in ("th", "td") for _, text in page.all(tag)}
 
 
 @pytest.mark.long
@@ -485,7 +509,7 @@ def test_rounding_of_a_constraint_is_no_number_of_the_page() -> None:
     value = next(iter(found.best.constraints.values()))
     noisy = dataclasses.replace(value, value=-(2.0**-52), lower=0.0, upper=float("inf"), unit="m")
     best = dataclasses.replace(found.best, constraints={"distance from keep_out[0]": noisy})
-    report: Any = SimpleNamespace(selection=dataclasses.replace(found, candidates=(best,)))
+    report: Any = SimpleNamespace(selection=dataclasses.replace(found, candidates=(best,)), verdict=None)
     told = tables.constraints(report)
     assert told is not None
     assert told.near[1] == [["distance from keep_out[0]", "at least 0 m", "0"]]

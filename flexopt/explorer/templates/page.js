@@ -244,7 +244,7 @@ class Explorer extends Pictures {
     $("fit").addEventListener("click", () => this.touched(true));
     $("theme").addEventListener("click", () => this.setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"));
     $("reset").addEventListener("click", () => this.reset());
-    if ("recommended" in data.configurations) $("help").append(` Faint orange: the recommended configuration${data.which && `, the same placement for all targets, at ${data.which}`}; cross: ${data.which ? "that" : "the"} target.`);
+    if ("recommended" in data.configurations) $("help").append(` Faint orange: the recommended configuration, the best by ${data.by} (a verdict looks at other candidates, too, and may prefer one)${data.which && `, the same placement for all targets, at ${data.which}`}; cross: ${data.which ? "that" : "the"} target.`);
     $("recommend").hidden = !("recommended" in data.configurations);
     $("recommend").addEventListener("click", () => this.go("recommended"));
   }

@@ -29,9 +29,17 @@ from flexopt.study.page import (
     with_minus,
 )
 from flexopt.study.reports.surroundings import CHOSEN, PRESENT
-from flexopt.study.reports.tables import SHOWN, constraints, coordinates, modes, parameters, some, written_residue
+from flexopt.study.reports.tables import (
+    SHOWN,
+    chosen_number,
+    constraints,
+    coordinates,
+    modes,
+    parameters,
+    some,
+    written_residue,
+)
 from flexopt.study.verdicts.page import judged, target_of
-from flexopt.study.verdicts.places import FIRST, STAY
 
 if TYPE_CHECKING:
     from flexopt.study.reports.result import Report
@@ -67,7 +75,8 @@ def report_html(report: Report) -> str:
         judged=report.verdict and judged(report.verdict),
         pictures={
             "selection": picture(
-                lambda theme: report.selection.plot(theme=theme), CAPTIONS["several" if several else "selection"]
+                lambda theme: report.about.plot(theme=theme),
+                CAPTIONS["several"] if several else f"{CAPTIONS['selection']} {_shown(report)}",
             )
         },
         notes=[with_minus(note) for note in report.notes],
@@ -83,7 +92,7 @@ def report_html(report: Report) -> str:
         map_caption=_map_caption(report),
         around="at the worst target" if several else "of the chosen configuration",
         loops=_loops(report),
-        loops_note=_loops_note(report),
+        loops_note=_shown(report),
         runs=_runs(report),
         options=_options(report),
         borders=_borders(report),
@@ -171,9 +180,13 @@ def _listed(report: Report) -> list[_Listed]:
             for k, place in some(selection, SHOWN)
         ]
     present = [] if selection.initial is None else [_Listed("present", selection.initial, "")]
+    remarks, chosen = {1: " (best by the objective)"}, chosen_number(report)
+    if chosen > 1:
+        remarks[chosen] = " (chosen: the verdict's)"
     return present + [
-        _Listed(f"candidate {k}" + (" (best by the objective)" * (k == 1)), each.evaluation, ", ".join(each.active))
-        for k, each in enumerate(selection.candidates[:SHOWN], start=1)
+        _Listed(f"candidate {k}{remarks.get(k, '')}", each.evaluation, ", ".join(each.active))
+        for k, each in enumerate(selection.candidates, start=1)
+        if k <= SHOWN or k == chosen
     ]
 
 
@@ -191,7 +204,7 @@ def _placed(report: Report) -> tuple[PageTable, str]:
     if not isinstance(selection, Selection):
         more, wide = len(selection.places) - len(listed), list[str]()
     else:
-        more = len(selection.candidates) - SHOWN
+        more = len(selection.candidates) + (selection.initial is not None) - len(listed)
         wide = [f"{k} ({len(c.continuum)} more)" for k, c in enumerate(selection.candidates[:SHOWN], 1) if c.continuum]
     notes = [f"And {more} more."] * (more > 0)
     if not isinstance(selection, Selection):
@@ -233,14 +246,14 @@ def _with_units(names: Iterable[str], units: Iterable[str]) -> list[str]:
     return [f"{name}, {unit}" for name, unit in zip(names, units, strict=True)]
 
 
-def _loops_note(report: Report) -> str:
-    """Which configurations these are."""
+def _shown(report: Report) -> str:
+    """Which configuration pictures, map and loops show as the chosen one, or of which target they are."""
     if not isinstance(report.selection, Selection):
         return "At the target with the smallest V, the base standing where it is chosen to stand there."
-    best = f"Chosen: candidate 1, which has the best {report.selection.objective}"
-    if report.verdict is not None and report.verdict.place not in ("", STAY, FIRST):
-        best += f"; the verdict looks at what the controller makes of each, and is about {report.verdict.place}"
-    return f"{best}."
+    chosen, objective = chosen_number(report), report.selection.objective
+    if chosen == 1:
+        return f"Chosen: candidate 1, which has the best {objective}."
+    return f"Chosen: candidate {chosen}, which the verdict is about; candidate 1 has the best {objective}."
 
 
 def _options(report: Report) -> str:

@@ -34,7 +34,15 @@ from flexopt.study.asked import any_problem
 from flexopt.study.default_gains import default_gains
 from flexopt.study.gains import BorderRow, border_row
 from flexopt.study.reports.result import Report, ReportLoop
-from flexopt.study.reports.surroundings import best_of, map_points, marks_in, problem_of, stands_of, surroundings
+from flexopt.study.reports.surroundings import (
+    best_of,
+    map_points,
+    marks_in,
+    problem_of,
+    spoken_of,
+    stands_of,
+    surroundings,
+)
 from flexopt.study.verdicts.confirmation import long_enough
 from flexopt.study.verdicts.place_loops import problems_of
 from flexopt.study.verdicts.result import Verdict
@@ -125,12 +133,13 @@ def report(
     solved, notes = problem_of(selection), list[str]()
     given |= {"control": solved.control, "gravity": solved.gravity}
     stages.next()
-    drawn = _attempt(notes, "the map", lambda: surroundings(selection, size))
-    stages.next()
     ground = ranges or getattr(problem, "uncertainty", None) or None
     judged, why_not = _judged(selection, known, ground, members, runs, stages.within)
     stages.next()
-    stands, loops, real = stands_of(selection), dict[str, ReportLoop](), None
+    about = selection if judged is None else spoken_of(selection, judged.place)
+    drawn = _attempt(notes, "the map", lambda: surroundings(about, size))
+    stages.next()
+    stands, loops, real = stands_of(about), dict[str, ReportLoop](), None
     usual, rate = (SimulationOptions.model_fields[name].default for name in ("duration", "rate"))
     rate = given.get("rate", known.rate if known and known.rate else rate)
     longer = long_enough((float(each.frequencies_hz.min()) for each in stands.values()), rate, least=usual)
@@ -138,7 +147,7 @@ def report(
     # What is said of the controller otherwise goes before a loop that is known.
     otherwise = known is None or bool(brought_twice(given))
     if otherwise:
-        given = _with_gains(machine, best_of(selection), given)
+        given = _with_gains(machine, best_of(about), given)
     else:
         first = next(iter(stands.values()))
         real = _attempt(notes, "the closed loop", lambda: _one_loop(machine, known, first, solved, judged))
@@ -161,7 +170,7 @@ def report(
         machine=machine,
         selection=selection,
         map=drawn,
-        marks={} if drawn is None else marks_in(selection, drawn),
+        marks={} if drawn is None else marks_in(about, drawn),
         loops=loops,
         simulation=given,
         borders=tuple(borders),

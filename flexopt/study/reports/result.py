@@ -24,7 +24,7 @@ from flexopt.selection.several import BasePlan, Stand
 from flexopt.simulation import SampledLoop, Trajectory
 from flexopt.study.gains import BorderRow
 from flexopt.study.maps.workspace_map import WorkspaceMap
-from flexopt.study.reports.surroundings import problem_of, stands_of
+from flexopt.study.reports.surroundings import problem_of, spoken_of, stands_of
 from flexopt.study.verdicts.result import Verdict
 
 if TYPE_CHECKING:
@@ -61,7 +61,8 @@ class Report(Printed, Result):
             (or over two joints, where the task has one row); None where there is none.
         marks: present and chosen configuration as points of the map, name -> (x, y).
         loops: name of a configuration (`"present"`, `"chosen"`, `"worst target"`) -> closed loop; the same gains in
-            each.
+            each. Chosen, here and around the map, is the candidate that the verdict speaks of, else the selection's
+            best.
         simulation: options of these.
         borders: gains Kp that each configuration allows.
         verdict: whether it pays to move, where a real controller is known and a present placement; else None.
@@ -108,7 +109,12 @@ class Report(Printed, Result):
     @property
     def stands(self) -> dict[str, Evaluation]:
         """Configurations by name, the present one first where it is known."""
-        return stands_of(self.selection)
+        return stands_of(self.about)
+
+    @property
+    def about(self) -> Selection | Stand | BasePlan:
+        """The selection, its best the candidate that the verdict speaks of, where it speaks of one."""
+        return self.selection if self.verdict is None else spoken_of(self.selection, self.verdict.place)
 
     @public(stand=instance(Evaluation, "an Evaluation, such as those of `stands`"))
     def mode_shares(self, stand: Evaluation) -> Vector:
@@ -141,7 +147,7 @@ class Report(Printed, Result):
         """
         from flexopt.study.page import run_figures  # noqa: PLC0415
 
-        found = {"selection": self.selection.plot(theme=theme)}
+        found = {"selection": self.about.plot(theme=theme)}
         if self.map is not None:
             found["map"] = self.map.plot(marks=self.marks, theme=theme)
         return found | run_figures({name: loop.run for name, loop in self.loops.items()}, theme=theme)

@@ -5,6 +5,7 @@ In: what was selected, for one target or several. Out: a `WorkspaceMap` and the 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from flexopt.foundation.arrays import Vector
@@ -16,10 +17,22 @@ from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.maps.grid import closed_form
 from flexopt.study.maps.workspace import map_workspace, takes_long
 from flexopt.study.maps.workspace_map import WorkspaceMap
+from flexopt.study.verdicts.places import candidate_number
 
 CHOSEN, PRESENT, WORST = "chosen", "present", "worst target"
 # Of the map along each axis, and with more than three passive coordinates.
 POINTS, FEW_POINTS = 160, 48
+
+
+def spoken_of(selection: Selection | Stand | BasePlan, place: str) -> Selection | Stand | BasePlan:
+    """What pictures, map and loops show: the selection, its best the candidate that a verdict speaks of.
+
+    Of several targets the selection itself.
+    """
+    number = candidate_number(place)
+    if number is None or not isinstance(selection, Selection):
+        return selection
+    return replace(selection, best=selection.candidates[number - 1])
 
 
 def problem_of(selection: Selection | Stand | BasePlan) -> SelectionProblem:

@@ -19,6 +19,7 @@ from flexopt.selection import Selection
 from flexopt.selection.constraint_values import by_kind
 from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
 from flexopt.study.page import PageTable, number, with_minus
+from flexopt.study.verdicts.places import candidate_number
 
 if TYPE_CHECKING:
     from flexopt.study.reports.result import Report
@@ -47,11 +48,20 @@ def some(several: Stand | BasePlan, count: int) -> list[tuple[int, TargetConfigu
     return [(k, places[k]) for k in sorted({*drawn, several.worst})]
 
 
+def chosen_number(report: Report) -> int:
+    """Of the candidate that pictures, map and loops show: that of the verdict, else the selection's best."""
+    return (candidate_number(report.verdict.place) if report.verdict else None) or 1
+
+
 def constraints(report: Report) -> ConstraintTables | None:
     """Values of every constraint; of a kind with many rows those near their bounds apart."""
     selection = report.selection
     one = isinstance(selection, Selection)
-    numbered = list(enumerate(selection.candidates[:COMPARED])) if one else some(selection, COMPARED)
+    if isinstance(selection, Selection):
+        looked = {*range(COMPARED), chosen_number(report) - 1}
+        numbered = [(k, each) for k, each in enumerate(selection.candidates) if k in looked]
+    else:
+        numbered = some(selection, COMPARED)
     shown = [each for _, each in numbered]
     if not shown[0].constraints:
         return None

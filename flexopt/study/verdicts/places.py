@@ -12,6 +12,12 @@ TOLD = 3
 MOVE = 0.1
 
 
+def candidate_number(place: str) -> int | None:
+    """Which candidate of the selection a place is, counted from 1; None where it is none."""
+    number = place.removeprefix("candidate ")
+    return int(number) if number != place else None
+
+
 def told(value: float, factor: float, unit: str) -> str:
     """A number as text: how many `unit`s it is, – of none, and no border where it is infinite."""
     if math.isnan(value):
