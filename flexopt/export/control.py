@@ -9,6 +9,7 @@ import casadi as ca
 
 from flexopt.export.context import Context, sine_squared, unit_list
 from flexopt.export.operations import Field, Operation
+from flexopt.export.task_rows import task_frame
 from flexopt.foundation.control import CONTROLS, Control, control_damping, control_method, gain_units
 from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.loop.feedback import joint_torque, nullspace_torque
@@ -67,8 +68,8 @@ def kinematics(at: Context) -> tuple[Operation, ...]:
     size = ca.norm_2(skeleton[:, 0]) + sum(ca.norm_2(s) for s in ca.horzsplit(ca.diff(skeleton, 1, 1)))
     by_coordinate, by_joint = (unit_list(units, "m/{}") for units in (g.coordinate_units, at.machine.joint_units))
     outputs = [
-        (field("end_point", "TASK", "m", "end-point r(q), inertial frame", scale="|ground point| + the bodies' "
-               "lengths"), end_point, size),
+        (field("end_point", "TASK", "m", f"end-point r(q), {task_frame(at.machine)}",
+               scale="|ground point| + the bodies' lengths"), end_point, size),
         (field("jacobian", "TASK COORDINATES", by_coordinate, "J = dr/dq", scale="Frobenius norm"), jacobian,
          ca.norm_fro(jacobian)),
         (field("rigid_jacobian", "TASK JOINTS", by_joint, "Jv = dr/dq_a at this q; control takes it with the base at "
@@ -155,12 +156,14 @@ def _by_joint(at: Context, hinges: str, slides: str, word: str) -> str:
 def position(at: Context, name: str, text: str) -> Field:
     """A point as an input."""
     limit = COORDINATE_MAX
-    return at.field(name, "TASK", "m", f"{text}, inertial frame", low=-limit, high=limit, sample=(-3.0, 3.0))
+    return at.field(name, "TASK", "m", f"{text}, {task_frame(at.machine)}", low=-limit, high=limit, sample=(-3.0, 3.0))
 
 
 def speed(at: Context, name: str, text: str) -> Field:
     """Its rate."""
-    return at.field(name, "TASK", "m/s", f"{text}, inertial frame", low=-RATE_MAX, high=RATE_MAX, sample=(-1.0, 1.0))
+    return at.field(
+        name, "TASK", "m/s", f"{text}, {task_frame(at.machine)}", low=-RATE_MAX, high=RATE_MAX, sample=(-1.0, 1.0)
+    )
 
 
 def torque_unit(at: Context) -> str:

@@ -21,6 +21,7 @@ from flexopt.export.context import Context
 from flexopt.export.kernels import Kernel, Real, kernel_text
 from flexopt.export.naming import CWriter, constants
 from flexopt.export.optimiser_kernels import OptimiserKernels, build_optimiser_kernels
+from flexopt.export.task_rows import task_frame
 from flexopt.foundation.arrays import Array
 from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import AnyMachine
@@ -222,6 +223,7 @@ def _values(at: Context, kernels: OptimiserKernels, texts: Mapping[str, Kernel])
             "indices": constants(at.choice),
             "n_base": plant.n_base,
             "n_task": plant.n_task,
+            "task_frame": task_frame(machine),
             "n_modes": plant.n_passive,
             "n_held": max(1, kernels.hold.size1_out(0)),
             "n_work": max(1, *(kernel.sz_w for kernel in texts.values())),

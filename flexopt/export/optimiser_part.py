@@ -19,6 +19,7 @@ from flexopt.export.context import Context, unit_list
 from flexopt.export.kernels import Real
 from flexopt.export.naming import CWriter
 from flexopt.export.optimiser import BUDGET_MAX, STARTS, OptimiserSources, build_optimiser
+from flexopt.export.task_rows import orientation_texts, task_frame
 from flexopt.foundation.arrays import Array
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import package_version
@@ -168,6 +169,7 @@ class OptimiserPart:
             control=self.at.control,
             variables=list(zip(self.at.choice, self.at.choice_units, strict=True)),
             rows=self.at.machine.task_rows,
+            oriented=bool(orientation_texts(self.at.machine)),
             example=self._example,
             statuses=self.sources.status_texts,
         )
@@ -181,7 +183,7 @@ class OptimiserPart:
             return {"name": name, "shape": list(shape), "unit": unit, "text": text}
 
         inputs = [
-            field("target", [plant.n_task], "m", f"end-point ({', '.join(machine.task_rows)}), inertial frame"),
+            field("target", [plant.n_task], "m", f"end-point ({', '.join(machine.task_rows)}), {task_frame(machine)}"),
             field("lower", [n_z], of_z, "lower bounds of z"),
             field("upper", [n_z], of_z, "upper bounds of z"),
             field("sine_squared_min", [], "", "squared sine of the margin from singular postures"),

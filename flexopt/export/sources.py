@@ -20,6 +20,7 @@ from flexopt.export.naming import CWriter, constants
 from flexopt.export.operations import TURN, Operation
 from flexopt.export.optimiser_part import OptimiserPart
 from flexopt.export.parts import PARTS
+from flexopt.export.task_rows import orientation_texts
 from flexopt.foundation.documents import package_version
 
 STATUSES = {
@@ -149,6 +150,7 @@ class Library:
             "standalone": self.standalone,
             "statuses": STATUSES,
             "sizes": self.sizes,
+            "orientation": orientation_texts(self.context.machine),
             "parameters": self.context.parameters.values,
             "allowance": self.context.limit_allowance,
             "counted_max": self.context.counted_max("rad"),

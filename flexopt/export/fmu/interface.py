@@ -16,7 +16,8 @@ import numpy as np
 from flexopt.algebra.layout import Layout
 from flexopt.export.control import RATE_MAX
 from flexopt.export.fmu.settings import Groups, Served, settings
-from flexopt.export.fmu.variable import EFFORT, Variable, row_text, words
+from flexopt.export.fmu.variable import EFFORT, Variable, words
+from flexopt.export.task_rows import row_text
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.quantities import COORDINATE_MAX, coordinate_max
 from flexopt.loop.closed import ClosedLoop, closed_loop
@@ -134,10 +135,11 @@ class Interface:
         """What the master may set at every step."""
         found = [self._placement[name] for name in self.moving]
         found += [self._rate(f"placement.{name}") for name in self.moving]
-        rows = self.scenario.machine.task_rows
+        machine = self.scenario.machine
+        rows = machine.task_rows
         found += [
-            Variable(f"target.{row}", "m", f"where the end-point shall be, {row_text(row)}", value, -COORDINATE_MAX,
-                     COORDINATE_MAX)
+            Variable(f"target.{row}", "m", f"where the end-point shall be, {row_text(machine, row)}", value,
+                     -COORDINATE_MAX, COORDINATE_MAX)
             for row, value in zip(rows, self.scenario.target.tolist(), strict=True)
         ]  # fmt: skip
         found += [self._rate(f"target.{row}") for row in rows]
@@ -175,7 +177,9 @@ class Interface:
             for letter, per, what in (("q", "", "coordinate"), ("v", "/s", "rate of the coordinate"))
             for name, unit in coordinates
         ]
-        found += [Variable(f"end_point.{row}", "m", f"end-point, {row_text(row)}") for row in machine.task_rows]
+        found += [
+            Variable(f"end_point.{row}", "m", f"end-point, {row_text(machine, row)}") for row in machine.task_rows
+        ]
         found += [Variable(f"error.{row}", "m", f"target less end-point, {row}") for row in machine.task_rows]
         found += [
             Variable(f"torque.{joint}", EFFORT[unit][1], f"{joint}: {EFFORT[unit][0]} that its drive gives from now on")
@@ -191,9 +195,10 @@ class Interface:
     @cached_property
     def calculated(self) -> tuple[Variable, ...]:
         """What follows from the parameters."""
-        text = "end-point in the posture at equilibrium"
-        rows = self.scenario.machine.task_rows
-        return tuple(Variable(f"rest_end_point.{row}", "m", f"{text}, {row_text(row)}") for row in rows)
+        text, machine = "end-point in the posture at equilibrium", self.scenario.machine
+        return tuple(
+            Variable(f"rest_end_point.{row}", "m", f"{text}, {row_text(machine, row)}") for row in machine.task_rows
+        )
 
     @cached_property
     def states(self) -> tuple[Variable, ...]:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 from flexopt.foundation.control import Control
 from flexopt.foundation.escapes import one_line
-from flexopt.model.kinematic_tree import ORIENTATION_ROWS
 
 # What a joint gives, by the unit of its coordinate.
 EFFORT = {"rad": ("torque", "N m"), "m": ("force", "N")}
@@ -58,13 +57,6 @@ def words(name: str) -> str:
     *owner, last = [first, *others]
     what = last.replace("_", " ").replace("com", "centre of mass")
     return f"{' '.join(owner)}: {what}{axis}" if owner else what
-
-
-def row_text(row: str) -> str:
-    """Which coordinate of the end-point a task row is."""
-    if row in ORIENTATION_ROWS:
-        return f"{row}: rotation vector from the reference frame times a length, inertial frame"
-    return f"{row}, inertial frame"
 
 
 def force_unit(control: Control, joints: Sequence[str]) -> str:

@@ -52,6 +52,9 @@ enum {
 
 {% for about, kind, entries in enumerations if entries %}
 {{ comment(about) }}
+{% for text in orientation.values() if kind == "AXIS" %}
+{{ comment(text) }}
+{% endfor %}
 enum {
 {% for word, unit in entries %}
   {{ PREFIX }}_{{ kind }}_{{ word }} = {{ loop.index0 }}{% if not loop.last %},{% endif %}{{ " " ~ comment(unit) if unit else "" }}

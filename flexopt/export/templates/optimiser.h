@@ -55,7 +55,7 @@ typedef enum {
 } {{ p }}_status;
 
 typedef struct {
-  {{ real_type }} target[{{ P }}_N_TASK]; /* end-point, m, inertial frame */
+  {{ real_type }} target[{{ P }}_N_TASK]; /* end-point, m, {{ task_frame }} */
   {{ real_type }} lower[{{ P }}_N_Z];     /* m, rad */
   {{ real_type }} upper[{{ P }}_N_Z];
   {{ real_type }} sine_squared_min; /* sin^2 of the margin from singular postures, in (0, 1) */
