@@ -158,6 +158,23 @@ def unwound(problem: SelectionProblem, z: Vector, keeps: Callable[[Vector], bool
     return here
 
 
+def past_stops(problem: SelectionProblem, z: Vector) -> Vector | None:
+    """The configuration z with joints that rest at an end of their angles a whole turn away, where no measure tells.
+
+    A climb that a joint's limit stopped goes on from there. None where no joint rests at one that it may be away from.
+    """
+    here = z.copy()
+    for k in range(len(problem.machine.base_coordinates), z.size):
+        ends = problem.lower[k], problem.upper[k]
+        if problem.variables[k].unit == "rad" and ends[1] - ends[0] >= math.tau:
+            others = [end for end in ends if abs(z[k] - end) > ON_ROWS * problem.scale[k]]
+            turned = here.copy()
+            turned[k] = z[k] - math.tau if others == [ends[0]] else z[k] + math.tau
+            if len(others) == 1 and _kept(problem, turned) and _alike(problem, z, turned):
+                here = np.clip(turned, problem.lower, problem.upper)
+    return None if np.array_equal(here, z) else here
+
+
 def _whole_turns(angle: float, now: float, lower: float, upper: float) -> float:
     """The angle within its limits, whole turns away, that is nearest to the present one; of two the greater."""
     first, last = math.ceil((lower - angle) / math.tau), math.floor((upper - angle) / math.tau)

@@ -18,6 +18,7 @@ from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
 from flexopt.selection.ascent.steps import CUT_SHORT
 from flexopt.selection.assumed import in_the_way
+from flexopt.selection.continua import past_stops
 from flexopt.selection.exchanged import kept_apart
 from flexopt.selection.nlp.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, Program, single
 from flexopt.selection.problem import SelectionProblem, beyond_bounds, value_at
@@ -88,7 +89,24 @@ def first_optima(
     found, attempts, more = _in_rounds(problem, found, attempts, workers, progress)
     summits = [] if any(proof.unsurpassed for _, proof, _ in found) else climbed_anywhere(problem, workers)
     found, attempts, others = _higher(problem, found, attempts, summits, workers, BELOW)
+    found, attempts = _past_stops(problem, found, attempts)
     return problem, _taken_up(problem, found, attempts, failures + more + others)
+
+
+def _past_stops(
+    problem: SelectionProblem, found: list[Found], attempts: list[Attempt]
+) -> tuple[list[Found], list[Attempt]]:
+    """The optima and attempts; of one that rests at a joint's end, a whole turn from where it may go on, what is there."""
+    kept = list[Found]()
+    for item in found:
+        there, new = past_stops(problem, item[0]), list[Found]()
+        if there is not None:
+            more, others, _ = _attempted(problem, [there], 1, None, partial(_climbed, WITHIN[1]))
+            attempts = attempts + [replace(other, value=None) for other in others]
+            least = value_at(problem, item[0]) + BETTER * problem.objective_scale
+            new = [other for other in more if value_at(problem, other[0]) > least]
+        kept += [each for each in (new or [item]) if _is_new(problem, each[0], kept)]
+    return kept, attempts
 
 
 def _taken_up(
@@ -177,7 +195,8 @@ def later_optima(problem: SelectionProblem, starts: list[Vector], workers: int) 
         near = starts if distance == 0 else _around(problem, starts, distance, round_number)
         found, more, failed = _attempted(problem, near, workers, None, _finish)
         attempts, failures = attempts + more, failures + failed
-    return _taken_up(problem, *_not_below_seen(problem, found, attempts, failures), failures)
+    found, attempts = _not_below_seen(problem, found, attempts, failures)
+    return _taken_up(problem, *_past_stops(problem, found, attempts), failures)
 
 
 def _not_below_seen(

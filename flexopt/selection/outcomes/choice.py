@@ -40,6 +40,8 @@ from flexopt.selection.solve import constraint_values
 # How often the worst member that is found behind a climb is added and climbed again.
 ROUNDS = 10
 UNDONE = "where others of what is uncertain make the loop grow"
+# How often a climb goes on from where only ends of joints stopped it.
+ONWARD = 3
 # Of the value, by which two are equal.
 EQUAL = 1e-6
 # Of the value, by which a member that is slower than those that were climbed with is new.
@@ -169,6 +171,8 @@ def _continua(program: OutcomeProgram, ends: list[Climbed]) -> list[list[Climbed
 
 def _nearest(program: OutcomeProgram, end: Climbed) -> Climbed:
     """Of what nothing tells from an end, its loop neither, the nearest to the present configuration."""
+    # The motions of members that were added on the way count, too.
+    program = program if end.members is None else replace(program, members=end.members)
     z, value = program.z(end.y), program.value(end.y)
 
     def at(other: Vector) -> Vector:
@@ -180,7 +184,8 @@ def _nearest(program: OutcomeProgram, end: Climbed) -> Climbed:
     y = at(near)
     stationarity, active = first_order(program, y, program.value(y))
     # On what it may rest at its new place it does not rest.
-    moved = Climbed(y, end.value, stationarity, tuple(name for name in active if name in end.active), end.steps)
+    active = tuple(name for name in active if name in end.active)
+    moved = replace(end, y=y, stationarity=stationarity, active=active)
     return moved if moved.holds else end
 
 
@@ -201,8 +206,20 @@ def _feasible(problem: SelectionProblem, initial: Evaluation | None) -> Vector:
 
 
 def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Climbed | None:
+    """The optimum from a start; from where only a joint's end stopped it, which is whole turns away, it goes on."""
+    found = _climbed_once(program, starts[number])
+    for _ in range(ONWARD):
+        there = None if found is None else program.past_stops(found.y)
+        again = None if there is None else _climbed_once(program, there)
+        if found is None or again is None or not again.holds or again.value <= found.value + EQUAL * abs(found.value):
+            break
+        found = replace(again, steps=found.steps + again.steps)
+    return found
+
+
+def _climbed_once(program: OutcomeProgram, start: Vector) -> Climbed | None:
     """The optimum from a start, members added for which it is not one; without end where some are left."""
-    found: Climbed | None = climbed(program, starts[number])
+    found: Climbed | None = climbed(program, start)
     if found is None or not len(program.members):
         return found
     for left in reversed(range(ROUNDS + 1)):
@@ -210,7 +227,7 @@ def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Clim
         broken = _broken(program, found.y)
         if value >= found.value - NEW * abs(found.value):
             if broken is None:
-                return replace(found, value=min(found.value, value))
+                return replace(found, value=min(found.value, value), members=program.members)
             at = broken
         more = replace(program, members=np.concatenate([program.members, at[None]]))
         # Where a member breaks what the loop must do at least, that is climbed first.

@@ -40,6 +40,7 @@ class Climbed:
         y: the point;  value: the measure of the worst member.
         stationarity: norm of what multipliers leave of the gradient.
         active: names of the rows and bounds that it rests against;  steps: of the climb.
+        members: of what is uncertain, (n, k), those that it is an optimum for; None where none were added.
     """
 
     y: Vector
@@ -47,6 +48,7 @@ class Climbed:
     stationarity: float
     active: tuple[str, ...]
     steps: int
+    members: Vector | None = None
 
     @property
     def holds(self) -> bool:

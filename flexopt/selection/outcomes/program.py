@@ -22,6 +22,7 @@ from flexopt.loop.outcome import UNDEFINED, LoopPoint
 from flexopt.loop.uncertain import FEW, MEMBERS, SENSES, UncertainLoop, ValueAt
 from flexopt.model.choices import ALLOWED_GAIN, DECAY, DELAY_MARGIN
 from flexopt.model.loop import logarithms
+from flexopt.selection.continua import past_stops
 from flexopt.selection.nlp.program import row_gradients
 from flexopt.selection.outcomes.branches import Branches, Measure
 from flexopt.selection.outcomes.measures import MEASURES
@@ -93,6 +94,11 @@ class OutcomeProgram:
     def z(self, y: Vector) -> Vector:
         """The configuration."""
         return y[: self.n_z] * self.problem.scale
+
+    def past_stops(self, y: Vector) -> Vector | None:
+        """The point with joints that rest at an end of their angles whole turns away; see `continua.past_stops`."""
+        z = past_stops(self.problem, self.z(y))
+        return None if z is None else np.append(z / self.problem.scale, y[self.n_z :])
 
     @cached_property
     def row_bounds(self) -> tuple[Vector, Vector, Vector]:

@@ -86,6 +86,13 @@ class SharedProgram(OutcomeProgram):
         found: Vector = self._spread([target.z(y[place]) for target, place in self._each], self.n_z)
         return found
 
+    def past_stops(self, y: Vector) -> Vector | None:
+        """See `OutcomeProgram`; none along a way, whose steps count turns."""
+        found = [(own, target.past_stops(own)) for target, own in self.parts(y)]
+        if self.coupling.pairs or all(there is None for _, there in found):
+            return None
+        return self.joined([own if there is None else there for own, there in found])
+
     @property
     def _each(self) -> list[tuple[OutcomeProgram, NDArray[np.int64]]]:
         return list(zip(self.targets, self.places, strict=True))
