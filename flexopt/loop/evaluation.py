@@ -27,6 +27,8 @@ from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.robustness import Evaluation, build_measures, evaluate
 from flexopt.robustness.evaluation import evaluate_checked, unreached
 
+# Oscillations beside those of the modes that are told.
+OTHERS = 4
 # Derivatives by measure, then by what: "base", "posture", "parameters", gains, dead time and drives.
 SlopesOfMeasures = Mapping[str, Mapping[str, Vector]]
 
@@ -47,7 +49,11 @@ class Outcome(Result):
         first_order_decay: ζ_i ω_i + Im(b_iᵀ F(jω_i) a_i) / (2 ω_i), (m,), 1/s: ζ_i with the joints' velocity servos, F
             the lagging feedback; exact for small gains, `frequencies_hz` and `damping_ratios` for all.
         w_lagged: w_i with that lag, a_i·b_i cos ψ_i − sqrt(|a_i|²|b_i|² − (a_i·b_i)² sin² ψ_i), (m,), as w.
-        frequencies_hz, damping_ratios: of the oscillation that each mode has become in the sampled loop, (m,).
+        frequencies_hz, damping_ratios: |s|/2π and −Re s/|s| of the oscillation s that each mode has become in the
+            sampled loop, (m,): the one in whose energy the springs of that mode have the largest share, all modes
+            together.
+        other_frequencies_hz, other_damping_ratios: of the loop's further oscillations that are slower than the fastest
+            of these, in frequency or decay, the slowest decay first, (k,): of the arm under its feedback.
         decay: of the slowest motion of the sampled loop, 1/s; negative where it grows. decay_rounding: one that is
             nearer to 0 than this, 1/s, is neither growth nor decay. frequency_hz: of that motion. unseen: whether it is
             a mode that neither moves the end-point nor is excited by it, which decays by itself, whatever the loop.
@@ -89,6 +95,8 @@ class Outcome(Result):
     w_lagged: Vector
     frequencies_hz: Vector
     damping_ratios: Vector
+    other_frequencies_hz: Vector
+    other_damping_ratios: Vector
     decay: float
     decay_rounding: float
     frequency_hz: float
@@ -108,7 +116,8 @@ class Outcome(Result):
 
     DOCUMENT = """
     settings allowance allowance_isotropic lag[rad] lag_reserve[rad] first_order_decay[1/s] w_lagged frequencies_hz[Hz]
-    damping_ratios decay[1/s] decay_rounding[1/s] frequency_hz[Hz] unseen drift[1/s] allowed_gain gain_intervals
+    damping_ratios other_frequencies_hz[Hz] other_damping_ratios
+    decay[1/s] decay_rounding[1/s] frequency_hz[Hz] unseen drift[1/s] allowed_gain gain_intervals
     delay_margin[s] disk_margin sensitivity_peak complementary_peak h2_norm settling[s] swing swing_unit gradient
     """
 
@@ -132,6 +141,16 @@ class Outcome(Result):
         return words
 
     @property
+    def _others(self) -> str:
+        pairs = list(zip(self.other_frequencies_hz, self.other_damping_ratios, strict=True))
+        told = [
+            f"{hertz:.4g} Hz, damping {ratio:.3g} (decay {math.tau * hertz * ratio:.4g}/s)"
+            for hertz, ratio in pairs[:OTHERS]
+        ]
+        more = len(pairs) - OTHERS
+        return "; ".join([*told, f"{more} more that decay faster"] if more > 0 else told)
+
+    @property
     def _word(self) -> str:
         if abs(self.decay) <= self.decay_rounding:
             return f"neither decays nor grows to rounding (decay {self.decay:+.2g}/s)"
@@ -152,6 +171,8 @@ class Outcome(Result):
         if fed := [str(i + 1) for i in np.flatnonzero((self.lag_reserve < 0) & (self.first_order_decay > 0)).tolist()]:
             modes = f"mode{'s' * (len(fed) > 1)} {listed(fed)}"
             lines.append(f"  {modes}, reserve below 0: {self.despite_reserve}")
+        if len(self.other_frequencies_hz):
+            lines.append(f"  further slow oscillations of the loop, of the arm under its feedback: {self._others}")
         why = from_sample_to_sample(
             -self.decay, self.decay_rounding, self.frequency_hz, self.settings.rate, self.settings.nullspace_damping
         )
@@ -295,8 +316,7 @@ def outcome_of(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *
         of_modes[name][~alone] = np.nan
         for slopes in gradient[name].values():
             slopes[~alone] = np.nan
-    modes, mass = _shapes(outcome)
-    poles = outcome.poles(modes, mass)
+    poles, others = outcome.poles(*_shapes(outcome))
     ratios = [outcome.damping_ratio(pole) for pole in poles.tolist()]
     each = [outcome.gradient(ratio) for ratio in ratios]
     gradient["damping_ratios"] = {by: np.array([found[by] for found in each]) for by in each[0]} if each else {}
@@ -308,6 +328,8 @@ def outcome_of(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *
         **of_modes,
         frequencies_hz=np.abs(poles) / math.tau,
         damping_ratios=np.array([ratio.value for ratio in ratios]),
+        other_frequencies_hz=np.abs(others) / math.tau,
+        other_damping_ratios=-others.real / np.abs(others),
         decay_rounding=outcome.loop.rounding,
         frequency_hz=outcome.loop.frequency_hz,
         unseen=modes_of_loop.is_unseen(outcome.numbers, scalars["decay"].value, outcome.loop.rounding),
@@ -325,10 +347,11 @@ def swing_unit(point: LoopPoint) -> str:
     return "rad" if point.motions.loop.shape.base_hinges else "m"
 
 
-def _shapes(outcome: LoopPoint) -> tuple[Vector, Vector]:
-    """The machine's modes (n_q, m), and M there."""
+def _shapes(outcome: LoopPoint) -> tuple[Vector, Vector, Vector]:
+    """The machine's modes (n_q, m), their ω² (m,), and M there."""
     motions, of = outcome.motions, outcome.numbers
     measures = build_measures(motions.machine, motions.control, motions.gravity)
     at: dict[str, Any] = {name: of[name] for name in ("base", "posture", "p")}
-    modes: Vector = cast(Any, measures.values(**at))["modes"].full()
-    return modes, motions.plant.mass(outcome.configuration, of["base"], of["p"]).full()
+    found = cast(Any, measures.values(**at))
+    mass: Vector = motions.plant.mass(outcome.configuration, of["base"], of["p"]).full()
+    return found["modes"].full(), found["omega_squared"].full().ravel(), mass

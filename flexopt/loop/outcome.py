@@ -196,10 +196,18 @@ class LoopPoint:
         """How fast the loop's slowest motion decays, 1/s; negative where it grows."""
         return self.rate()
 
-    def poles(self, modes: Vector, mass: Vector) -> ComplexArray:
-        """Ln μ / T, rad/s, of the oscillation that each mode φ_i (n_q, m) has become; NaN where there is none.
+    def poles(self, modes: Vector, omega_squared: Vector, mass: Vector) -> tuple[ComplexArray, ComplexArray]:
+        """Ln μ / T, rad/s, of the oscillation that each mode φ_i (n_q, m) has become (NaN: none), and of others.
 
-        Oscillations are given to modes so that the shares |φ_iᵀ M q|² / qᴴ M q of their shapes sum up to the most.
+        Oscillations s with shapes q are given to modes so that the shares of the modes' springs in their energy,
+        e_i / (Σ_j e_j + |s|² qᴴ M q) with e_i = ω_i² |φ_iᵀ M q|², sum up to the most: a fast motion of servos, which
+        hardly strains the springs, is not taken for a mode. The others, (k,), the slowest decay first, are those
+        that are slower than the fastest of the modes, in frequency or in decay.
+
+        Args:
+            modes: φ (n_q, m), φᵀ M φ = 1.
+            omega_squared: ω_i² (m,), rad²/s².
+            mass: M (n_q, n_q).
         """
         from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  (loads slowly)
 
@@ -209,13 +217,19 @@ class LoopPoint:
         # An oscillation above half the sampling rate is seen as a real multiplier below zero.
         known = np.array([np.min(np.abs(self.loop.multipliers - value)) <= SAME for value in values])
         chosen = np.flatnonzero(known & (values.imag >= 0) & ((values.imag > 0) | (values.real < 0)))
+        poles = np.asarray(np.log(values[chosen]) / self.period, dtype=np.complex128)
         shapes = self.motions.loop.to_q @ (scale[:, None] * vectors)[:n, chosen]
-        whole = np.einsum("ik,ij,jk->k", shapes.conj(), mass, shapes).real
-        shares = np.abs(modes.T @ mass @ shapes) ** 2 / np.maximum(whole, np.finfo(float).tiny)
+        moving = np.abs(poles) ** 2 * np.einsum("ik,ij,jk->k", shapes.conj(), mass, shapes).real
+        strained = omega_squared[:, None] * np.abs(modes.T @ mass @ shapes) ** 2
+        of_mode, of_pole = linear_sum_assignment(
+            -strained / np.maximum(strained.sum(axis=0) + moving, np.finfo(float).tiny)
+        )
         found = np.full(modes.shape[1], complex(math.nan, math.nan))
-        of_mode, of_value = linear_sum_assignment(-shares)
-        found[of_mode] = np.log(values[chosen][of_value].astype(complex)) / self.period
-        return found
+        found[of_mode] = poles[of_pole]
+        others = np.delete(poles, of_pole)
+        fastest, shortest = (np.max(x, initial=0.0) for x in (np.abs(poles[of_pole]), -poles[of_pole].real))
+        others = others[(np.abs(others) < fastest) | (-others.real < shortest)]
+        return found, others[np.argsort(-others.real)]
 
     def damping_ratio(self, pole: complex) -> Measured:
         """−Re s/|s| of a pole s = ln μ / T."""

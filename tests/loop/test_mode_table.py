@@ -1,0 +1,68 @@
+"""Which oscillation of the loop each mode has become: against the base with its arm held, and no slow one left out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import flexopt
+
+DIGGER, STAND = flexopt.load("slewing-excavator"), (0.2, 0.5, -1.2, -0.5)
+STIFF = {"drive": "velocity", "kp": 1.0, "kv": 0.1, "rate": 100.0, "dead_time": 0.03}
+
+
+def held_poles(machine, posture):
+    """Of the base with the arm's joints locked, rad/s, one of each pair, from M, D and K, by frequency."""
+    plant = flexopt.build_plant(machine)
+    p, base, m = plant.parameter_values, [0.0] * len(machine.base_coordinates), plant.n_passive
+    rest = plant.rest(base, posture, p)
+    full = (plant.mass(rest, base, p), plant.damping(p), plant.stiffness(p))
+    mass, damping, stiffness = (matrix.full()[:m, :m] for matrix in full)
+    inverse = np.linalg.inv(mass)
+    a = np.block([[np.zeros((m, m)), np.eye(m)], [-inverse @ stiffness, -inverse @ damping]])
+    poles = np.linalg.eigvals(a)
+    return sorted(poles[poles.imag > 0], key=abs)
+
+
+def test_stiffly_served_joints_hold_the_arm():
+    """Each mode of free joints has become one of the base under a held arm, none a fast motion of servos."""
+    loop = STIFF | {"kp": 1e-4, "kv": 0.0, "servo_gain": 1e11}
+    found = flexopt.outcome(DIGGER, STAND, loop=loop)
+    held = np.array(held_poles(DIGGER, STAND))
+    assert len(held) == 6
+    order = np.argsort(found.frequencies_hz)
+    np.testing.assert_allclose(math.tau * found.frequencies_hz[order], np.abs(held), rtol=1e-3)
+    np.testing.assert_allclose(found.damping_ratios[order], -held.real / np.abs(held), rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("loop", "count"),
+    [("default", 3), (STIFF | {"servo_gain": 1e7}, 0), (STIFF | {"servo_gain": 3e6, "bandwidth_hz": 4.0}, 1)],
+)
+def test_no_slow_oscillation_is_left_out(loop, count):
+    """Of all eigenvalues of a sample: those of the modes, those beside them, and such as are faster in every way."""
+    evaluation = flexopt.evaluate(DIGGER, STAND, loop=loop)
+    found = evaluation.outcome
+    sample = found.settings.outcome(DIGGER, evaluation.base, evaluation.posture, gravity=False).sample
+    values = np.linalg.eigvals(sample.matrix)
+    poles = np.log(values[values.imag > 1e-9]) * found.settings.rate
+    size, decay = np.abs(poles) / math.tau, -poles.real
+    told = np.concatenate([found.frequencies_hz, found.other_frequencies_hz])
+    known = np.isclose(size[:, None], told, rtol=1e-8).any(axis=1)
+    assert np.count_nonzero(known) == len(told)
+    own = math.tau * found.frequencies_hz * found.damping_ratios
+    assert np.all((size[~known] > found.frequencies_hz.max()) & (decay[~known] > own.max()))
+    # Servos of joints and dead times have fast ones.
+    assert np.all(known) == (loop == "default")
+
+    others = math.tau * found.other_frequencies_hz * found.other_damping_ratios
+    assert len(others) == count
+    assert np.all(np.diff(others) > 0)
+    line = [x for x in repr(evaluation).splitlines() if "further slow oscillations" in x]
+    assert len(line) == bool(count)
+    for hertz, ratio, rate in zip(found.other_frequencies_hz, found.other_damping_ratios, others, strict=True):
+        assert f"{hertz:.4g} Hz, damping {ratio:.3g} (decay {rate:.4g}/s)" in line[0]
+    if count:
+        assert "further slow oscillations" in evaluation._repr_html_()
