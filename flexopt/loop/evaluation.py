@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.errors import FlexoptWarning
 from flexopt.foundation.arrays import BaseLike, PostureLike, Vector
@@ -47,7 +48,8 @@ class Outcome(Result):
             sample, filter, servos, and that Kp acts on the position), and what is left of it before equal gains feed
             the mode, (m,), rad; negative where they do; NaN (JSON: null) of a mode that no feedback reaches.
         first_order_decay: ζ_i ω_i + Im(b_iᵀ F(jω_i) a_i) / (2 ω_i), (m,), 1/s: ζ_i with the joints' velocity servos, F
-            the lagging feedback; exact for small gains, `frequencies_hz` and `damping_ratios` for all.
+            the lagging feedback; exact for small gains, `frequencies_hz` and `damping_ratios` for all. Where
+            `first_order_fails` it says nothing of this loop, nor do `allowance` and `lag_reserve`.
         w_lagged: w_i with that lag, a_i·b_i cos ψ_i − sqrt(|a_i|²|b_i|² − (a_i·b_i)² sin² ψ_i), (m,), as w.
         frequencies_hz, damping_ratios: |s|/2π and −Re s/|s| of the oscillation s that each mode has become in the
             sampled loop, (m,): the one in whose energy the springs of that mode have the largest share, all modes
@@ -122,6 +124,28 @@ class Outcome(Result):
     """
 
     @property
+    def mode_decay(self) -> Vector:
+        """2π f ζ of the oscillation that each mode has become, exactly, (m,), 1/s; negative where it grows."""
+        return math.tau * self.frequencies_hz * self.damping_ratios
+
+    @property
+    def first_order_fails(self) -> NDArray[np.bool_]:
+        """Whether δ₁ = `first_order_decay` is off δ = `mode_decay` by more than the smaller of both, (m,).
+
+        |δ₁ − δ| > min(|δ₁|, |δ|): one is more than twice the other, or they differ in sign, so that what is of higher
+        order in feedback and servos outweighs the first.
+        """
+        first, exact = np.abs(self.first_order_decay), np.abs(self.mode_decay)
+        off = np.abs(self.first_order_decay - self.mode_decay)
+        return off > np.minimum(first, exact) + self.decay_rounding
+
+    @property
+    def why_first_order_fails(self) -> str:
+        """What is too strong for the first order, a part of a sentence."""
+        servos = "the joints' velocity servos and the feedback are" if self.settings.servo_gain else "the feedback is"
+        return f"{servos} too strong for a first order"
+
+    @property
     def despite_reserve(self) -> str:
         """Why a mode without a reserve of lag may decay to first order."""
         own = "has of its own" + (" and from the joints' velocity servos" if self.settings.servo_gain else "")
@@ -168,9 +192,14 @@ class Outcome(Result):
                 f"{in_degrees(self.lag_reserve[i], 8, 1)} {self.first_order_decay[i]:+7.4g} 1/s "
                 f"{self.frequencies_hz[i]:9.4f} Hz {self.damping_ratios[i]:10.3e}"
             )
-        if fed := [str(i + 1) for i in np.flatnonzero((self.lag_reserve < 0) & (self.first_order_decay > 0)).tolist()]:
-            modes = f"mode{'s' * (len(fed) > 1)} {listed(fed)}"
-            lines.append(f"  {modes}, reserve below 0: {self.despite_reserve}")
+        fails = self.first_order_fails
+        if fed := _modes((self.lag_reserve < 0) & (self.first_order_decay > 0) & ~fails):
+            lines.append(f"  {fed}, reserve below 0: {self.despite_reserve}")
+        if off := _modes(fails):
+            lines.append(
+                f"  {off}: {self.why_first_order_fails}: 1st order is off the exact decay by more than a factor of 2, "
+                "and κ and reserve tell as little; frequency and damping are exact"
+            )
         if len(self.other_frequencies_hz):
             lines.append(f"  further slow oscillations of the loop, of the arm under its feedback: {self._others}")
         why = from_sample_to_sample(
@@ -218,6 +247,12 @@ def unseen_told(whose: str) -> str:
         f"the slowest motion of {whose} is one that the end-point does not show and no feedback excites: its decay is "
         "the machine's own; a base without its direction, as roll of an arm that moves in a plane, shows the others"
     )
+
+
+def _modes(which: NDArray[np.bool_]) -> str:
+    """Those of them, by number; empty where there are none."""
+    numbers = [str(i + 1) for i in np.flatnonzero(which).tolist()]
+    return f"mode{'s' * (len(numbers) > 1)} {listed(numbers)}" if numbers else ""
 
 
 def _told(value: float) -> str:

@@ -210,11 +210,13 @@ class Explanation(Pictured, Result):
         effect = "equal gains damp it" if reserve > 0 else "equal gains feed it"
         decay = of.first_order_decay[i]
         told = f"{'decays' if decay > 0 else 'grows'} at {abs(decay):.4g}/s"
-        despite = f": {of.despite_reserve}" if reserve < 0 < decay else ""
-        exact = of.damping_ratios[i] * math.tau * of.frequencies_hz[i]
+        fails = of.first_order_fails[i]
+        despite = f": {of.despite_reserve}" if reserve < 0 < decay and not fails else ""
+        exact = of.mode_decay[i]
         if math.isfinite(exact):
             despite += f"; exactly, at {of.frequencies_hz[i]:.4g} Hz, {'decays' if exact > 0 else 'grows'} at "
             despite += f"{abs(exact):.4g}/s"
+            despite += f": {of.why_first_order_fails}" if fails else ""
         return (
             f"With this loop: {against}; the feedback lags by {lag:.4g}°, a reserve of {reserve:.4g}°, so that "
             f"{effect}; to first order it {told}{despite}."

@@ -37,6 +37,44 @@ def test_stiffly_served_joints_hold_the_arm():
     np.testing.assert_allclose(found.damping_ratios[order], -held.real / np.abs(held), rtol=1e-3)
 
 
+TOO_STRONG = "too strong for a first order"
+
+
+@pytest.mark.parametrize(
+    ("loop", "modes"),
+    [(STIFF | {"servo_gain": 1e8}, "modes 1, 2, 3, 4, 5 and 6"),
+     (STIFF | {"servo_gain": 1e6}, "modes 1 and 2"),
+     ("default", ""),
+     ({"kp": 1e4, "kv": 1e3, "drive": "torque"}, "")],
+)  # fmt: skip
+def test_where_the_first_order_does_not_tell_a_line_says_so(loop, modes):
+    """More than twice an eigenvalue of a sample, or less than half of one."""
+    explained = flexopt.explain(DIGGER, STAND, loop=loop)
+    evaluation = explained.evaluation
+    found = evaluation.outcome
+    sample = found.settings.outcome(DIGGER, evaluation.base, evaluation.posture, gravity=False).sample
+    poles = np.log(np.linalg.eigvals(sample.matrix).astype(complex)) * found.settings.rate
+    nearest = [poles[np.argmin(np.abs(np.abs(poles) - math.tau * hertz))] for hertz in found.frequencies_hz]
+    ratio = found.first_order_decay / -np.real(nearest)
+    fails = (ratio > 2) | (ratio < 0.5)
+    assert found.first_order_fails.tolist() == fails.tolist()
+    named = [line.split(": ")[0].strip() for line in repr(evaluation).splitlines() if TOO_STRONG in line]
+    assert named == [modes] * bool(modes)
+    assert [TOO_STRONG in sentence for sentence in explained.sentences] == fails.tolist()
+    # What a reserve below 0 means is not explained by a first order that fails.
+    despite = [x for x in repr(evaluation).splitlines() if "reserve below 0: " in x]
+    assert bool(despite) == bool(np.any((found.lag_reserve < 0) & (found.first_order_decay > 0) & ~fails))
+
+
+def test_a_first_order_with_the_wrong_sign_does_not_tell():
+    """Torques too strong for a light arm: the mode grows, and to first order it decays, or the other way round."""
+    arm, posture = flexopt.load("mobile-manipulator"), (0.0, -1.2, 1.5, -0.5, 0.6, 0.0)
+    found = flexopt.outcome(arm, posture, loop={"kp": 1e4, "kv": 1e3, "drive": "torque"})
+    assert found.first_order_decay[0] * found.mode_decay[0] < 0
+    assert found.first_order_fails[0]
+    assert f"  mode 1: the feedback is {TOO_STRONG}" in repr(found)
+
+
 @pytest.mark.parametrize(
     ("loop", "count"),
     [("default", 3), (STIFF | {"servo_gain": 1e7}, 0), (STIFF | {"servo_gain": 3e6, "bandwidth_hz": 4.0}, 1)],
