@@ -19,6 +19,8 @@ from flexopt.foundation.quantities import Quantity, coordinate_max, several
 Coordinates = Any
 T = TypeVar("T")
 _UNREAD: Any = object()
+# Texts tell joints to four digits after the point: by so much a limit may be rounded outwards, rad or m.
+ROUNDED = 0.51e-4
 
 
 class Arguments:
@@ -83,7 +85,7 @@ class Arguments:
         return self.choice(field, value, (False, True))
 
     def posture(self, machine: Coordinates, value: Any, field: str = "posture") -> Vector:
-        """Actuated joints (n,), rad or m, finite and inside their limits."""
+        """Actuated joints (n,), rad or m, finite and inside their limits; a limit as texts round it is that limit."""
         return self._joints(machine, value, field, machine.limits, machine.beyond_stroke)
 
     def displacement(self, machine: Coordinates, value: Any, field: str) -> Vector:
@@ -114,7 +116,7 @@ class Arguments:
         for k, (name, unit, part, (low, high)) in enumerate(zip(names, units, parts, limits, strict=True)):
             most, known = coordinate_max(unit), len(self.faults)
             allowed = Quantity(unit, low=max(low, -most), high=min(high, most))
-            checked[k] = self.checked(f"{field} ({name})", part, allowed, 0.0)
+            checked[k] = self.checked(f"{field} ({name})", _on_limit(part, low, high), allowed, 0.0)
             if beyond is not None and len(self.faults) > known:
                 fault = self.faults[known]
                 # Of what is no number there is no more to say.
@@ -147,3 +149,11 @@ class Arguments:
     def done(self) -> None:
         """Raise every fault noted so far."""
         raise_if_any(self.error, self.call, self.faults)
+
+
+def _on_limit(value: Any, low: float, high: float) -> Any:
+    """The limit where a number is that limit as texts round it, so that what they tell can be given; else the value."""
+    if isinstance(value, float):
+        near = [limit for limit in (low, high) if abs(value - limit) <= ROUNDED and not low <= value <= high]
+        return near[0] if near else value
+    return value

@@ -96,7 +96,7 @@ def first_optima(
 def _past_stops(
     problem: SelectionProblem, found: list[Found], attempts: list[Attempt]
 ) -> tuple[list[Found], list[Attempt]]:
-    """The optima and attempts; of one that rests at a joint's end, a whole turn from where it may go on, what is there."""
+    """The optima and attempts; of one that rests at a joint's end, a turn from where it may go on, what is there."""
     kept = list[Found]()
     for item in found:
         there, new = past_stops(problem, item[0]), list[Found]()

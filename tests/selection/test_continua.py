@@ -11,7 +11,7 @@ import pytest
 import flexopt
 from flexopt.model import tree_from_dict
 from flexopt.selection import SelectionProblem
-from flexopt.selection.continua import grouped
+from flexopt.selection.continua import grouped, past_stops
 from tests.oracles.spatial import grounded
 from tests.simulation.loops import EXCAVATOR
 
@@ -111,3 +111,49 @@ def test_a_selection_names_each_continuum_once() -> None:
             np.testing.assert_allclose(there.w, candidate.w, atol=1e-6 * found.problem.objective_scale)
     document = found.to_dict()["candidates"]
     assert [len(c["continuum"]) for c in document] == [len(c.continuum) for c in found.candidates]
+
+
+@pytest.mark.long("decay-1", "w1-1", "w1--1")
+@pytest.mark.filterwarnings("ignore::flexopt.ImplausibleMachine")
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("objective", ["w1", "decay"])
+def test_a_window_of_a_whole_turn_holds_the_optima_of_a_free_joint(objective: str, side: int) -> None:
+    """Its end lies just short of the best: climbs that it stops go on a turn away, and none rests at an end."""
+    asked = {"objective": objective, "starts": 8} | ({"loop": {"kp": 1e4, "kv": 1e3}} if objective == "decay" else {})
+    free = flexopt.select(EXCAVATOR, (0.0, 1.6), base=0.0, **asked)
+    data, best = EXCAVATOR.to_dict(), float(free.best.z[2])
+    data["links"][1]["limits"] = sorted([best - 0.2 * side, best - side * (0.3 + math.tau)])
+    held = flexopt.select(flexopt.machine_from_dict(data), (0.0, 1.6), base=0.0, assume="limits", **asked)
+    assert not [name for each in held.candidates for name in each.active if name.startswith("stick")]
+
+    def apart(one: np.ndarray, other: np.ndarray) -> float:
+        away = one - other
+        away[1:] = (away[1:] + math.pi) % math.tau - math.pi
+        return float(np.abs(away).max())
+
+    # Stationary to 1e-4 of the gradient, so that climbs from elsewhere end 1e-4 apart.
+    assert max(min(apart(each.z, one.z) for one in free.candidates) for each in held.candidates) < 1e-3
+    assert apart(held.best.z, free.best.z) < 1e-3 or objective == "w1"
+
+
+def test_past_an_end_of_a_joint_is_the_same_configuration_a_turn_away() -> None:
+    """Where the range allows that; with ends a turn apart each is the other."""
+    data = EXCAVATOR.to_dict()
+    for limits, at, there in (
+        ((-7.0, 1.2), 1.2, 1.2 - math.tau),
+        ((-7.0, 1.2), -7.0, -7.0 + math.tau),
+        ((1.2 - math.tau, 1.2), 1.2, 1.2 - math.tau),
+        ((-7.0, 1.2), 1.1, None),
+        ((-4.0, 1.2), 1.2, None),
+    ):
+        data["links"][1]["limits"] = limits
+        problem = flexopt.build_selection(flexopt.machine_from_dict(data), (0.0, 1.6), starts=1, assume="nothing")
+        plant = problem.measures.plant
+        at_rest = plant.rest([0.0], [0.3, at], plant.parameter_values)
+        reached = plant.end_point(at_rest, [0.0], plant.parameter_values).full().ravel()
+        problem = replace(problem, target=reached)
+        found = past_stops(problem, np.array([0.0, 0.3, at]))
+        if there is None:
+            assert found is None
+        else:
+            np.testing.assert_allclose(found, [0.0, 0.3, there], atol=1e-12)

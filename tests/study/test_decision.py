@@ -100,9 +100,13 @@ def test_better_on_some_grounds_only() -> None:
 
 def test_nothing_is_said_that_runs_do_not_confirm() -> None:
     better = place("near", 2 * GROUNDS)
-    assert decide(STAY, [better], unconfirmed=["near"]).reason.endswith("nonlinear runs do not confirm it")
-    assert decide(STAY, [], unconfirmed=["stay"]).word == "cannot tell"
-    assert decide(place("stay", -GROUNDS), [better], unconfirmed=["near"]).word == "cannot tell"
+    assert decide(STAY, [better], unconfirmed={"near": ""}).reason.endswith("nonlinear runs do not confirm it")
+    assert decide(STAY, [], unconfirmed={"stay": ""}).word == "cannot tell"
+    for stay, others in ((STAY, []), (STAY, [better]), (place("stay", -GROUNDS), [better])):
+        told = decide(stay, others, unconfirmed={"stay": "the end-point is 0.4 m off", "near": "it is 0.5 m off"})
+        assert told.word == "cannot tell"
+        assert told.reason.endswith("0.5 m off)" if stay is not STAY else "(the end-point is 0.4 m off)")
+    assert decide(place("stay", -GROUNDS), [better], unconfirmed={"near": ""}).word == "cannot tell"
 
 
 def test_gains_that_spare_the_drive() -> None:
@@ -117,12 +121,12 @@ def test_gains_that_spare_the_drive() -> None:
 def test_other_gains_are_not_praised_by_what_is_not_so() -> None:
     """A place that is stable with the present gains is not told to grow: what speaks against it is told."""
     grows, near, changed = place("stay", -GROUNDS), place("near", 2 * GROUNDS), place("near", 2.5 * GROUNDS)
-    doubted = decide(grows, [near], changed, unconfirmed=["stay", "near"])
+    doubted = decide(grows, [near], changed, unconfirmed={"stay": "", "near": ""})
     assert doubted.word == "change gains"
     assert doubted.reason.endswith(
         "with the present ones near is stable on every ground, too, but nonlinear runs do not confirm it"
     )
-    both = decide(grows, [near, place("far", GROUNDS)], changed, unconfirmed=["near", "far"])
+    both = decide(grows, [near, place("far", GROUNDS)], changed, unconfirmed={"near": "", "far": ""})
     assert both.reason.endswith("near and far are stable on every ground, too, but nonlinear runs do not confirm them")
     partly = place("stay", np.where(np.arange(40) < 4, -1.0, 1.0) * GROUNDS)
     mostly = place("near", np.where(np.arange(40) < 36, 2.0, 1.0) * GROUNDS)
@@ -191,7 +195,7 @@ def test_reasons_say_what_is_so() -> None:
         "near is stable on every ground, and the present place is not, but decays at least 10 % faster on 10 % of the "
         "grounds only"
     )
-    doubted = decide(STAY, [place("near", GROUNDS)], unconfirmed=["stay"])
+    doubted = decide(STAY, [place("near", GROUNDS)], unconfirmed={"stay": ""})
     assert doubted.reason == (
         "nonlinear runs do not confirm the present place, and near, which they confirm, decays at least 10 % faster on "
         "none that was looked at"
@@ -231,7 +235,7 @@ def test_what_tells_growing_from_stable_grounds_is_to_be_measured() -> None:
     assert np.array_equal(values > 0, faster(gained.decays, STAY.decays))
     # A thousandth more on some grounds and less on others decides nothing.
     alike = place("near", np.where(np.arange(40) < 20, 1.001, 0.999) * GROUNDS)
-    _, values = deciding(decide(STAY, [alike], unconfirmed=["stay"]), {"stay": STAY, "near": alike}, STAY)
+    _, values = deciding(decide(STAY, [alike], unconfirmed={"stay": ""}), {"stay": STAY, "near": alike}, STAY)
     assert values.max() < 0
     found_by_search = Place("near", GROUNDS, -0.1, 0.0)
     what, values = deciding(
@@ -260,7 +264,7 @@ def test_where_there_is_no_staying_a_stable_place_is_enough() -> None:
     found = decide(None, [slower], absent=absent)
     assert (found.word, found.place) == ("move", "near")
     assert found.reason == f"{absent}, for a drive of 2 m"
-    assert decide(None, [slower], unconfirmed=["near"], absent=absent).word == "cannot tell"
+    assert decide(None, [slower], unconfirmed={"near": ""}, absent=absent).word == "cannot tell"
     assert decide(None, [place("near", -GROUNDS)], absent=absent).word == "cannot tell"
 
 

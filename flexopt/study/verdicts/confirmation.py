@@ -16,6 +16,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.results import Result
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.simulation import on_their_way
+from flexopt.plant import build_plant
 from flexopt.simulation import simulate_ensemble
 from flexopt.simulation.behaviour import FEWEST_WINDOWS
 from flexopt.simulation.ensemble import Ensemble, judged_beside
@@ -26,6 +27,14 @@ SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "end_error", "pea
 # Length of a run, s: of slow machines so many periods of the slowest mode, at most this time and so many samples.
 DURATION, PERIODS, LONGEST, SAMPLES = 20.0, 10, 600.0, 300_000
 UNFINISHED = "the integrator could not finish the run"
+# Why a run that converges does not confirm; and more where the controller does not know the weight.
+OFF = "the end-point does not come to its target: in the end it is"
+SAGS = (
+    "; the controller carries the weight of the machine's file, and by how much this member's is another the arm stays "
+    "off without an integral part: loop.feedback pid with ki takes it to the target"
+)
+# Of the weight, what is none.
+ROUNDING = 1e-9
 # What runs may show; of several the first that one of them shows.
 WORST_FIRST = ("grows", "undecided", "converges")
 
@@ -113,13 +122,22 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
             judgements = judged_beside(ensemble, beside)
             for row, own, end, peak in zip(some, judgements, data["end_error"], data["peak_error"], strict=True):
                 verdicts[row], nearer[row] = own.verdict, bool(end <= peak / 2)
-                reasons[row] = (
-                    ""
-                    if nearer[row]
-                    else f"the end-point does not come to its target: in the end it is {end:.3g} m off"
-                )
-                reasons[row] = reasons[row] if own.verdict == "converges" else own.reason
+                if own.verdict != "converges":
+                    reasons[row] = own.reason
+                else:
+                    reasons[row] = "" if nearer[row] else f"{OFF} {end:.3g} m off{_why_off(loop, members[row])}"
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
+
+
+def _why_off(loop: UncertainLoop, u: Vector) -> str:
+    """Where the controller carries another weight than the member has and nothing integrates that, what helps."""
+    plant, settings = build_plant(loop.box.machine), loop.settings
+    if not loop.gravity or (settings.feedback == "pid" and np.any(settings.ki)):
+        return ""
+    at = np.concatenate([np.zeros(plant.n_passive), loop.posture])
+    each = (plant.gravity(at, loop.base, p).full().ravel() for p in (loop.box.numbers(u)[0], loop.box.nominal))
+    own, known = (weight[plant.n_passive :] for weight in each)
+    return SAGS if np.abs(own - known).max() > ROUNDING * np.abs(known).max() else ""
 
 
 def of_all(each: Sequence[Runs]) -> Runs:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -93,7 +94,7 @@ def decide(
     stay: Place | None,
     others: Sequence[Place],
     changed: Place | None = None,
-    unconfirmed: Sequence[str] = (),
+    unconfirmed: Mapping[str, str] = MappingProxyType({}),
     *,
     tried: str = "",
     refuted: Place | None = None,
@@ -110,7 +111,7 @@ def decide(
         stay: the present configuration; None where there is no staying.
         others: to which one may move.
         changed: the best place with other gains, where runs confirm it.
-        unconfirmed: names of places that nonlinear runs do not confirm.
+        unconfirmed: why nonlinear runs do not confirm a place, by its name.
         tried: which other gains were; empty for none.
         refuted: the best place with other gains, where runs do not confirm it;  doubt: why the first of them does not.
         gains: these other gains.
@@ -148,13 +149,14 @@ def decide(
         where = f"on {100 * share:.0f} % of the grounds only" if share else "on none that was looked at"
         reason = f"{first.name} is stable on every ground, and the present place is not, but {BETTER} {where}"
         if stay.holds:
-            reason = "nonlinear runs do not confirm the present place, and "
+            reason = f"nonlinear runs do not confirm the present place{_because(unconfirmed[stay.name])}, and "
             reason += f"{first.name}, which they confirm, {BETTER} {where}"
         return Decision("cannot tell", first.name, reason)
     every = [*([] if stay is None else [stay]), *others]
     doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
     if doubted:
-        return Decision("cannot tell", doubted[0], f"nonlinear runs do not confirm {listed(map(spoken, doubted))}")
+        reason = f"nonlinear runs do not confirm {listed(map(spoken, doubted))}"
+        return Decision("cannot tell", doubted[0], reason + _because(unconfirmed[doubted[0]]))
     with_others = f", nor with {tried}" if tried else ""
     if refuted is not None and refuted.holds:
         named = f" ({gains_in_words(gains)})" if gains else ""
@@ -192,13 +194,17 @@ def deciding(decision: Decision, known: Mapping[str, Place], stay: Place | None)
     return f"what is gained by moving to {place.name}", gained
 
 
-def _why_not(rival: Place, share: float, unconfirmed: Sequence[str]) -> str:
+def _because(why: str) -> str:
+    return why and f" ({why})"
+
+
+def _why_not(rival: Place, share: float, unconfirmed: Mapping[str, str]) -> str:
     """Why a place that is better on many grounds is none to move to."""
     reason = f"{rival.name} {BETTER} on {100 * share:.0f} % of the grounds"
     if not rival.holds:
         return f"{reason}, but not stable on every one"
     if rival.name in unconfirmed:
-        return f"{reason}, but nonlinear runs do not confirm it"
+        return f"{reason}, but nonlinear runs do not confirm it{_because(unconfirmed[rival.name])}"
     return f"{reason}, but not in its worst case" if share >= MOST else f"{reason} only"
 
 

@@ -187,14 +187,14 @@ def verdict(
         for name in told if name in fit
     }  # fmt: skip
     stay, rest = known.get(STAY), [place for name, place in known.items() if name != STAY]
-    unconfirmed = [name for name, run in shown.items() if run.confirming < MOST]
-    tried = tried_gains(asked) if known and _tries(asked, known, unconfirmed) else ""
+    doubts = {name: next(filter(None, run.reasons), "") for name, run in shown.items() if run.confirming < MOST}
+    tried = tried_gains(asked) if known and _tries(asked, known, doubts) else ""
     changed, gains = _changed(asked, known, loops, slowest, points) if tried else (None, {})
     refuted = changed and changed[0] if (doubt := _refuted(changed, points[:runs], duration)) else None
     changed = None if refuted else changed
     stages.next()
     decision = decide(
-        stay, rest, changed and changed[0], unconfirmed, tried=tried, refuted=refuted, doubt=doubt, gains=gains,
+        stay, rest, changed and changed[0], doubts, tried=tried, refuted=refuted, doubt=doubt, gains=gains,
         alternates=_alternates(loops, slowest) if tried else "", absent=absent,
         most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
     )  # fmt: skip
@@ -336,7 +336,7 @@ def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, t
     return own, ranges or getattr(problem, "uncertainty", None) or machine.uncertainty or GROUND
 
 
-def _tries(asked: Loop, known: Mapping[str, Place], unconfirmed: Sequence[str]) -> bool:
+def _tries(asked: Loop, known: Mapping[str, Place], unconfirmed: Mapping[str, str]) -> bool:
     """Whether other gains are looked for: where ranges are given, or no place can be had with these."""
     return bool(gain_ranges(asked)) or not any(
         place.holds and place.name not in unconfirmed for place in known.values()
