@@ -207,9 +207,10 @@ def _angles(parts: Sequence[BodyNumbers]) -> Iterator[ImplausibleNumber]:
 
 
 def _inertia(part: BodyNumbers, reach: float, planar: bool) -> Iterator[ImplausibleNumber]:
-    if part.mass <= 0 or part.variance <= 0:
+    if part.mass <= 0 or part.inertia <= 0:
         return
-    radius = math.sqrt(part.variance + part.across)
+    # About the axis that it is largest about, wherever its length points.
+    radius = math.sqrt(part.inertia / part.mass)
     given = f"{part.inertia:g} kg m² at {part.mass:g} kg"
     size = max(part.length, part.size, 2 * part.com)
     if not part.link:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import json
 import math
 import re
@@ -850,6 +851,25 @@ def test_a_wrist_of_no_size_is_not_judged_by_it() -> None:
     # In kg cm² it is.
     data["bodies"][-2] = wrist | {"inertia": [1e4 * x for x in round_ball]}
     assert [line for line in told(data) if "wrist" in line and "times the size" in line]
+
+
+@pytest.mark.parametrize("mended", list(itertools.product((False, True), repeat=3)))
+def test_inertias_are_told_whichever_way_their_bodies_point(mended: tuple[bool, ...]) -> None:
+    """Three wrists 9 cm long with the one flat inertia of a body of half a metre: two are long across it, one along."""
+    data = grounded(3, 0, coupled=False)
+    flat, meant = [0.11, 0.11, 0.22, 0.0, 0.0, 0.0], [2.6e-3, 2.6e-3, 2.2e-3, 0.0, 0.0, 0.0]
+    # Each longest radius of gyration is more than 4.5 lengths, or less than half of one.
+    assert math.sqrt(0.22 / 1.2) > 4.5 * 0.095
+    assert math.sqrt(2.6e-3 / 1.2) < 0.5 * 0.095
+    parent, place = data["bodies"][-1]["name"], [0.4, 0.0, 0.0]
+    for k, (own, way) in enumerate(zip(mended, ([0.0, 0.095, 0.0], [0.0, 0.0, 0.095], [0.095, 0.0, 0.0]), strict=True)):
+        joint = {"name": f"turn{k}", "kind": "hinge", "axis": [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]][k % 2]}
+        wrist = {"name": f"wrist{k}", "parent": parent, "joint": joint, "position": place, "mass": 1.2}
+        data["bodies"].append(wrist | {"com": [0.0, 0.0, 0.0], "inertia": meant if own else flat})
+        parent, place = f"wrist{k}", way
+    data["end_point"] = {"body": parent, "position": place, "rows": ["x", "y", "z"]}
+    found = [finding.field for finding in _findings(data) if "radius of gyration" in finding.sentence]
+    assert found == [f"body 'wrist{k}'.inertia" for k in range(3) if not mended[k]]
 
 
 @pytest.mark.parametrize("call", ["evaluate", "simulate", "select"])
