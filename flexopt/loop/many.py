@@ -23,7 +23,7 @@ from flexopt.loop.assembly import OneSample
 from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME, Parts, SmallMotions
-from flexopt.loop.spectrum import all_without_neutral, balance, neutral_directions
+from flexopt.loop.spectrum import all_without_neutral, balance, neutral_directions, poles_of
 from flexopt.model import AnyMachine
 
 Stack = tuple[NDArray[np.int64], int]
@@ -88,8 +88,9 @@ def decays(
             stacks = list(_stacks(motions, chunk, late[here]))
             work = pool.map(partial(_slowest, excess, settings.rate, parts, late[here]), stacks)
             for (places, _), (values, known) in zip(stacks, work, strict=True):
-                found.decay[start + places[known]] = -np.log(np.abs(values)) * settings.rate
-                found.frequency_hz[start + places[known]] = np.abs(np.angle(values)) * settings.rate / math.tau
+                poles = poles_of(values, 1 / settings.rate)
+                found.decay[start + places[known]] = -poles.real
+                found.frequency_hz[start + places[known]] = np.abs(poles.imag) / math.tau
                 alone += (start + places[~known]).tolist()
             if progress is not None:
                 progress(here.stop, count)

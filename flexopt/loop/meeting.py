@@ -101,8 +101,9 @@ def nearest(point: LoopPoint, share: float) -> Nearest | None:
 
     None where none are nearer than a share of their rate, or the slower of them is not as slow as the slowest.
     """
-    values = point.loop.multipliers
-    upper = values[values.imag >= 0][:SLOWEST_MOTIONS]
+    upper = point.upper[:SLOWEST_MOTIONS]
+    # What is over after some samples has no logarithm.
+    upper = upper[upper != 0]
     pairs = [*combinations(range(len(upper)), 2), *((k, k) for k in np.flatnonzero(upper.imag > 0).tolist())]
     rates, found = -np.log(np.abs(upper)), list[tuple[float, tuple[int, int]]]()
 

@@ -30,6 +30,7 @@ from flexopt.loop.spectrum import (
     balance,
     eigenvectors,
     neutral_directions,
+    poles_of,
     spectrum,
     without_neutral,
 )
@@ -178,10 +179,20 @@ class LoopPoint:
         """One multiplier of each motion, by size, the slowest first."""
         return self.loop.multipliers[self.loop.multipliers.imag >= 0].astype(complex)
 
+    @property
+    def upper_poles(self) -> ComplexArray:
+        """Those of `upper`, rad/s; see `poles_of`."""
+        return poles_of(self.upper, self.period)
+
     def rate(self, branch: int = 0) -> Measured:
-        """−ln|μ| / T, 1/s, of the multipliers (one of each pair) by size, the slowest first: how fast it decays."""
+        """−ln|μ| / T, 1/s, of the multipliers (one of each pair) by size, the slowest first: how fast it decays.
+
+        Infinite, without a derivative, where μ = 0.
+        """
         if branch >= len(self.upper):
             return UNDEFINED
+        if not self.upper[branch]:
+            return Measured(math.inf)
         mu, by_matrix = self._by_multiplier(self.upper[branch], lambda mu: -1 / (mu * self.period))
         slopes = self.smooth.slopes(by_matrix) if np.all(np.isfinite(by_matrix)) else None
         return Measured(-math.log(abs(mu)) / self.period, slopes)
@@ -217,7 +228,7 @@ class LoopPoint:
         # An oscillation above half the sampling rate is seen as a real multiplier below zero.
         known = np.array([np.min(np.abs(self.loop.multipliers - value)) <= SAME for value in values])
         chosen = np.flatnonzero(known & (values.imag >= 0) & ((values.imag > 0) | (values.real < 0)))
-        poles = np.asarray(np.log(values[chosen]) / self.period, dtype=np.complex128)
+        poles = poles_of(values[chosen], self.period)
         shapes = self.motions.loop.to_q @ (scale[:, None] * vectors)[:n, chosen]
         moving = np.abs(poles) ** 2 * np.einsum("ik,ij,jk->k", shapes.conj(), mass, shapes).real
         strained = omega_squared[:, None] * np.abs(modes.T @ mass @ shapes) ** 2
@@ -263,7 +274,7 @@ class LoopPoint:
             opened = self.sample.open / scale[:, None] * scale
             each = opened + 10.0 ** exponents[:, None, None] * (balanced - opened)
             radius = np.abs(np.linalg.eigvals(kept @ each @ kept.T)).max(axis=1)
-            known = (np.log(radius) / self.period).tolist()
+            known = poles_of(radius, self.period).real.tolist()
         found = stable_intervals(self.growth_at, LOW, HIGH, POINTS, known, UNDAMPED / self.period)
         return tuple((10**low, 10**high) for low, high in found)
 
@@ -366,9 +377,9 @@ class LoopPoint:
         angles = np.concatenate([np.geomspace(SLOWEST, math.pi, 500), near.ravel()])
         angles = np.unique(angles[(angles >= SLOWEST) & (angles <= math.pi)])
         response = _Response(self.sample)
-        sizes = np.log(np.abs(response.eigenvalues(angles)))
+        beyond = np.abs(response.eigenvalues(angles)) > 1
         found: list[_Crossing] = []
-        for k, row in np.argwhere((sizes[1:] > 0) != (sizes[:-1] > 0)).tolist():
+        for k, row in np.argwhere(beyond[1:] != beyond[:-1]).tolist():
             angle = response.crossing(row, angles[k], angles[k + 1])
             late = (response.phase(row, angle) + math.pi) % math.tau / angle
             found.append(_Crossing(late * self.period, angle, row))

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from flexopt.errors import InputError
 from flexopt.foundation.arrays import ComplexArray, Vector
@@ -48,6 +48,19 @@ def slow_self_motion(drift: Sequence[float], decay: float) -> list[str]:
     return [f"the arm's self-motion, no part of the decay, dies away at {slowest:.3g}/s"] if lasts else []
 
 
+def poles_of(multipliers: ArrayLike, period: float) -> ComplexArray:
+    """Ln μ / T of multipliers μ (...), rad/s, imaginary parts up to the Nyquist frequency.
+
+    Real part −∞, imaginary part 0, where μ = 0: a motion that is over after some samples.
+    """
+    # -0 + 0 is 0, whose angle is 0, not π.
+    mu = np.asarray(multipliers, dtype=np.complex128) + 0.0
+    with np.errstate(divide="ignore"):
+        rates = np.log(np.abs(mu)) / period
+    # Part by part: a complex quotient makes NaN of −∞.
+    return rates + 1j * np.angle(mu) / period
+
+
 @dataclass(frozen=True)
 class SampledLoop:
     """The linear loop x_{k+1} = Φ x_k about equilibrium.
@@ -73,12 +86,12 @@ class SampledLoop:
     @property
     def growth_rate(self) -> float:
         """Max ln|μ| / T, 1/s: below 0 the loop is stable."""
-        return float(np.log(np.abs(self.multipliers[0])) / self.period)
+        return float(poles_of(self.multipliers[:1], self.period)[0].real)
 
     @property
     def poles(self) -> ComplexArray:
-        """Ln μ / T, rad/s, imaginary parts up to the Nyquist frequency."""
-        return cast(ComplexArray, np.log(self.multipliers) / self.period)
+        """Of all multipliers, rad/s."""
+        return poles_of(self.multipliers, self.period)
 
     @property
     def frequency_hz(self) -> float:

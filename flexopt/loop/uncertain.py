@@ -17,7 +17,7 @@ from typing import Any, cast
 import numpy as np
 
 from flexopt.errors import Fault
-from flexopt.foundation.arrays import ComplexArray, Vector
+from flexopt.foundation.arrays import Vector
 from flexopt.loop.many import decays
 from flexopt.loop.outcome import HIGH, UNDAMPED, LoopPoint, Measured
 from flexopt.loop.settings import LoopSettings
@@ -205,12 +205,6 @@ class UncertaintyBox:
         return dict(zip(self.names, self.theta(u).tolist(), strict=True))
 
 
-def _motions(at: LoopPoint) -> ComplexArray:
-    """Ln μ / T of each, 1/s; of what is over after some samples −∞."""
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(at.upper) / at.period, dtype=np.complex128)
-
-
 def _between(ends: tuple[float, float] | None, x: float) -> float:
     low, high = ends or (0.0, 0.0)
     return low + x * (high - low)
@@ -307,7 +301,7 @@ class UncertainLoop:
         By the slopes of ln ω at u: those of its slowest oscillations.
         """
         at = self.outcome(u)
-        motions = np.flatnonzero(_motions(at).imag > 0)[:PAIRED].tolist()
+        motions = np.flatnonzero(at.upper_poles.imag > 0)[:PAIRED].tolist()
         # Of two that meet at the real axis the refined one may be real.
         each = [omega for omega in map(at.frequency, motions) if omega.value > 0]
         logs = np.array([math.log(omega.value) for omega in each])
@@ -324,7 +318,7 @@ class UncertainLoop:
     def _promising(self, u: Vector, least: float) -> list[complex]:
         """Of a member's slowest motions, ln μ / T of those whose rates, `BENT` times as steep, fall below `least`."""
         at, found = self.outcome(u), list[complex]()
-        for k, pole in enumerate(_motions(at)[:MOTIONS].tolist()):
+        for k, pole in enumerate(at.upper_poles[:MOTIONS].tolist()):
             rate = at.rate(k)
             slopes = np.nan_to_num(self.slopes(u, at, rate))
             if rate.value + BENT * float(np.minimum(-slopes * u, slopes * (1.0 - u)).sum()) < least:
@@ -340,7 +334,7 @@ class UncertainLoop:
         there = u
         for _ in range(STEPS):
             at = self.outcome(there)
-            poles = _motions(at)
+            poles = at.upper_poles
             k = int(np.argmin(np.abs(poles - motion)))
             rate = at.rate(k)
             if rate.value < best:

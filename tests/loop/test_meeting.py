@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import cmath
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.meeting import meeting
+from flexopt.loop.meeting import meeting, nearest
 from flexopt.loop.spectrum import balance
 
 SIZE = 8
@@ -63,3 +66,18 @@ def test_mean_and_squared_difference(kind: str, apart: float) -> None:
 def test_three_do_not_make_a_pair() -> None:
     matrix = np.diag([0.9, 0.9 + 1e-9, 0.9 - 1e-9, 0.2]) + np.diag([1.0, 1.0, 0.0], 1)
     assert meeting(balance(matrix), 0.9, 0.9) is None
+
+
+def test_what_is_over_after_some_samples_meets_nothing() -> None:
+    """Two oscillations near to each other, beside multipliers that are 0 and as near."""
+    block, squared = blocks("oscillations", 1e-6)
+    matrix = block_diag(block, np.array([[0.0, 1.0], [0.0, 0.0]]))
+    root, at = cmath.sqrt(squared), AT["oscillations"]
+    upper = np.array([*sorted([at + root, at - root], key=abs, reverse=True), 0.0, 0.0])
+    smooth = SimpleNamespace(matrix=matrix, slopes=lambda by: by)
+    point: Any = SimpleNamespace(upper=upper, period=0.5, smooth=smooth)
+    found = nearest(point, 0.1)
+    assert found is not None
+    assert found.branches == (0, 1)
+    assert found.oscillate
+    assert found.mean.value == pytest.approx(-math.log(abs(at)) / 0.5, abs=1e-5)

@@ -7,14 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import solve_discrete_lyapunov
+from scipy.linalg import block_diag, solve_discrete_lyapunov
 
 import flexopt
+from flexopt.article.loop_findings import _rate_near
 from flexopt.loop.assembly import OneSample
 from flexopt.loop.disturbance import left_over, summed, summed_to_rounding
 from flexopt.loop.outcome import MEASURES, LoopPoint
 from flexopt.loop.small_motions import small_motions
+from flexopt.loop.spectrum import SampledLoop, spectrum
 from flexopt.loop.tangent import exponential
+from flexopt.selection.outcomes.branches import rates_of
 from tests.oracles.late_cases import draw_case, nonlinear_growth, slopes_off
 from tests.oracles.late_loop import LateLoop, directional
 from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
@@ -305,6 +308,55 @@ def test_what_is_not_defined_is_nan():
         assert all(np.isnan(slope).all() for slope in grows.gradient(measured).values())
     # Weaker feedback leaves the base's own damping.
     assert 0 < grows.allowed_gain().value < grows.numbers["kp"][0]
+
+
+def test_poles_of_what_is_over_after_some_samples() -> None:
+    """A pair and a decay by their s, beside a force that waits for two samples and then acts on nothing."""
+    period, pair, slow = 0.01, complex(-0.3, 40.0), -7.0
+    angle = pair.imag * period
+    turn = np.exp(pair.real * period) * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    waiting = np.array([[0.0, 1.0], [0.0, 0.0]])
+    loop = spectrum(block_diag(turn, np.exp(slow * period), waiting), period, 0, 0, own=lambda: pytest.fail("no arm"))
+    found = sorted(loop.poles.tolist(), key=lambda s: (-s.real, -s.imag))
+    np.testing.assert_allclose(found[:3], [pair, pair.conjugate(), slow], rtol=1e-12)
+    assert found[3:] == [complex(-math.inf, 0.0)] * 2
+    # The one next to any frequency has one.
+    assert _rate_near(loop, 6.0) == pytest.approx(pair.real)
+    # A loop of which all is over then, its zeros with signs.
+    nothing = SampledLoop(np.array([-0.0, 0.0], dtype=complex), period)
+    assert nothing.poles.tolist() == [complex(-math.inf, 0.0)] * 2
+    assert nothing.growth_rate == -math.inf
+    assert nothing.stable
+    assert nothing.aperiodic
+
+
+@pytest.mark.parametrize("late", [0.005, 0.01, 0.03])
+def test_a_law_that_acts_on_nothing_leaves_the_machine_alone(late: float) -> None:
+    """Of a servo without gain nothing comes, so that commands wait whole samples in vain: multipliers that are 0.
+
+    The rest is the machine with free joints, M q'' + D q' + K q = 0: its eigenvalues.
+    """
+    point = outcome(EXCAVATOR, POSTURE_A, late, served=True)
+    q, of, plant = point.configuration, point.numbers, point.motions.plant
+    inertia = plant.mass(q, of["base"], of["p"]).full()
+    n = len(inertia)
+    springs, dampers = plant.stiffness(of["p"]).full(), plant.damping(of["p"]).full()
+    first = np.block(
+        [[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(inertia, springs), -np.linalg.solve(inertia, dampers)]]
+    )
+    own = sorted((s for s in np.linalg.eigvals(first) if s.imag > 1.0), key=abs)
+    assert len(own) == 3
+    poles, waits = point.loop.poles, 2 * round(late / point.period)
+    assert np.count_nonzero(point.loop.multipliers == 0) == waits
+    assert np.count_nonzero(poles == complex(-math.inf, 0.0)) == waits
+    assert not np.isnan(poles).any()
+    np.testing.assert_allclose(sorted((s for s in poles if s.imag > 1.0), key=abs), own, rtol=1e-7)
+    # Rates of all; of those that there are no search is told.
+    rates = [point.rate(k) for k in range(len(point.upper))]
+    assert [rate.value for rate in rates[-waits:]] == [math.inf] * waits
+    assert all(rate.slopes is None for rate in rates[-waits:])
+    assert all(math.isfinite(rate.value) for rate in rates[:-waits])
+    assert all(map(math.isfinite, rates_of(point)))
 
 
 def test_dead_times_beside_whole_samples():

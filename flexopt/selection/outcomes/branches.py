@@ -99,9 +99,9 @@ class Measure(ABC):
 
 
 def rates_of(point: LoopPoint) -> list[float]:
-    """The rates of the slowest motions, 1/s, the least first."""
-    rates: list[float] = (-np.log(np.abs(point.upper[:SLOWEST_MOTIONS])) / point.period).tolist()
-    return rates
+    """The rates of the slowest motions, 1/s, the least first; without those that are over after some samples."""
+    rates = -point.upper_poles[:SLOWEST_MOTIONS].real
+    return rates[np.isfinite(rates)].tolist()
 
 
 def slopes_of(point: LoopPoint, branch: int) -> dict[str, Vector]:
