@@ -52,13 +52,13 @@ class ArticleFinding(Result):
 def posture_b(table: ArticleTable) -> ArticleFinding:
     """Do the measures printed for posture B belong to the end-point printed for it?"""
     rows = {row.reading: row for row in table.rows if row.posture == "B"}
-    worst = {reading: float(np.abs(row.deviation).max()) for reading, row in rows.items()}
+    worst = {reading: float(max(row.deviation, key=abs)) for reading, row in rows.items()}
     printed = next(reading for reading in worst if reading.startswith("printed"))
     other = next(reading for reading in worst if "1.5575" in reading)
-    holds = worst[printed] <= 0.01
+    holds = abs(worst[printed]) <= 0.01
     sentence = (
-        f"At the printed point a measure is off by {100 * worst[printed]:.0f} %, at (1.5575, 1.0870) m all three are "
-        f"within {100 * worst[other]:.2f} %: the printed measures belong to that point."
+        f"At the printed point a measure deviates by {100 * worst[printed]:+.0f} %, at (1.5575, 1.0870) m all three by "
+        f"at most {100 * abs(worst[other]):.2f} %: the printed measures belong to that point."
     )
     return ArticleFinding(
         "posture B", "1.32687 m (workspace)", "Table 2, posture B", holds, sentence, {"deviation": worst}

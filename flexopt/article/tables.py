@@ -36,6 +36,10 @@ X_MOBILE = {"A": 0.0, "B": -1.5}
 WORKSPACE_B_OF_MEASURES = (1.5575, 1.0870)
 # Where kr is looked for, log10.
 GAIN_DECADES = (4.0, 7.0)
+# What of the rows' deviations is told beside them.
+DEVIATION = (
+    "of w_i (computed − printed) / printed, + where it is larger in magnitude than printed; of ε_max computed − printed"
+)
 NOTE = (
     "Posture A is met to 0.25 % (w3 is printed with one digit); its three inputs differ in the fourth digit. The "
     "article does not print the servo gain kr of ε_max: it is inferred from posture A, so that posture B is the check. "
@@ -66,9 +70,9 @@ class ArticleRow(Result):
 
     @property
     def deviation(self) -> Vector:
-        """(computed − printed) / |printed|, for each w_i."""
+        """(computed − printed) / printed, for each w_i: above 0 where it is larger in magnitude than printed."""
         printed = np.array(self.printed_w)
-        return (self.evaluation.w - printed) / np.abs(printed)
+        return (self.evaluation.w - printed) / printed
 
     @property
     def epsilon_max_deviation(self) -> float:
@@ -115,8 +119,7 @@ class ArticleTable(Result):
     def __repr__(self) -> str:
         gain = self.inferred
         lines = [
-            "Table 2, inverse control: computed, printed, and the deviation: of w_i, 1/(kg m2), as a share of what is "
-            "printed, of ε_max the difference",
+            f"Table 2, inverse control, w_i in 1/(kg m2): computed, printed, and the deviation: {DEVIATION}",
             f"kr = {gain.kr:.4g} N m gives posture A ({gain.reading}) its printed ε_max = {gain.printed}; "
             f"{gain.interval[0]:.4g} to {gain.interval[1]:.4g} round to it. kr = {gain.other:.4g} would, too, "
             f"but makes posture B, at the point of its measures, {gain.other_epsilon_b:.4f}, "
@@ -131,9 +134,9 @@ class ArticleTable(Result):
                 f"posture {row.posture}: {row.reading}; workspace ({x:.4f}, {y:.4f}) m, posture ({angles}) rad"
             )
             for i, w in enumerate(e.w):
-                lines.append(f"  w{i + 1} {w:13.5e} {row.printed_w[i]:13.4e} {row.deviation[i]:+11.2e}")
-            off = row.epsilon_inferred - row.printed_epsilon
-            lines.append(f"  ε_max {row.epsilon_inferred:11.6f} {row.printed_epsilon:13.4f} {off:+11.2e}")
+                lines.append(f"  w{i + 1} {w:13.5e} {row.printed_w[i]:13.4e} {row.deviation[i]:+11.2%}")
+            off = f"{row.epsilon_max_deviation:+11.2e}"
+            lines.append(f"  ε_max {row.epsilon_inferred:11.6f} {row.printed_epsilon:13.4f} {off}")
         return "\n".join([*lines, "", self.note])
 
 

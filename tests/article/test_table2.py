@@ -43,11 +43,28 @@ def test_posture_b_contradicts_itself(table):
     printed_point = readings["printed workspace point (1.32687, 1.0870) m"]
     assert np.abs(printed_point.deviation).max() > 1.0
     np.testing.assert_allclose(printed_point.evaluation.w, [-0.0239e-4, -0.2354e-4, -0.3132e-4], atol=0.6e-8)
+    # Printed −0.0209e-4 and −0.0683e-4, computed −0.0239e-4 and −0.2354e-4: larger in magnitude by a seventh, and to 3.4 times.
+    np.testing.assert_allclose(printed_point.deviation[:2], [239 / 209 - 1, 2354 / 683 - 1], atol=3e-3)
     other = readings["workspace point (1.5575, 1.0870) m"]
     np.testing.assert_allclose(other.evaluation.w[:2], [-0.0209e-4, -0.0683e-4], atol=0.6e-8)
     # The prototype's figure is that of x = 1.560 m, a tenth of a percent away.
     np.testing.assert_allclose(other.evaluation.w[2], -0.3112e-4, rtol=1.1e-3)
     assert np.abs(other.deviation).max() < 4e-3
+
+
+def test_the_text_says_what_a_deviation_is_and_its_sign(table):
+    """Each row of three numbers as it is printed."""
+    text = repr(table)
+    assert "(computed − printed) / printed, + where it is larger in magnitude" in text
+    rows = re.findall(r"^  w\d +(\S+) +(\S+) +([+-][\d.]+)%$", text, re.MULTILINE)
+    assert len(rows) == 18
+    for computed, printed, percent in rows:
+        assert float(percent) == pytest.approx(100 * (float(computed) / float(printed) - 1), abs=6e-3)
+    assert any(float(percent) < 0 for _, _, percent in rows)
+    off = re.findall(r"^  ε_max +(\S+) +(\S+) +(\S+)$", text, re.MULTILINE)
+    assert len(off) == 6
+    for computed, printed, difference in off:
+        assert float(difference) == pytest.approx(float(computed) - float(printed), abs=6e-7, rel=6e-3)
 
 
 def test_document_carries_both_numbers(table):
