@@ -134,3 +134,19 @@ def test_a_table_prints_what_is_not_at_its_default() -> None:
     assert repr(flexopt.Sensor()) == "Sensor()"
     assert repr(flexopt.Sensor(noise=0.1)) == "Sensor(noise=0.1)"
     assert repr(flexopt.load_problem("article")) == "Problem('article' about machine 'excavator')"
+
+
+@pytest.mark.parametrize("limits", [(-2.00006, 2.00007), (-2.00004, 2.00003), (-2.5, 2.5)])
+def test_a_posture_at_its_limits_can_be_given_as_texts_tell_it(limits: tuple[float, float]) -> None:
+    """Four digits after the point may round a limit outwards; what is farther beyond is a fault."""
+    data = flexopt.load("excavator").to_dict()
+    data["links"][1]["limits"] = limits
+    machine = flexopt.machine_from_dict(data)
+    for limit, out in zip(limits, (-1.0, 1.0), strict=True):
+        told = float(f"{limit:.4f}")
+        found = flexopt.evaluate(machine, [0.3, told])
+        # Inwards it is the number given.
+        assert found.posture[1] == (limit if (told - limit) * out > 0 else told)
+        assert f"{told:.4f}" in str(found)
+        with pytest.raises(flexopt.InputError, match="must lie between"):
+            flexopt.evaluate(machine, [0.3, limit + 1.1e-4 * out])

@@ -856,3 +856,23 @@ def test_what_lies_outside_the_ranges_is_none_of_the_worst() -> None:
         worst = {"allowed_gain": 0, "delay_margin": 0, "settling": 1, "swing": 1}[measure]
         assert ends[1][worst] == pytest.approx(ends[0][worst], rel=1e-3)
     assert outside.decay.greatest <= inside.decay.greatest * (1 + 1e-9)
+
+
+def test_a_load_that_the_controller_does_not_know_is_named_where_the_arm_stays_off() -> None:
+    """Without an integral part the arm hangs where P feedback carries the difference; with one runs confirm."""
+    machine = flexopt.load("boom-stick-bucket")
+    problem = flexopt.build_selection(machine, (6.0, 1.0), base=0.0, starts=2, gravity=True)
+    chosen = flexopt.solve_selection(problem)
+    loop: dict[str, Any] = {"kp": 1.0, "kv": 0.0, "drive": "velocity", "servo_gain": 1e5}
+    asked: dict[str, Any] = {"ranges": {"payload.mass": (500.0, 1500.0)}, "members": 4, "runs": 2}
+    found = flexopt.verdict(chosen, loop=loop, **asked)
+    assert found.word == "cannot tell"
+    assert "the controller carries the weight of the machine's file" in found.reason
+    assert "m off" in found.reason
+    assert "feedback pid" in found.reason
+    assert all(place.runs is not None and set(place.runs.verdicts) == {"converges"} for place in found.places)
+    integrating = flexopt.verdict(chosen, loop=loop | {"feedback": "pid", "ki": 0.2}, **asked)
+    assert all(place.runs is not None and not any(place.runs.reasons) for place in integrating.places)
+    # The stiffness alone leaves the weight as the controller knows it.
+    known = flexopt.verdict(chosen, loop=loop, ranges={"stiffness": (0.5, 2.0)}, members=2, runs=2)
+    assert all(place.runs is not None and not any(place.runs.reasons) for place in known.places)
