@@ -133,17 +133,18 @@ class Outcome(Result):
         """Whether δ₁ = `first_order_decay` is off δ = `mode_decay` by more than the smaller of both, (m,).
 
         |δ₁ − δ| > min(|δ₁|, |δ|): one is more than twice the other, or they differ in sign, so that what is of higher
-        order in feedback and servos outweighs the first.
+        order in feedback, servos and dampers outweighs the first. So it is of a mode that swings no more.
         """
         first, exact = np.abs(self.first_order_decay), np.abs(self.mode_decay)
         off = np.abs(self.first_order_decay - self.mode_decay)
-        return off > np.minimum(first, exact) + self.decay_rounding
+        fails = off > np.minimum(first, exact) + self.decay_rounding
+        return fails | (np.isnan(exact) & np.isfinite(first))
 
     @property
     def why_first_order_fails(self) -> str:
         """What is too strong for the first order, a part of a sentence."""
-        servos = "the joints' velocity servos and the feedback are" if self.settings.servo_gain else "the feedback is"
-        return f"{servos} too strong for a first order"
+        servos = "the joints' velocity servos, " if self.settings.servo_gain else ""
+        return f"{servos}the feedback or the dampers are too strong for a first order"
 
     @property
     def despite_reserve(self) -> str:
@@ -190,18 +191,21 @@ class Outcome(Result):
             lines.append(
                 f"  {i + 1:4d} {allowed:{wide}.4g} {self.allowance_isotropic[i]:13.4g} {in_degrees(self.lag[i], 8, 1)} "
                 f"{in_degrees(self.lag_reserve[i], 8, 1)} {self.first_order_decay[i]:+7.4g} 1/s "
-                f"{self.frequencies_hz[i]:9.4f} Hz {self.damping_ratios[i]:10.3e}"
+                f"{_oscillation(self.frequencies_hz[i], self.damping_ratios[i])}"
             )
         fails = self.first_order_fails
         if fed := _modes((self.lag_reserve < 0) & (self.first_order_decay > 0) & ~fails):
             lines.append(f"  {fed}, reserve below 0: {self.despite_reserve}")
+        if still := _modes(np.isnan(self.frequencies_hz)):
+            lines.append(f"  {still}, –: no oscillation is left of it")
         if off := _modes(fails):
             lines.append(
                 f"  {off}: {self.why_first_order_fails}: 1st order is off the exact decay by more than a factor of 2, "
                 "and κ and reserve tell as little; frequency and damping are exact"
             )
         if len(self.other_frequencies_hz):
-            lines.append(f"  further slow oscillations of the loop, of the arm under its feedback: {self._others}")
+            what = "further oscillations of the loop that are slow or grow, mostly of the arm under its feedback"
+            lines.append(f"  {what}: {self._others}")
         why = from_sample_to_sample(
             -self.decay, self.decay_rounding, self.frequency_hz, self.settings.rate, self.settings.nullspace_damping
         )
@@ -247,6 +251,11 @@ def unseen_told(whose: str) -> str:
         f"the slowest motion of {whose} is one that the end-point does not show and no feedback excites: its decay is "
         "the machine's own; a base without its direction, as roll of an arm that moves in a plane, shows the others"
     )
+
+
+def _oscillation(hertz: float, ratio: float) -> str:
+    """A row's last two columns."""
+    return f"{'–':>9}    {'–':>10}" if math.isnan(hertz) else f"{hertz:9.4f} Hz {ratio:10.3e}"
 
 
 def _modes(which: NDArray[np.bool_]) -> str:

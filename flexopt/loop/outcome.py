@@ -81,6 +81,9 @@ class Measured(NamedTuple):
 
 
 UNDEFINED = Measured(math.nan)
+# Share of the energy of an oscillation that a mode's springs have at least where the mode has become it: a third to a
+# half of its own, some 1e-4 of another's.
+STRAINS = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,8 +215,8 @@ class LoopPoint:
 
         Oscillations s with shapes q are given to modes so that the shares of the modes' springs in their energy,
         e_i / (Σ_j e_j + |s|² qᴴ M q) with e_i = ω_i² |φ_iᵀ M q|², sum up to the most: a fast motion of servos, which
-        hardly strains the springs, is not taken for a mode. The others, (k,), the slowest decay first, are those
-        that are slower than the fastest of the modes, in frequency or in decay.
+        hardly strains the springs, is not taken for a mode, and one with a share below `STRAINS` for none. The others,
+        (k,), the slowest decay first, are those that are slower than the fastest of the modes, in frequency or decay.
 
         Args:
             modes: φ (n_q, m), φᵀ M φ = 1.
@@ -232,13 +235,16 @@ class LoopPoint:
         shapes = self.motions.loop.to_q @ (scale[:, None] * vectors)[:n, chosen]
         moving = np.abs(poles) ** 2 * np.einsum("ik,ij,jk->k", shapes.conj(), mass, shapes).real
         strained = omega_squared[:, None] * np.abs(modes.T @ mass @ shapes) ** 2
-        of_mode, of_pole = linear_sum_assignment(
-            -strained / np.maximum(strained.sum(axis=0) + moving, np.finfo(float).tiny)
-        )
+        shares = strained / np.maximum(strained.sum(axis=0) + moving, np.finfo(float).tiny)
+        of_mode, of_pole = linear_sum_assignment(-shares)
+        # A mode that swings no more, as an overdamped one, is left with one that is not its own.
+        own = shares[of_mode, of_pole] > STRAINS
+        of_mode, of_pole = of_mode[own], of_pole[own]
         found = np.full(modes.shape[1], complex(math.nan, math.nan))
         found[of_mode] = poles[of_pole]
         others = np.delete(poles, of_pole)
-        fastest, shortest = (np.max(x, initial=0.0) for x in (np.abs(poles[of_pole]), -poles[of_pole].real))
+        fastest = max(np.abs(poles[of_pole]).max(initial=0.0), math.sqrt(omega_squared.max(initial=0.0)))
+        shortest = np.max(-poles[of_pole].real, initial=0.0)
         others = others[(np.abs(others) < fastest) | (-others.real < shortest)]
         return found, others[np.argsort(-others.real)]
 

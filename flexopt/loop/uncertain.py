@@ -364,23 +364,24 @@ class UncertainLoop:
         return float(found.fun), np.clip(found.x, 0.0, 1.0)
 
     def worst(
-        self, measure: str, few: Sequence[PointAt], members: Vector, slowest: Vector, known: float = math.inf
+        self, measure: str, few: Sequence[PointAt], members: Vector, slowest: Vector, known: float | None = None
     ) -> tuple[list[float], list[ValueAt]]:
         """One of `SENSES`' measures at a few members, and what a search from there finds of worse ones.
 
         Gradients lead to corners; of gains and dead times that the loop bears all members are looked at, up to the
-        least that is known; of all but gains lines across the box through the worst. NaN, where a loop grows, is as
-        bad as can be, and ends the search.
+        least that is known; of dead times and settling lines across the box through the worst. NaN, where a loop
+        grows, is as bad as can be, and ends the search.
 
         Args:
             measure: by name.
             few: loops whose values are told, and their members.
             members: (n, k);  slowest: the member that decays slowest.
-            known: the least that is known of other loops; of these only what is less is looked for.
+            known: the worst that is known of other loops; of these only what is worse is looked for.
         """
+        known = SENSES[measure] * math.inf if known is None else known
         values: list[float] = [getattr(point, measure)().value for point, _ in few]
         further = self.farther(measure, few, values)
-        told = [*values, *(value for value, _ in further), known]
+        told, sense = [*values, *(value for value, _ in further), known], SENSES[measure]
         if any(map(math.isnan, told)):
             return values, further
         if measure == ALLOWED_GAIN:
@@ -389,11 +390,10 @@ class UncertainLoop:
             further += self.shorter_margins(members, min(told))
         if any(math.isnan(value) for value, _ in further):
             return values, further
-        sense = SENSES[measure]
         middle = np.full(members.shape[1], 0.5)
         looked: list[ValueAt] = [(x, middle if u is None else u) for x, (_, u) in zip(values, few, strict=True)]
         worst, there = min([*looked, *further], key=lambda each: sense * each[0])
-        if sense < 0 or worst <= known:
+        if measure in (DELAY_MARGIN, SETTLING) and sense * worst <= sense * known:
             further += self.across(measure, worst, there)
         return values, further
 

@@ -21,7 +21,7 @@ from flexopt.plotting.sheet import Sheet, picture
 from flexopt.plotting.units import labelled, measure_label, objective_label
 from flexopt.robustness.evaluation import Evaluation, unreached, without_rounding
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.selection.result import Selection
+from flexopt.selection.result import Candidate, Selection
 
 BRANCHES = {-1.0: (0, "elbow up"), 1.0: (1, "elbow down")}
 # Fraction of the scan that sets the lower end of the axes: near singular postures the measures fall without end.
@@ -126,13 +126,18 @@ def _draw_scan(axes: Axes, selection: Selection, values: Points) -> None:
             axes.plot(x, y, ".", color=color, markersize=2.5, alpha=0.5, label=name)
 
 
+def _others(selection: Selection) -> list[Candidate]:
+    """The candidates but the chosen one, which a verdict may prefer to the first."""
+    return [candidate for candidate in selection.candidates if candidate is not selection.best]
+
+
 def _draw_measure(axes: Axes, selection: Selection, mode: int) -> None:
     scan, best, initial, inks = selection.problem.scan, selection.best.evaluation, selection.initial, colors()
     _draw_scan(axes, selection, scan.w[mode])
     drawn = [best] if initial is None else [best, initial]
     floor = min(float(np.quantile(scan.w[mode], WORST_SHOWN)), *(e.w[mode] for e in drawn))
     bottom = 1.12 * floor
-    others = [(c.evaluation.base[0], c.evaluation.w[mode]) for c in selection.candidates[1:]]
+    others = [(c.evaluation.base[0], c.evaluation.w[mode]) for c in _others(selection)]
     # One that is far worse would leave nothing to be seen of all the others.
     for marker, name, shown in (
         ("o", "other local optima", [at for at in others if at[1] >= bottom]),
@@ -162,14 +167,14 @@ def _mark(axes: Axes, selection: Selection, chosen: float, present: float | None
 
 def _draw_objective(axes: Axes, selection: Selection) -> None:
     """The objective of all candidates, and of the present configuration, over their placements."""
-    first, *others = selection.candidates
+    others = _others(selection)
     present, label = _objective_now(selection)
     at = np.array([(other.evaluation.base[0], other.objective) for other in others]).reshape(-1, 2)
     axes.plot(
         *at.T, "o", color=colors().page, markeredgecolor=colors().other, markersize=4.5, linestyle="none",
         label="other local optima" if others else "_", zorder=4,
     )  # fmt: skip
-    _mark(axes, selection, first.objective, present)
+    _mark(axes, selection, selection.best.objective, present)
     along = selection.along_redundancy() if isinstance(selection, OutcomeSelection) else None
     if along is not None and not np.isnan(along).all():
         low, high = np.nanquantile(along, [WORST_SHOWN, 1.0])
@@ -192,7 +197,7 @@ def draw_candidates(panels: Sequence[Axes], selection: Selection) -> None:
     best, initial, inks = selection.best.evaluation, selection.initial, colors()
     modes = np.arange(best.w.size)
     labels = [f"{k + 1}\n{hz:.2f}" for k, hz in enumerate(best.frequencies_hz)]
-    others = [candidate.evaluation for candidate in selection.candidates[1:]]
+    others = [candidate.evaluation for candidate in _others(selection)]
     for panel, share in zip(panels[:2], (False, True), strict=True):
         shown = [(0.0 if initial is None else 0.2, best, inks.chosen, "chosen")]
         shown += [] if initial is None else [(-0.2, initial, inks.present, "present")]
@@ -226,10 +231,14 @@ def _shares(evaluation: Evaluation) -> Points:
 
 
 def _draw_ranks(axes: Axes, selection: Selection) -> None:
-    ranks, inks = np.arange(1, len(selection.candidates) + 1), colors()
-    values = np.array([candidate.objective for candidate in selection.candidates])
-    axes.plot(ranks[1:], values[1:], "o", color=inks.page, markeredgecolor=inks.other, markersize=4.5, linestyle="none")
-    axes.plot(ranks[0], values[0], "*", color=inks.chosen, markersize=14, markeredgecolor=inks.edge)
+    ranked, inks = list(enumerate(selection.candidates, start=1)), colors()
+    others = [(rank, each.objective) for rank, each in ranked if each is not selection.best]
+    chosen = [(rank, each.objective) for rank, each in ranked if each is selection.best]
+    for shown, marker, size, color, edge in (
+        (others, "o", 4.5, inks.page, inks.other), (chosen, "*", 14.0, inks.chosen, inks.edge),
+    ):  # fmt: skip
+        at = np.array(shown).reshape(-1, 2).T
+        axes.plot(*at, marker, color=color, markeredgecolor=edge, markersize=size, linestyle="none")
     now, label = _objective_now(selection)
     if now is not None:
         axes.axhline(now, color=inks.present)
@@ -237,7 +246,7 @@ def _draw_ranks(axes: Axes, selection: Selection) -> None:
     axes.set_ylabel(label)
     # Of one candidate, too, there is no rank between two.
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-    axes.set_xlim(0.5, max(len(values), 1) + 0.5)
+    axes.set_xlim(0.5, max(len(ranked), 1) + 0.5)
 
 
 def _objective_now(selection: Selection) -> tuple[float | None, str]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.problem import SelectionProblem, beyond_bounds, value_at
+from flexopt.selection.problem import AT_END, SelectionProblem, beyond_bounds, value_at
 from flexopt.selection.starts import idle_joints, violated
 
 # Joints that differ by less, in scaled variables, are the same posture.
@@ -167,7 +167,7 @@ def past_stops(problem: SelectionProblem, z: Vector) -> Vector | None:
     for k in range(len(problem.machine.base_coordinates), z.size):
         ends = problem.lower[k], problem.upper[k]
         if problem.variables[k].unit == "rad" and ends[1] - ends[0] >= math.tau:
-            others = [end for end in ends if abs(z[k] - end) > ON_ROWS * problem.scale[k]]
+            others = [end for end in ends if abs(z[k] - end) > AT_END * problem.scale[k]]
             turned = here.copy()
             turned[k] = z[k] - math.tau if others == [ends[0]] else z[k] + math.tau
             if len(others) == 1 and _kept(problem, turned) and _alike(problem, z, turned):

@@ -72,7 +72,30 @@ def test_a_first_order_with_the_wrong_sign_does_not_tell():
     found = flexopt.outcome(arm, posture, loop={"kp": 1e4, "kv": 1e3, "drive": "torque"})
     assert found.first_order_decay[0] * found.mode_decay[0] < 0
     assert found.first_order_fails[0]
-    assert f"  mode 1: the feedback is {TOO_STRONG}" in repr(found)
+    assert f"  mode 1: the feedback or the dampers are {TOO_STRONG}" in repr(found)
+
+
+@pytest.mark.parametrize(("coordinate", "damper"), [("x", 2e6), ("rotation", 3e5), ("y", 50.0)])
+def test_a_mode_that_a_damper_keeps_from_swinging_has_become_no_oscillation(coordinate, damper):
+    """With next to no feedback the loop's oscillations are those of M, D and K; an overdamped mode is left without."""
+    data = flexopt.load("excavator").to_dict()
+    data["base"]["damping"][coordinate] = damper
+    machine, posture = flexopt.machine_from_dict(data), (0.992, -1.4056)
+    plant = flexopt.build_plant(machine)
+    p, m = plant.parameter_values, plant.n_passive
+    rest = plant.rest([0.0], posture, p)
+    inverse = np.linalg.inv(plant.mass(rest, [0.0], p).full())
+    damping, stiffness = (part(p).full() for part in (plant.damping, plant.stiffness))
+    n = len(inverse)
+    a = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ damping]])
+    swinging = sorted(abs(pole) / math.tau for pole in np.linalg.eigvals(a) if pole.imag > 1e-6)
+    found = flexopt.outcome(machine, posture, loop={"kp": 1.0, "kv": 0.1})
+    left = found.frequencies_hz[np.isfinite(found.frequencies_hz)]
+    assert len(swinging) == m - (damper > 50.0)
+    np.testing.assert_allclose(np.sort(left), swinging, rtol=1e-4)
+    assert (repr(found).count("no oscillation is left of it") == 1) == (damper > 50.0)
+    assert np.all(found.first_order_fails[np.isnan(found.frequencies_hz)])
+    assert "nan" not in repr(found)
 
 
 @pytest.mark.parametrize(
@@ -98,9 +121,9 @@ def test_no_slow_oscillation_is_left_out(loop, count):
     others = math.tau * found.other_frequencies_hz * found.other_damping_ratios
     assert len(others) == count
     assert np.all(np.diff(others) > 0)
-    line = [x for x in repr(evaluation).splitlines() if "further slow oscillations" in x]
+    line = [x for x in repr(evaluation).splitlines() if "further oscillations" in x]
     assert len(line) == bool(count)
     for hertz, ratio, rate in zip(found.other_frequencies_hz, found.other_damping_ratios, others, strict=True):
         assert f"{hertz:.4g} Hz, damping {ratio:.3g} (decay {rate:.4g}/s)" in line[0]
     if count:
-        assert "further slow oscillations" in evaluation._repr_html_()
+        assert "further oscillations" in evaluation._repr_html_()

@@ -105,7 +105,15 @@ def test_nothing_is_said_that_runs_do_not_confirm() -> None:
     for stay, others in ((STAY, []), (STAY, [better]), (place("stay", -GROUNDS), [better])):
         told = decide(stay, others, unconfirmed={"stay": "the end-point is 0.4 m off", "near": "it is 0.5 m off"})
         assert told.word == "cannot tell"
-        assert told.reason.endswith("0.5 m off)" if stay is not STAY else "(the end-point is 0.4 m off)")
+        assert told.reason.endswith("(it is 0.5 m off)" if others else "(the end-point is 0.4 m off)")
+    # Each with its own; what is why of all once.
+    two = [better, place("far", GROUNDS)]
+    ends = {
+        "confirm the present place (A), near (B) and far (A)": {"stay": "A", "near": "B", "far": "A"},
+        "confirm the present place, near and far (A)": {"stay": "A", "near": "A", "far": "A"},
+    }
+    for words, doubts in ends.items():
+        assert decide(STAY, two, unconfirmed=doubts).reason.endswith(words)
     assert decide(place("stay", -GROUNDS), [better], unconfirmed={"near": ""}).word == "cannot tell"
 
 

@@ -126,11 +126,24 @@ def test_the_chosen_place_is_the_verdicts(judged: flexopt.Report) -> None:
     assert judged.marks["chosen"] == pytest.approx(arm.tolist(), abs=1e-12)
     best = judged.selection.best.evaluation.skeleton
     assert abs(arm - (best[:, -1] - best[:, 1])).max() > 1.0
+    figure = judged.about.plot()
+    # Of every panel over the base's place: the star, and one dot for each of the others.
+    for axes in figure.axes:
+        drawn = {line.get_label(): np.atleast_1d(line.get_xdata()).astype(float) for line in axes.get_lines()}
+        if "chosen" in drawn:
+            assert drawn["chosen"] == pytest.approx(stand.base)
+            dots = np.concatenate([drawn.get(name, []) for name in ("other local optima", "further below")])
+            numbered = enumerate(judged.selection.candidates, start=1)
+            bases = [each.z[0] for k, each in numbered if f"candidate {k}" != verdict.place]
+            assert sorted(dots) == pytest.approx(sorted(bases))
+    assert sum("chosen" in [line.get_label() for line in axes.get_lines()] for axes in figure.axes) == 3
     page = Parsed(page_text(judged))
     words = f"Chosen: {verdict.place}, which the verdict is about; candidate 1 has the best w1."
     assert [text.count(words) for _, text in page.all("figcaption")].count(1) == 1
     assert words in [text for _, text in page.all("p")]
-    assert f"{verdict.place} (chosen: the verdict's)" in {text for tag in ("th", "td") for _, text in page.all(tag)}
+    assert f"{verdict.place} (drawn as chosen: the verdict's)" in {
+        text for tag in ("th", "td") for _, text in page.all(tag)
+    }
 
 
 @pytest.mark.long

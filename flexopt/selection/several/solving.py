@@ -16,8 +16,10 @@ from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.plain import counted
 from flexopt.foundation.processes import in_parallel
 from flexopt.selection.assumed import in_the_way
+from flexopt.selection.continua import past_stops
 from flexopt.selection.nlp.program import SOLVED, Program
 from flexopt.selection.optima import (
+    SAME_POINT,
     SolveOutcome,
     accepted,
     climbed_from,
@@ -97,6 +99,27 @@ def end_from(program: Program, start: Vector) -> End:
     end = _end(program, start)
     again = _end(program, end.x) if end.violations and end.status in SOLVED else end
     return end if again.violations else again
+
+
+def past_ends_of_joints(program: Program, good: list[End]) -> list[End]:
+    """The optima; of one that rests at a joint's end, a turn from where it may go on, what is there; each once."""
+    kept = list[End]()
+    for end in good:
+        there = end
+        # The joint of another target may come to its end next.
+        for _ in range(program.coupling.count):
+            zs = [program.of(there.x, k) for k in range(program.coupling.count)]
+            turned = [past_stops(problem, z) for problem, z in zip(program.problems, zs, strict=True)]
+            if all(z is None for z in turned):
+                break
+            again = end_from(program, program.packed([z if t is None else t for z, t in zip(zs, turned, strict=True)]))
+            least = program.worth(there.x) + BETTER * program.first.objective_scale
+            if again.violations or program.worth(again.x) <= least:
+                break
+            there = again
+        if all(np.abs((there.x - other.x) / program.scale).max() > SAME_POINT for other in kept):
+            kept.append(there)
+    return kept
 
 
 def _end(program: Program, start: Vector) -> End:

@@ -29,7 +29,7 @@ from flexopt.selection.result import TIE_TOLERANCE
 from flexopt.selection.several.outcome_stand import outcome_stand
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.several.results import Stand
-from flexopt.selection.several.solving import End, places_at
+from flexopt.selection.several.solving import End, past_ends_of_joints, places_at
 from flexopt.selection.several.standing import best_placements, default_starts, one_placement, other_placements
 from flexopt.selection.several.targets import build_problems, none_reaches_all, sample_bases, single_measure
 from flexopt.selection.solve import loop_notes
@@ -119,6 +119,8 @@ def select_stand(
         program, bases, found, asked.starts or default_starts(program), asked.seed, count, progress,
         further=asked.starts is None and climbs(program.first),
     )  # fmt: skip
+    further = len(good) - len(worths)
+    good = past_ends_of_joints(program, good)
     ways = [nearest_stand(problems, [program.of(end.x, k) for k in range(len(problems))]) for end in good]
     order = _nearest_first(program, good, ways)
     good, ways = [good[k] for k in order], [ways[k] for k in order]
@@ -139,7 +141,7 @@ def select_stand(
         kinks=good[0].kinks,
         attempts=(started, len(worths)),
         ends=tuple(worths),
-        further=len(good) - len(worths),
+        further=further,
         problems=problems,
         unverified=unverified,
         provenance=provenance(machine, **problems[0].stated | stated),

@@ -76,7 +76,7 @@ def report_html(report: Report) -> str:
         pictures={
             "selection": picture(
                 lambda theme: report.about.plot(theme=theme),
-                CAPTIONS["several"] if several else f"{CAPTIONS['selection']} {_shown(report)}",
+                f"{CAPTIONS['several' if several else 'selection']} {_shown(report)}",
             )
         },
         notes=[with_minus(note) for note in report.notes],
@@ -182,7 +182,7 @@ def _listed(report: Report) -> list[_Listed]:
     present = [] if selection.initial is None else [_Listed("present", selection.initial, "")]
     remarks, chosen = {1: " (best by the objective)"}, chosen_number(report)
     if chosen > 1:
-        remarks[chosen] = " (chosen: the verdict's)"
+        remarks[chosen] = " (drawn as chosen: the verdict's)"
     return present + [
         _Listed(f"candidate {k}{remarks.get(k, '')}", each.evaluation, ", ".join(each.active))
         for k, each in enumerate(selection.candidates, start=1)
@@ -248,12 +248,20 @@ def _with_units(names: Iterable[str], units: Iterable[str]) -> list[str]:
 
 def _shown(report: Report) -> str:
     """Which configuration pictures, map and loops show as the chosen one, or of which target they are."""
-    if not isinstance(report.selection, Selection):
-        return "At the target with the smallest V, the base standing where it is chosen to stand there."
     chosen, objective = chosen_number(report), report.selection.objective
+    if not isinstance(report.selection, Selection):
+        told = "At the target with the smallest V, the base standing where it is best by the objective."
+        another = (
+            f" The verdict is about another stand, candidate {chosen}: where it is stands with the places compared."
+        )
+        return told + another * (chosen > 1)
     if chosen == 1:
         return f"Chosen: candidate 1, which has the best {objective}."
-    return f"Chosen: candidate {chosen}, which the verdict is about; candidate 1 has the best {objective}."
+    if report.verdict is not None and report.verdict.word == "cannot tell":
+        about = f"Drawn as chosen: candidate {chosen}, of which the verdict cannot tell whether it pays to move there"
+    else:
+        about = f"Chosen: candidate {chosen}, which the verdict is about"
+    return f"{about}; candidate 1 has the best {objective}."
 
 
 def _options(report: Report) -> str:

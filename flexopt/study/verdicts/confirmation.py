@@ -33,6 +33,8 @@ SAGS = (
     "; the controller carries the weight of the machine's file, and by how much this member's is another the arm stays "
     "off without an integral part: loop.feedback pid with ki takes it to the target"
 )
+# Time constants after which what is left is no motion any more: 5 %.
+AT_REST = 3.0
 # Of the weight, what is none.
 ROUNDING = 1e-9
 # What runs may show; of several the first that one of them shows.
@@ -125,14 +127,20 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                 if own.verdict != "converges":
                     reasons[row] = own.reason
                 else:
-                    reasons[row] = "" if nearer[row] else f"{OFF} {end:.3g} m off{_why_off(loop, members[row])}"
+                    over = float(decays[row]) * duration
+                    reasons[row] = "" if nearer[row] else f"{OFF} {end:.3g} m off{_why_off(loop, members[row], over)}"
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
 
 
-def _why_off(loop: UncertainLoop, u: Vector) -> str:
-    """Where the controller carries another weight than the member has and nothing integrates that, what helps."""
+def _why_off(loop: UncertainLoop, u: Vector, over: float) -> str:
+    """That the run is short beside the slowest motion, of which it lasts so many time constants, or what helps else.
+
+    As where the controller carries another weight than the member has, and nothing integrates that.
+    """
     plant, settings = build_plant(loop.box.machine), loop.settings
-    if not loop.gravity or (settings.feedback == "pid" and np.any(settings.ki)):
+    if over < AT_REST:
+        return f"; the run is short, {over:.2g} time constants of the slowest motion"
+    if not loop.gravity or (settings.feedback == "pid" and np.all(settings.ki[settings.kp > 0] > 0)):
         return ""
     at = np.concatenate([np.zeros(plant.n_passive), loop.posture])
     each = (plant.gravity(at, loop.base, p).full().ravel() for p in (loop.box.numbers(u)[0], loop.box.nominal))

@@ -125,7 +125,8 @@ def decide(
     best = _best([place for place in sound if stay is None or _pays(place, stay)])
     if changed is not None and changed.holds and _spares(changed, stay, best, sound):
         doubted = [place for place in others if place.holds and place.name in unconfirmed]
-        return Decision("change gains", changed.name, _why_gains(changed, stay, best, sound, doubted, found))
+        doubts = {place.name: unconfirmed[place.name] for place in doubted}
+        return Decision("change gains", changed.name, _why_gains(changed, stay, best, sound, doubts, found))
     if best is not None:
         reason = absent
         if stay is not None:
@@ -155,8 +156,7 @@ def decide(
     every = [*([] if stay is None else [stay]), *others]
     doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
     if doubted:
-        reason = f"nonlinear runs do not confirm {listed(map(spoken, doubted))}"
-        return Decision("cannot tell", doubted[0], reason + _because(unconfirmed[doubted[0]]))
+        return Decision("cannot tell", doubted[0], f"nonlinear runs do not confirm {_doubted(doubted, unconfirmed)}")
     with_others = f", nor with {tried}" if tried else ""
     if refuted is not None and refuted.holds:
         named = f" ({gains_in_words(gains)})" if gains else ""
@@ -196,6 +196,14 @@ def deciding(decision: Decision, known: Mapping[str, Place], stay: Place | None)
 
 def _because(why: str) -> str:
     return why and f" ({why})"
+
+
+def _doubted(names: Sequence[str], unconfirmed: Mapping[str, str]) -> str:
+    """Places that runs do not confirm, each with why; what is why of all stands once."""
+    whys = {unconfirmed[name] for name in names}
+    if len(whys) == 1:
+        return listed(map(spoken, names)) + _because(whys.pop())
+    return listed(f"{spoken(name)}{_because(unconfirmed[name])}" for name in names)
 
 
 def _why_not(rival: Place, share: float, unconfirmed: Mapping[str, str]) -> str:
@@ -255,7 +263,7 @@ def _why_gains(
     stay: Place | None,
     best: Place | None,
     sound: Sequence[Place],
-    doubted: Sequence[Place],
+    doubts: Mapping[str, str],
     found: str,
 ) -> str:
     reason = f"with the new gains the slowest decay at {spoken(changed.name)} is {changed.slowest:.3g}/s"
@@ -268,8 +276,9 @@ def _why_gains(
         rival = max(sound, key=lambda place: place.better_than(stay))
         share = f"{BETTER} than the present place on {100 * rival.better_than(stay):.0f} % of them only"
         return f"{reason}; with the present ones {rival.name} is stable on every ground, too, but {share}"
-    if doubted:
-        names, one = listed(place.name for place in doubted), len(doubted) == 1
-        stable = f"{names} {'is' if one else 'are'} stable on every ground, too"
-        return f"{reason}; with the present ones {stable}, but nonlinear runs do not confirm {'it' if one else 'them'}"
+    if doubts:
+        one = len(doubts) == 1
+        stable = f"{listed(doubts)} {'is' if one else 'are'} stable on every ground, too"
+        them = ("it" if one else "them") if not any(doubts.values()) else _doubted([*doubts], doubts)
+        return f"{reason}; with the present ones {stable}, but nonlinear runs do not confirm {them}"
     return f"{reason}; with the present ones {found} is stable on every ground"

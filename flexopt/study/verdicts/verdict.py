@@ -412,7 +412,9 @@ def _place(
     def band(measure: str, factor: float = 1.0) -> Band:
         sense, each, further = SENSES[measure], list[list[float]](), list[float]()
         for loop, few in zip(place.loops, looked, strict=True):
-            known = float(np.min([math.inf, *further, *np.ravel([values[own:] for values in each])]))
+            known = sense * float(
+                np.min(sense * np.array([sense * math.inf, *further, *np.ravel([values[own:] for values in each])]))
+            )
             values, more = loop.worst(measure, few[own:], points, slowest.member, known)
             each.append([*(getattr(at, measure)().value for at, _ in few[:own]), *values])
             further += [value for value, _ in more]

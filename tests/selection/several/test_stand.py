@@ -278,3 +278,16 @@ def test_among_places_of_equal_worth_the_nearest_to_the_present_one_is_chosen() 
         assert away[0] == min(away)
         chosen.append(stand.base)
     np.testing.assert_allclose(chosen[1], chosen[0] * [1.0, -1.0, -1.0], rtol=0, atol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore::flexopt.ImplausibleMachine")
+@pytest.mark.parametrize("gap", [0.05, 0.3])
+def test_a_window_of_a_whole_turn_holds_the_stands_of_a_free_joint(excavator: flexopt.Machine, gap: float) -> None:
+    """Worth of every placement found; at one of them a climb is stopped by the joint's end at one target, or at both."""
+    targets, asked = [[0.0, 1.6], [0.3, 1.4]], {"base": 0.0, "starts": 4, "objective": "w1"}
+    free = select_stand(excavator, targets, **asked)
+    data, stick = excavator.to_dict(), float(free.places[0].evaluation.posture[1])
+    data["links"][1]["limits"] = sorted([stick - gap, stick - (gap + 0.1 + math.tau)])
+    held = select_stand(flexopt.machine_from_dict(data), targets, assume="limits", **asked)
+    worths = [[found.worth, *(worth for worth, _ in found.alternatives)] for found in (held, free)]
+    np.testing.assert_allclose(*worths, rtol=1e-6)
