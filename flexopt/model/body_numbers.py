@@ -31,7 +31,7 @@ class BodyNumbers:
     Attributes:
         where: its field and name.
         length: to the farthest joint or the end-point that it carries; 0 where it carries none.
-        size: the farthest that anything is known to be from its joint.
+        size: the farthest that anything is known to be from its joint;  extent: of its capsules from end to end.
         com: distance of its centre of mass;  along: the same along `length`;  aside: across it.
         variance: ∫ x² dm / m of its mass about its centre, along `length` (in the plane all of it);  across: the
             largest across it (0 in the plane).
@@ -58,6 +58,7 @@ class BodyNumbers:
     across: float
     path: float
     link: bool
+    extent: float = 0.0
     moments: tuple[float, ...] = ()
     about_centre: float = 0.0
     hinge: bool = True
@@ -123,7 +124,7 @@ def _planar(machine: Machine) -> tuple[list[BodyNumbers], float]:
     for index, link in enumerate(machine.links):
         where = f"links[{index}] ({link.name})"
         inner = BodyNumbers(
-            where=where, length=link.length, size=_capsules(machine, link.name),
+            where=where, length=link.length, size=_capsules(machine, link.name), extent=_extent(machine, link.name),
             com=math.hypot(link.com, link.com_offset), along=link.com, aside=link.com_offset, mass=link.mass,
             inertia=link.inertia, variance=link.inertia / link.mass, across=0.0, path=parts[-1].length, link=True,
             springs={f"{where}.stiffness": (True, link.stiffness, 1.0)} if link.passive and link.stiffness else {},
@@ -152,6 +153,12 @@ def _capsules(machine: AnyMachine, body: str) -> float:
     """How far the body's capsules reach from its joint."""
     ends = [(end, c.radius) for c in machine.capsules if c.body == body for end in (c.start, c.end)]
     return max((math.hypot(*end) + radius for end, radius in ends), default=0.0)
+
+
+def _extent(machine: AnyMachine, body: str) -> float:
+    """How far the body's capsules reach from end to end."""
+    ends = [(end, c.radius) for c in machine.capsules if c.body == body for end in (c.start, c.end)]
+    return max((math.dist(a, b) + ra + rb for a, ra in ends for b, rb in ends), default=0.0)
 
 
 def _spatial(machine: Tree) -> tuple[list[BodyNumbers], float]:
@@ -236,8 +243,8 @@ def _body(
     travel = 0.0 if hinge or joint.limits is None else max(map(abs, joint.limits))
     where, moved = f"body {body.name!r}", f"joint {joint.name!r}"
     return BodyNumbers(
-        where=where, length=length, size=_capsules(machine, body.name), com=float(np.linalg.norm(com)),
-        along=float(com @ along), aside=float(np.linalg.norm(aside)), mass=body.mass,
+        where=where, length=length, size=_capsules(machine, body.name), extent=_extent(machine, body.name),
+        com=float(np.linalg.norm(com)), along=float(com @ along), aside=float(np.linalg.norm(aside)), mass=body.mass,
         about_centre=float(np.linalg.eigvalsh(shifted)[-1]),
         inertia=float(moments[-1]), moments=tuple(moments.tolist()), variance=max(float(along @ spread @ along), 0.0),
         across=max(float(np.linalg.eigvalsh(projector @ spread @ projector)[-1]), 0.0),

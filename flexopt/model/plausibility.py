@@ -217,7 +217,9 @@ def _inertia(part: BodyNumbers, reach: float, planar: bool) -> Iterator[Implausi
         size = max(size, 0.25 * reach)
     # A slide has no pivot, and where its axis passes says nothing of where its mass is.
     # Nor does the next joint where capsules say that the body reaches far beyond it, as a mast with its sledge.
+    # Nor where they say that it is as long as all of its mass at its ends asks for, as a beam held in its middle.
     spans = part.link and part.hinge and part.length > 0 and part.size < BEYOND * part.length
+    spans = spans and radius > part.extent / 2
     if spans and part.across < part.variance / 3 and part.variance > _most_variance(part):
         words = (
             f"the radius of gyration, {radius:.3g} m, is beyond what a link of {part.length:.3g} m has, unless it is "

@@ -280,7 +280,7 @@ def _trajectory(
         run=of.shown(),
         ended=ended,
         growth_rate=_finite(of.growth_rate[0]),
-        growth_rate_error=_finite(of.growth_rate_error[0]),
+        fit_error=_finite(of.growth_rate_error[0]),
         settling_time=_finite(of.settling_time[0]),
         overshoot=None if loop.moving_base or loop.moving_target else _overshoot(rows["error"]),
         end_error=_finite(of.end_error[0]),

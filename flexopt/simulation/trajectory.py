@@ -26,7 +26,7 @@ from flexopt.model import AnyMachine
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Shown
 from flexopt.simulation.linear import SampledLoop
-from flexopt.simulation.verdict import Ended, Judgement, alternating, judge
+from flexopt.simulation.verdict import Ended, Judgement, alternating, beating, judge
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -71,7 +71,8 @@ class Trajectory(Pictured, Result):
         verdict_reason: both, in a sentence.
         growth_rate, growth_rate_error: of the base's amplitude in the run and its standard error, 1/s: of the
             largest mode that grows, or else of the one that decays slowest; None where it never moved. See
-            `simulation.behaviour.Behaviour`.
+            `simulation.behaviour.Behaviour`. What motions of `linear` that beat more slowly than the second half of
+            the run lasts may make of the slope is in it; `fit_error` is without.
         linear_growth_rate: of `linear`, 1/s.
         integrated_growth_rate: of the same loop as the run's integrator makes it, 1/s (computed when asked for); None
             where base or target were moved, or where it has no such loop.
@@ -124,7 +125,7 @@ class Trajectory(Pictured, Result):
     run: Shown
     ended: Ended = field(repr=False)
     growth_rate: float | None
-    growth_rate_error: float | None
+    fit_error: float | None
     settling_time: float | None
     overshoot: float | None
     end_error: float | None
@@ -150,6 +151,11 @@ class Trajectory(Pictured, Result):
     def linear_growth_rate(self) -> float | None:
         """See the class."""
         return None if self.linear is None else self.linear.growth_rate
+
+    @property
+    def growth_rate_error(self) -> float | None:
+        """See the class."""
+        return None if self.fit_error is None else math.hypot(self.fit_error, beating(self._linear, self.run.duration))
 
     @cached_property
     def integrated_growth_rate(self) -> float | None:

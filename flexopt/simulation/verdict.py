@@ -28,6 +28,8 @@ from flexopt.simulation.scenario import Scenario
 LoopVerdict = Literal["converges", "grows", "undecided"]
 # Damping ratio below which a loop's swing goes on for periods.
 LASTING = 0.1
+# By how much, ln of amplitudes, one of two motions is gone beside the other; what a beat makes of a slope (`beating`).
+BOTH, BEAT = 3.0, 0.5 / math.sqrt(2)
 # A run grows as the self-motion drifts, to this factor.
 DRAWN = 3.0
 NO_REST = "near its end the loop rests nowhere"
@@ -123,6 +125,7 @@ def about(bare: Scenario, x: Vector, e: Vector, parts: Mapping[str, Any] | None 
 
 def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> Judgement:
     """The verdict; with `ended` the reason can name an integrator that hides what the loop does."""
+    run = replace(run, error=math.hypot(run.error, beating(linear, run.duration)))
     said = f"the run of {run.duration:g} s {_words(run)}"
     if isinstance(linear, str):
         # Alone, a decay must be larger than what it may be off by.
@@ -146,6 +149,23 @@ def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> 
     if eigenvalues == "undecided":
         return Judgement("undecided", f"{said}, but {other}, to rounding")
     return Judgement("undecided", f"{said}, but {other}: {_why(run, linear, ended)}")
+
+
+def beating(linear: SampledLoop | str, duration: float) -> float:
+    """What the slope of an amplitude may be off by, 1/s, where motions beat more slowly than half the run lasts.
+
+    A beat of Δω, of which a fit sees a part, tilts the logarithm ln|1 + r e^{jΔω t}| of two amplitudes 1 and r by
+    Δω r/√2 in the mean over phases: r = 1/2 is taken. Of motions that are both there when the fit begins.
+    """
+    if isinstance(linear, str):
+        return 0.0
+    poles = linear.poles
+    swings = poles[(poles.imag > 0) & np.isfinite(poles)]
+    if not swings.size:
+        return 0.0
+    there = swings[(swings.real.max() - swings.real) * duration / 2 < BOTH]
+    beats = np.abs(there.imag[:, None] - there.imag[None, :])
+    return BEAT * float(np.max(beats, initial=0.0, where=beats * duration / 2 < 2 * math.pi))
 
 
 def alternating(linear: SampledLoop, ended: Ended | None) -> str:

@@ -12,7 +12,7 @@ import flexopt
 from benchmarks import verdicts
 from flexopt.simulation.behaviour import Shown
 from flexopt.simulation.linear import SampledLoop
-from flexopt.simulation.verdict import judge
+from flexopt.simulation.verdict import beating, judge
 from tests.oracles.sampled_loop import growth_rate
 from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
 
@@ -337,3 +337,23 @@ def test_an_arm_that_leaves_its_posture_within_the_run_does_not_converge() -> No
     assert run.linear.growth_rate < 0 < run.linear.drift[0]
     assert run.verdict == "undecided"
     assert run.verdict_reason.endswith("within the run the arm leaves its posture along it")
+
+
+@pytest.mark.parametrize(("beat", "least"), [(0.05, 0.9), (0.3, 0.8), (0.9, 0.4)])
+def test_what_a_beat_that_a_fit_sees_in_part_makes_of_its_slope_is_in_the_doubt(beat: float, least: float) -> None:
+    """Beside slopes of ln|1 + e^{jΔω t}/2| fitted to half a run, of all phases, which the more of the beat it sees are less.
+
+    Whole beats do not count, nor what is gone.
+    """
+    half, period, decay = 5.0, 0.01, 1.4
+    poles = np.array([-decay + 20j, -decay + (20.0 + beat) * 1j, -decay - 9.0 + 20.5j])
+    loop = SampledLoop(np.exp(np.concatenate([poles, poles.conj()]) * period), period)
+    time = np.linspace(0.0, half, 501)
+    phases = np.linspace(0.0, 2 * np.pi, 400, endpoint=False)
+    logarithms = np.log(np.abs(1 + 0.5 * np.exp(1j * (beat * time[:, None] + phases))))
+    slopes = np.polyfit(time, logarithms, 1)[0]
+    rms = float(np.sqrt(np.mean(slopes**2)))
+    assert least * beating(loop, 2 * half) < rms < 1.2 * beating(loop, 2 * half)
+    # More than one beat within the fit.
+    assert beating(loop, 2 * 6.3 / beat) == 0.0
+    assert beating("no linear loop", 10.0) == 0.0

@@ -38,6 +38,8 @@ GROUND_ASSUMED = (
     "assumed (uncertainty): all springs may be half or twice as stiff, and all else is as the machine's file has it, "
     "for no [[uncertainty]] is given"
 )
+# A self-motion that takes longer than this to e-fold, s, stays where it is while a machine works.
+STAYS = 3600.0
 # Why a place is told of that is none of the best, if it is not the selection's first.
 MOST_OFTEN = "decays faster than the present place on the most grounds"
 
@@ -122,7 +124,11 @@ class PlaceVerdict(Result):
         told = [
             name if len(where) == count else f"{name} at target {listed(map(str, where))}" for name, where in at.items()
         ]
-        stopped = "; nothing stops a joint there in its runs" if self.runs and self._on_a_joint else ""
+        stopped = (
+            "; runs know no end stops, so that in them a joint may go beyond its end"
+            if self.runs and self._on_a_joint
+            else ""
+        )
         return f"{self.name} rests on {', '.join(told)}{stopped}" if told else ""
 
     @property
@@ -455,7 +461,8 @@ class Verdict(Pictured, Printed, Result):
     def drifts(self) -> str:
         """That nothing brakes the arm's self-motion, or too little, a sentence; empty where that is not so."""
         if not self.settings.lets_drift:
-            own = {place.name: place.drift for place in self.places if -place.drift < place.decay.nominal}
+            slower = (each for each in self.places if -each.drift < each.decay.nominal)
+            own = {place.name: place.drift for place in slower if abs(place.drift) * STAYS > 1}
             if not own:
                 return ""
             first = max(own, key=lambda name: own[name])
