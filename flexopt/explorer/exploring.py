@@ -111,7 +111,9 @@ class Explorer(Result):
 
     def __repr__(self) -> str:
         words = " and ".join(self.configurations)
-        meshes = f", {self.mesh_bytes / 1e3:.0f} of them meshes of {self.triangles} triangles" if self.triangles else ""
+        meshes = (
+            f", {self.mesh_bytes / 1e3:.0f} kB of it meshes of {self.triangles} triangles" if self.triangles else ""
+        )
         return f"Explorer({self.machine}: {words} configuration, page of {self.bytes / 1e3:.0f} kB{meshes})"
 
 

@@ -34,6 +34,8 @@ AROUND = 0.5
 # Names that lie within such a share of the picture of each other are one; within such shares across, below and above a
 # target, whose own name stands there, they stand so many points farther from it.
 TOGETHER, BESIDE, UNDER, OVER, ASIDE = 0.03, 0.08, 0.05, 0.09, 16.0
+# By such a share of the picture the name of a half-plane moves along its border.
+ALONG = 0.15
 
 
 def held(constraints: Constraints, shape: Shape) -> str:
@@ -50,7 +52,7 @@ def draw_scenery(
     """
     inks = colors()
     for obstacle in _obstacles(constraints):
-        _draw_obstacle(axes, view, obstacle)
+        _draw_obstacle(axes, view, obstacle, crosses, limits)
     whole = float(np.ptp(limits, axis=1).max())
     for text, middle in _names(view, constraints, limits):
         across, up = middle[:, None] - crosses
@@ -119,7 +121,7 @@ def _names(view: View, constraints: Constraints, limits: Points) -> list[tuple[s
     return found
 
 
-def _draw_obstacle(axes: Axes, view: View, obstacle: Obstacle) -> None:
+def _draw_obstacle(axes: Axes, view: View, obstacle: Obstacle, crosses: Points, limits: Points) -> None:
     # Not among the data, which the limits may be fitted to.
     if isinstance(obstacle, Sphere):
         middle = view.of(np.array(obstacle.center))
@@ -129,7 +131,7 @@ def _draw_obstacle(axes: Axes, view: View, obstacle: Obstacle) -> None:
         corners = _corners(obstacle)
         axes.add_artist(Polygon(_hull(view.of(corners)).T, closed=True, **_style(view, corners)))
     else:
-        _draw_half_plane(axes, view, obstacle)
+        _draw_half_plane(axes, view, obstacle, crosses, limits)
 
 
 def _name(axes: Axes, text: str, at: Points, **placed: Any) -> None:
@@ -150,8 +152,11 @@ def _style(view: View, points: Points, radius: float = 0.0) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _draw_half_plane(axes: Axes, view: View, obstacle: HalfPlane) -> None:
-    """The trace of the obstacle's plane in the view's, and the side that is filled; nothing where seen face-on."""
+def _draw_half_plane(axes: Axes, view: View, obstacle: HalfPlane, crosses: Points, limits: Points) -> None:
+    """The trace of the obstacle's plane in the view's, and the side that is filled; nothing where seen face-on.
+
+    Its name stands along it, so far from crosses that it is not on their names.
+    """
     normal = view.of(np.array(obstacle.normal))
     length = float(np.hypot(*normal))
     if length < TRACE:
@@ -170,7 +175,12 @@ def _draw_half_plane(axes: Axes, view: View, obstacle: HalfPlane) -> None:
     if obstacle.name:
         angle = math.degrees(math.atan2(along[1], along[0]))
         upright = (angle + 90.0) % 180.0 - 90.0
-        _name(axes, mathtext(obstacle.name), point, xytext=tuple(-8.0 * normal), textcoords="offset points",
+        whole = float(np.ptp(limits, axis=1).max())
+        places = [point + k * ALONG * whole * along for k in (0, 1, -1, 2, -2)]
+        inside = [at for at in places if (limits.min(axis=1) <= at).all() and (at <= limits.max(axis=1)).all()]
+        away = [float(np.min(np.hypot(*(crosses - at[:, None])), initial=math.inf)) for at in inside]
+        at = next((at for at, far in zip(inside, away, strict=True) if far > ALONG / 1.5 * whole), point)
+        _name(axes, mathtext(obstacle.name), at, xytext=tuple(-8.0 * normal), textcoords="offset points",
               rotation=upright)  # fmt: skip
 
 

@@ -27,7 +27,7 @@ from flexopt.selection.proof.newton import polished
 from flexopt.selection.result import SAME_VALUE, Attempt, Kept, missed_chance
 from flexopt.selection.rounds import IN_VAIN, LEFT_OPEN, ROUNDS, further_starts
 from flexopt.selection.seen import BETTER, better_than, kept_peaks, seen_values
-from flexopt.selection.starts import climbed_anywhere, climbs
+from flexopt.selection.starts import climbed_anywhere, climbs, kept_by_none
 
 SAME_POINT = 1e-4
 # Violation, as a share of the constraint's scale, up to which the objective of an unfinished solve tells something.
@@ -474,8 +474,9 @@ def _no_solution(
     iterate = _named(problem, z)
     where = ", ".join(f"{name} = {value:.6g}" for name, value in iterate.items())
     advice = "" if infeasible(single(problem), z) else f"; {ADVICE}"
+    missed = kept_by_none(problem)
     return NoSolutionFound(
-        f"{heading}; the best iterate ({where}) violates {sizes}{in_the_way(problem.assumed)}{advice}",
+        f"{heading}; the best iterate ({where}) violates {sizes}{missed}{in_the_way(problem.assumed)}{advice}",
         violations=proof.violations,
         iterate=iterate,
     )

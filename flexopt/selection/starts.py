@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from flexopt.algebra.feasible import repeated
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.plain import listed
 from flexopt.foundation.processes import in_parallel
 from flexopt.plant.inverse_kinematics import low_discrepancy, reach_steps
 from flexopt.selection.nlp.program import values_of
@@ -125,12 +126,30 @@ def sample_configurations(problem: SelectionProblem, starts: int) -> tuple[Scan,
 
 def violated(problem: SelectionProblem, z: Vector) -> Vector:
     """The largest violation of any row at points z (n_z, N), in units of the scales; infinite where it is no number."""
+    worst = np.maximum(_beyond(problem, z).max(axis=1), _short(problem, z))
+    return np.where(np.isfinite(worst), worst, np.inf)
+
+
+def _beyond(problem: SelectionProblem, z: Vector) -> Vector:
+    """The violation of every row at points z (n_z, N), in units of the scales, (N, rows)."""
     lower, upper, scale = problem.row_bounds
     at = [*problem.quantities.at(z), problem.constants]
     rows = problem.configuration.rows_at_rest.call(at)[0].full().T
-    beyond = np.maximum(lower - rows, rows - upper) / scale
-    worst = np.maximum(np.maximum(beyond, 0.0).max(axis=1), _short(problem, z))
-    return np.where(np.isfinite(worst), worst, np.inf)
+    return np.maximum(np.maximum(lower - rows, rows - upper) / scale, 0.0)
+
+
+def kept_by_none(problem: SelectionProblem) -> str:
+    """Which constraints, each by itself, no configuration of the scan keeps, in words; empty where none is so."""
+    if not problem.scan.size:
+        return ""
+    least = _beyond(problem, problem.scan.z).min(axis=0)
+    told = [
+        f"{row.name}, {size * row.scale:.3g} {row.unit}".rstrip() + " short at best"
+        for row, size in zip(problem.constraints, least.tolist(), strict=True)
+        if size > FEASIBLE
+    ]
+    counted = f"of {problem.scan.size} configurations at the target that were looked at"
+    return f"; {counted} none keeps {listed(told)}" if told else ""
 
 
 def _short(problem: SelectionProblem, z: Vector) -> Vector:

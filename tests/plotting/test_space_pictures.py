@@ -44,6 +44,23 @@ def test_the_names_of_a_target_and_of_an_obstacle_beside_it_are_apart():
     assert faults(figure) == []
 
 
+@pytest.mark.parametrize("point", [[0.0, 0.0], [0.2, 1.6], [0.2, 1.0]])
+def test_the_name_of_a_half_plane_that_the_target_lies_on_is_beside_the_targets(point):
+    """Wherever on its border the point lies that a file gives: the name goes along the border, out of the way."""
+    face = {"name": "face", "kind": "half_plane", "point": point, "normal": [-1.0, 0.0]}
+    asked = {"clearance": {"distance": 0.01, "obstacles": [face], "bodies": ["boom"]}}
+    data = flexopt.load("excavator").to_dict()
+    data |= {"capsules": [{"body": "boom", "start": [0.0, 0.0], "end": [0.5, 0.0], "radius": 0.05}]}
+    target = (point[0], 1.6 if point[1] else 0.4)
+    selection = flexopt.select(
+        flexopt.machine_from_dict(data), target, base=-1.0, base_range=(-3.0, -0.8), starts=2, constraints=asked,
+        assume="limits",
+    )  # fmt: skip
+    figure = selection.plot()
+    assert {"target", "face"} <= {text.get_text() for text in figure.axes[0].texts}
+    assert faults(figure) == []
+
+
 @pytest.fixture(scope="module")
 def machine():
     """The excavator sent through space, with volumes and ground to stand on."""

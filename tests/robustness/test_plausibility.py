@@ -922,3 +922,12 @@ def test_capsules_say_how_long_a_body_is() -> None:
     assert any(each.field.endswith("inertia") for each in _findings(data))
     capsule = {"body": boom["name"], "start": [-0.5 * length, 0.0], "end": [1.7 * length, 0.0], "radius": 0.05}
     assert _findings(data | {"capsules": [capsule]}) == ()
+    # A beam that a joint holds in its middle, seen as a link to its one end, which is no longer than twice that.
+    beam = boom | {"inertia": mass * (2 * length) ** 2 / 12, "com": 0.05 * length}
+    data["links"][0] = beam
+    assert any(each.field.endswith("inertia") for each in _findings(data))
+    capsule |= {"start": [-0.9 * length, 0.0], "end": [0.9 * length, 0.0]}
+    assert _findings(data | {"capsules": [capsule]}) == ()
+    # One that ends at the next joint excuses nothing.
+    capsule |= {"start": [0.0, 0.0], "end": [length, 0.0]}
+    assert any(each.field.endswith("inertia") for each in _findings(data | {"capsules": [capsule]}))

@@ -2,6 +2,7 @@
 
 import inspect
 import itertools
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -166,6 +167,27 @@ def test_an_impossible_problem_raises_with_the_violated_constraint(selection):
         flexopt.solve_selection(impossible)
     assert caught.value.violations["target y"] > 30.0
     assert set(caught.value.iterate) == {"base.x", "boom", "stick"}
+
+
+def test_a_constraint_that_nothing_at_the_target_keeps_is_named():
+    """The boom stands on the ground: 2 m over it is more than its own capsule is anywhere near its root."""
+    data = flexopt.load("excavator").to_dict()
+    data |= {"capsules": [{"body": "boom", "start": [0.0, 0.0], "end": [0.5, 0.0], "radius": 0.05}]}
+    floor = {"kind": "half_plane", "name": "floor", "point": [0.0, -1.0], "normal": [0.0, 1.0]}
+    asked = {"clearance": {"distance": 2.0, "obstacles": [floor]}}
+    machine = flexopt.machine_from_dict(data)
+    with pytest.raises(flexopt.NoSolutionFound) as caught:
+        flexopt.select(machine, (0.0, 1.6), base=0.0, starts=2, constraints=asked)
+    words = r"of \d+ configurations at the target that were looked at none keeps (.*) short at best"
+    found = re.search(words, str(caught.value))
+    assert found is not None
+    assert "clearance of boom" in found[1]
+    assert "floor" in found[1]
+    # A distance that some keep is not told.
+    less = {"clearance": asked["clearance"] | {"distance": 1.0}}
+    possible = flexopt.select(machine, (0.0, 1.6), base=0.0, starts=2, constraints=less)
+    best = next(row for name, row in possible.best.constraints.items() if "floor" in name)
+    assert best.value >= 1.0 - 1e-6
 
 
 def test_an_objective_that_is_not_a_number_raises(selection):

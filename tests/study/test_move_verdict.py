@@ -153,11 +153,13 @@ def test_a_present_posture_beside_the_target_is_told_on_the_page_and_in_the_docu
     np.testing.assert_allclose(document["present_end_point"], [point], atol=1e-9)
     assert document["present_off"] == pytest.approx(off, abs=1e-9)
     assert f"not at the target but {off:.3g} m away" in repr(found)
+    assert f"the end-point {off:.3g} m off its target; without a posture it is judged at the target" in found.reason
     found.to_html(tmp_path / "verdict.html")
     words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
     assert f"<p>Stay: {with_minus(found.present_told)}.</p>" in words
     there = flexopt.verdict(machine, (0.0, 1.6), base=0.0, loop={"kp": 1e4, "kv": 1e3}, starts=2, members=2, runs=0)
     assert there.present_told == ""
+    assert "staying is judged as" not in there.reason
     assert there.to_dict()["present_off"] == pytest.approx(0.0, abs=1e-6)
 
 

@@ -467,9 +467,10 @@ class Verdict(Pictured, Printed, Result):
                 return ""
             first = max(own, key=lambda name: own[name])
             grows = own[first] > 0
-            most = grows and len(own) > 1
-            how = f"drifts, decay {-own[first]:+.3g}/s" if grows else f"dies away at {-own[first]:.3g}/s, more slowly,"
-            return f"the arm's self-motion, no part of the decay, {how} {'most ' * most}in {spoken(first)}"
+            most = "fastest " if grows and len(own) > 1 else ""
+            how = "drifts away: it grows e-fold" if grows else "dies away more slowly: e-fold"
+            told = f"{how} in {1 / abs(own[first]):.3g} s, {most}in {spoken(first)}"
+            return f"the arm's self-motion, which is no part of the decay, {told}"
         where = "in the linear loop"
         if any(place.runs for place in self.places):
             where = "neither in these runs nor in the linear loop"

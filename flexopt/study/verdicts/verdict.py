@@ -33,6 +33,7 @@ from flexopt.model.loop import Loop, LoopLike, gain_ranges, under_control
 from flexopt.model.problem import SelectionKeywords, SelectionOptions, judged_by
 from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 from flexopt.selection import Selection, SelectionProblem, select, solve_problem, solve_selection
+from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.asked import any_problem
 from flexopt.study.verdicts.confirmation import Runs
@@ -198,8 +199,7 @@ def verdict(
         alternates=_alternates(loops, slowest) if tried else "", absent=absent,
         most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
     )  # fmt: skip
-    if decision.word != "move" and stay is None:
-        decision = replace(decision, reason=f"{absent}; {decision.reason}")
+    decision = _with_present(decision, absent if stay is None else "", chosen, held.get(STAY))
     bands = _each(told, lambda name: _place(
         name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name], drives[name],
         shown.get(name), chosen, within[name],
@@ -275,6 +275,21 @@ def _each(names: Collection[str], work: Callable[[str], T], tell: Progress) -> d
         made[name] = work(name)
         tell(len(made), len(names))
     return made
+
+
+def _with_present(
+    decision: Decision, absent: str, chosen: Chosen, held: Sequence[tuple[Vector, Vector]] | None
+) -> Decision:
+    """The decision, with why there is no staying, or that staying is judged beside the target."""
+    if absent:
+        return decision if decision.word == "move" else replace(decision, reason=f"{absent}; {decision.reason}")
+    problem, *others = problems_of(chosen)
+    z = None if held is None or others else np.concatenate(next(iter(held)))
+    if z is None or not elsewhere(problem, z):
+        return decision
+    off = float(np.linalg.norm(reached(problem, z) - problem.target))
+    beside = f"staying is judged as the arm is held now, the end-point {off:.3g} m off its target"
+    return replace(decision, reason=f"{decision.reason}; {beside}; without a posture it is judged at the target")
 
 
 def _refuted(changed: tuple[Place, PlaceLoops] | None, members: Vector, duration: float | None) -> str:
