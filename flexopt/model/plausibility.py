@@ -23,6 +23,7 @@ from flexopt.model.planar import Machine
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
 
 REACH_MAX = 100.0  # m: the longest booms are about as long
+EVEN = 0.35  # radius of gyration over the length of a body whose mass lies along it; a rod's is 0.29
 FAR = 10.0  # a centre of mass so many lengths away
 LONGER = 100.0  # a length so many times the others' median
 # A share of the reach: of a wrist, whose joints' axes meet, no length tells the size.
@@ -217,9 +218,9 @@ def _inertia(part: BodyNumbers, reach: float, planar: bool) -> Iterator[Implausi
         size = max(size, 0.25 * reach)
     # A slide has no pivot, and where its axis passes says nothing of where its mass is.
     # Nor does the next joint where capsules say that the body reaches far beyond it, as a mast with its sledge.
-    # Nor where they say that it is as long as all of its mass at its ends asks for, as a beam held in its middle.
+    # Nor where they say that it is as long as its radius of gyration asks for, as a beam held in its middle.
     spans = part.link and part.hinge and part.length > 0 and part.size < BEYOND * part.length
-    spans = spans and radius > part.extent / 2
+    spans = spans and radius > EVEN * part.extent
     if spans and part.across < part.variance / 3 and part.variance > _most_variance(part):
         words = (
             f"the radius of gyration, {radius:.3g} m, is beyond what a link of {part.length:.3g} m has, unless it is "

@@ -55,7 +55,7 @@ class Behaviour:
             where fewer than six periods are fitted. What is called clear is so by the standard error of each mode.
         settling_time: after which the end-point error stays below 2 % of what it was at the start, s; NaN where it does
             not (N,).
-        peak_error, end_error: largest and last |e|, m (N,).
+        start_error: largest |e| in the first window, m (N,);  peak_error, end_error: largest and last |e|, m (N,).
         peak_base_rotation: rad (N,); NaN for a base that cannot turn.
         residual_oscillation: largest energy of each mode in the slowest swing's last period (m, N), J.
         finite_until: time up to which every state was a finite number, s (N,).
@@ -71,6 +71,7 @@ class Behaviour:
     growth_rate: Vector
     growth_rate_error: Vector
     settling_time: Vector
+    start_error: Vector
     peak_error: Vector
     end_error: Vector
     peak_base_rotation: Vector
@@ -199,6 +200,7 @@ def behaviour(
         growth_rate=slowest,
         growth_rate_error=doubt,
         settling_time=np.where(loud[-1], np.nan, settling),
+        start_error=np.sqrt(squared_error[0]),
         peak_error=np.where(diverged, np.inf, peak),
         end_error=np.where(diverged, np.inf, end_error),
         peak_base_rotation=turn if grounds.turns else np.full_like(turn, np.nan),

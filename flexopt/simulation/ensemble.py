@@ -63,7 +63,7 @@ class Ensemble(Pictured, Tabled):
 
     Attributes:
         dataset: xarray.Dataset over `member`: `grows`, `growth_rate`, `growth_rate_error`, `settling_time`,
-            `peak_error`, `end_error`, `peak_base_rotation`, `residual_oscillation`, `finite_until` (see
+            `start_error`, `peak_error`, `end_error`, `peak_base_rotation`, `residual_oscillation`, `finite_until` (see
             `simulation.behaviour.Behaviour`; a member that grows may outrun the implicit integrator there, which a
             warning tells), what was varied, and with `keep="trajectories"` also `q`, `v`,
             `end_point`, `error`, `torque`, `energy` over `time`. `grows` is what the runs alone show.
@@ -437,8 +437,8 @@ def _dataset(plan: Plan, varied: Mapping[str, Vector], shares: list[_Share]) -> 
 
     s, plant = plan.scenario, build_plant(plan.scenario.machine)
     units = {
-        "growth_rate": "1/s", "growth_rate_error": "1/s", "settling_time": "s", "peak_error": "m", "end_error": "m",
-        "peak_base_rotation": "rad", "finite_until": "s",
+        "growth_rate": "1/s", "growth_rate_error": "1/s", "settling_time": "s",
+        "start_error": "m", "peak_error": "m", "end_error": "m", "peak_base_rotation": "rad", "finite_until": "s",
     }  # fmt: skip
     variables: dict[str, Any] = {}
     for name in ("grows", *units):

@@ -30,6 +30,8 @@ def test_peaks_are_the_largest_of_all_samples():
     assert one.peak_base_rotation == pytest.approx(largest, rel=1e-12)
     many = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_A, vary={"kp": [1e4]}, kv=1e3, duration=30.0).dataset
     assert float(many["peak_base_rotation"][0]) == pytest.approx(largest, rel=1e-9)
+    off = np.linalg.norm(one.dataset["error"], axis=1)
+    assert off[0] * (1 - 1e-9) <= float(many["start_error"][0]) <= off[: len(off) // 4].max() * (1 + 1e-9)
     assert float(many["peak_error"][0]) == pytest.approx(np.linalg.norm(one.dataset["error"], axis=1).max(), rel=1e-9)
 
 

@@ -23,7 +23,7 @@ from flexopt.simulation.ensemble import Ensemble, judged_beside
 from flexopt.simulation.real_loop import SHORTER, braked, braked_by, run_options
 from flexopt.simulation.run import OUTGREW
 
-SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "end_error", "peak_error")
+SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "start_error", "peak_error", "end_error")
 # Length of a run, s: of slow machines so many periods of the slowest mode, at most this time and so many samples.
 DURATION, PERIODS, LONGEST, SAMPLES = 20.0, 10, 600.0, 300_000
 UNFINISHED = "the integrator could not finish the run"
@@ -50,7 +50,7 @@ class Runs(Result):
         settling: of each, s; NaN where it does not.
         turn: largest turn of the base in each, rad.
         decay: as the run shows it, 1/s.
-        nearer: whether the end-point ends at most half as far from its target as it ever was.
+        nearer: whether the end-point ends no farther from its target than it began, and half as far as it ever was.
         reasons: why each does not confirm that the loop is stable and brings the end-point nearer, empty where it does.
         duration: of a run, s.
 
@@ -122,13 +122,18 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                 for row, own in zip(some, ensemble.linear_loops, strict=True)
             ]
             judgements = judged_beside(ensemble, beside)
-            for row, own, end, peak in zip(some, judgements, data["end_error"], data["peak_error"], strict=True):
-                verdicts[row], nearer[row] = own.verdict, bool(end <= peak / 2)
+            errors = zip(*(data[f"{name}_error"] for name in ("start", "peak", "end")), strict=True)
+            for row, own, (start, peak, end) in zip(some, judgements, errors, strict=True):
+                verdicts[row], nearer[row] = own.verdict, bool(end <= peak / 2 and end <= start)
+                over = float(decays[row]) * duration
+                off = f"{OFF} {end:.3g} m off{_why_off(loop, members[row], over)}"
                 if own.verdict != "converges":
-                    reasons[row] = own.reason
+                    # That a load draws the arm away tells more than what becomes of the base meanwhile.
+                    reasons[row] = f"{own.reason}; {off}" if end > start and decays[row] > 0 else own.reason
+                elif not nearer[row]:
+                    reasons[row] = off
                 else:
-                    over = float(decays[row]) * duration
-                    reasons[row] = "" if nearer[row] else f"{OFF} {end:.3g} m off{_why_off(loop, members[row], over)}"
+                    reasons[row] = ""
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
 
 
