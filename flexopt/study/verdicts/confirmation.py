@@ -125,15 +125,13 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
             errors = zip(*(data[f"{name}_error"] for name in ("start", "peak", "end")), strict=True)
             for row, own, (start, peak, end) in zip(some, judgements, errors, strict=True):
                 verdicts[row], nearer[row] = own.verdict, bool(end <= peak / 2 and end <= start)
-                over = float(decays[row]) * duration
-                off = f"{OFF} {end:.3g} m off{_why_off(loop, members[row], over)}"
-                if own.verdict != "converges":
-                    # That a load draws the arm away tells more than what becomes of the base meanwhile.
-                    reasons[row] = f"{own.reason}; {off}" if end > start and decays[row] > 0 else own.reason
-                elif not nearer[row]:
-                    reasons[row] = off
-                else:
-                    reasons[row] = ""
+                # That a load draws the arm away tells more than what becomes of the base meanwhile.
+                confirms = own.verdict == "converges"
+                whys = [] if confirms else [own.reason]
+                if not nearer[row] if confirms else end > start and decays[row] > 0:
+                    over = float(decays[row]) * duration
+                    whys.append(f"{OFF} {end:.3g} m off{_why_off(loop, members[row], over)}")
+                reasons[row] = "; ".join(whys)
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
 
 
