@@ -22,6 +22,7 @@ import flexopt
 from flexopt.foundation import printing
 from flexopt.foundation.rendering import OfNumbers, _environment, render
 from flexopt.selection import Selection
+from flexopt.selection.several import Stand
 from flexopt.study import page as study_page
 from flexopt.study.reports import page as report_page
 from flexopt.study.reports import tables
@@ -144,6 +145,37 @@ def test_the_chosen_place_is_the_verdicts(judged: flexopt.Report) -> None:
     assert f"{verdict.place} (drawn as chosen: the verdict's)" in {
         text for tag in ("th", "td") for _, text in page.all(tag)
     }
+
+
+@pytest.mark.long
+def test_of_several_targets_the_stand_of_the_verdict_is_drawn(tmp_path: Path) -> None:
+    file = tmp_path / "two.toml"
+    file.write_text(
+        'schema = 1\nname = "two"\ndescription = "two targets"\nsource = "a test"\nmachine = "excavator"\n'
+        "[target]\nend_points = [[0.3, 1.5], [-0.2, 1.7]]\n"
+        '[selection]\nobjective = "w1"\nbase = 0.3\n'
+    )
+    options: dict[str, Any] = {"members": 8, "runs": 2, "points": 4, "simulation": {"duration": 2.0}}
+    report = flexopt.report(flexopt.load_problem(str(file)), loop="default", **options)
+    verdict, drawn = report.verdict, report.about
+    assert verdict is not None
+    assert isinstance(report.selection, Stand)
+    assert isinstance(drawn, Stand)
+    assert verdict.place not in ("", STAY, "candidate 1")
+    place = next(each for each in verdict.places if each.name == verdict.place)
+    held = np.array([[*each.evaluation.base, *each.evaluation.posture] for each in drawn.places])
+    np.testing.assert_array_equal(held, np.hstack([place.base, place.posture]))
+    w1 = [flexopt.evaluate(report.machine, q, base=b).w[0] for b, q in zip(place.base, place.posture, strict=True)]
+    np.testing.assert_allclose(drawn.V, w1, rtol=1e-9, atol=1e-15)
+    assert drawn.worth == drawn.V.min() < report.selection.worth
+    run = report.loops["worst target"].run
+    assert run.base[0].tolist() == drawn.base.tolist()
+    page = Parsed(page_text(report))
+    words = f"Chosen: {verdict.place}, which the verdict is about; candidate 1 has the best w1."
+    assert [text.count(words) for _, text in page.all("figcaption")].count(1) == 1
+    cells = {text for _, text in page.all("td")}
+    assert f"{drawn.base[0]:.4f}" in cells
+    assert f"{report.selection.base[0]:.4f}" not in cells
 
 
 @pytest.mark.long
@@ -512,7 +544,7 @@ def test_the_edge_that_a_margin_is_from_has_a_minus_sign() -> None:
     digger, posture = flexopt.load("boom-stick-bucket"), (-0.9, -1.2, -0.5)
     target = flexopt.evaluate(digger, posture).end_point
     found = flexopt.select(digger, target, base=0.0, constraints={"tip_over_margin": 0.1}, starts=1, workers=1)
-    report: Any = SimpleNamespace(selection=found)
+    report: Any = SimpleNamespace(selection=found, about=found)
     assert "tip-over margin from x = −" in str(tables.constraints(report))
 
 
@@ -522,7 +554,8 @@ def test_rounding_of_a_constraint_is_no_number_of_the_page() -> None:
     value = next(iter(found.best.constraints.values()))
     noisy = dataclasses.replace(value, value=-(2.0**-52), lower=0.0, upper=float("inf"), unit="m")
     best = dataclasses.replace(found.best, constraints={"distance from keep_out[0]": noisy})
-    report: Any = SimpleNamespace(selection=dataclasses.replace(found, candidates=(best,)), verdict=None)
+    one = dataclasses.replace(found, candidates=(best,))
+    report: Any = SimpleNamespace(selection=one, about=one, verdict=None)
     told = tables.constraints(report)
     assert told is not None
     assert told.near[1] == [["distance from keep_out[0]", "at least 0 m", "0"]]

@@ -167,7 +167,7 @@ class _Listed(NamedTuple):
 
 def _listed(report: Report) -> list[_Listed]:
     """The present configuration and the candidates, or the configuration at each target."""
-    selection = report.selection
+    selection = report.about
     if not isinstance(selection, Selection):
         name, unit = selection.column, f" {selection.unit or ''}".rstrip()
         return [
@@ -192,7 +192,7 @@ def _listed(report: Report) -> list[_Listed]:
 
 def _placed(report: Report) -> tuple[PageTable, str]:
     """Where each configuration stands and how it is held, and a remark."""
-    listed, selection = _listed(report), report.selection
+    listed, selection = _listed(report), report.about
     first = listed[0].evaluation
     names = [*_with_units(first.base_coordinates, first.base_units), *_with_units(first.joints, first.joint_units)]
     said = any(each.remark for each in listed)
@@ -249,12 +249,11 @@ def _with_units(names: Iterable[str], units: Iterable[str]) -> list[str]:
 def _shown(report: Report) -> str:
     """Which configuration pictures, map and loops show as the chosen one, or of which target they are."""
     chosen, objective = chosen_number(report), report.selection.objective
-    if not isinstance(report.selection, Selection):
-        told = "At the target with the smallest V, the base standing where it is best by the objective."
-        another = (
-            f" The verdict is about another stand, candidate {chosen}: where it is stands with the places compared."
-        )
-        return told + another * (chosen > 1)
+    if isinstance(report.selection, BasePlan):
+        another = " The verdict is about another, candidate 2: the best placement that stands still."
+        return "At the target with the smallest V, along the way of the base." + another * (chosen > 1)
+    if isinstance(report.selection, Stand) and chosen == 1:
+        return "At the target with the smallest V, the base standing where it is best by the objective."
     if chosen == 1:
         return f"Chosen: candidate 1, which has the best {objective}."
     if report.verdict is not None and report.verdict.word == "cannot tell":

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -104,14 +105,14 @@ class Report(Printed, Result):
     @property
     def problem(self) -> SelectionProblem:
         """The configuration problem; of several targets that of the one with the smallest V."""
-        return problem_of(self.selection)
+        return problem_of(self.about)
 
     @property
     def stands(self) -> dict[str, Evaluation]:
         """Configurations by name, the present one first where it is known."""
         return stands_of(self.about)
 
-    @property
+    @cached_property
     def about(self) -> Selection | Stand | BasePlan:
         """The selection, its best the candidate that the verdict speaks of, where it speaks of one."""
         return self.selection if self.verdict is None else spoken_of(self.selection, self.verdict.place)

@@ -14,6 +14,7 @@ from flexopt.model.choices import Elbow
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.several import BasePlan, Stand
+from flexopt.selection.several.others import other_stand
 from flexopt.study.maps.grid import closed_form
 from flexopt.study.maps.workspace import map_workspace, takes_long
 from flexopt.study.maps.workspace_map import WorkspaceMap
@@ -27,11 +28,13 @@ POINTS, FEW_POINTS = 160, 48
 def spoken_of(selection: Selection | Stand | BasePlan, place: str) -> Selection | Stand | BasePlan:
     """What pictures, map and loops show: the selection, its best the candidate that a verdict speaks of.
 
-    Of several targets the selection itself.
+    Of a way along a path always the way.
     """
     number = candidate_number(place)
-    if number is None or not isinstance(selection, Selection):
+    if number is None or isinstance(selection, BasePlan):
         return selection
+    if isinstance(selection, Stand):
+        return other_stand(selection, number)
     return replace(selection, best=selection.candidates[number - 1])
 
 

@@ -55,7 +55,7 @@ def chosen_number(report: Report) -> int:
 
 def constraints(report: Report) -> ConstraintTables | None:
     """Values of every constraint; of a kind with many rows those near their bounds apart."""
-    selection = report.selection
+    selection = report.about
     one = isinstance(selection, Selection)
     if isinstance(selection, Selection):
         looked = {*range(COMPARED), chosen_number(report) - 1}

@@ -256,12 +256,10 @@ def held_at(stand: Stand, number: int) -> Evaluation | None:
 
 def _best_by_loop(chosen: ByLoop, base: Vector) -> Configurations | None:
     """How the arm is held at each target from one placement for the measure asked, with the gains chosen, if it is."""
-    gains = {name: (gain,) for name, gain in chosen.gains.items()}
-    loop = chosen.asked.loop.model_copy(update={"kp_range": None, "kv_range": None, **gains})
     held = (_standing_at(problem, base) for problem in chosen.problems)
     problems = tuple(replace(problem, starts=problem.starts or CLIMBED) for problem in held)
     try:
-        found = held_by_loop(problems, base, replace(chosen.asked, loop=loop), FINER)
+        found = held_by_loop(problems, base, replace(chosen.asked, loop=chosen.settings.fixed), FINER)
     except (NoSolutionFound, UnreachableTarget):
         return None
     return _evaluated(chosen.problems, found)

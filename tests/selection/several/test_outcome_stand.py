@@ -16,6 +16,7 @@ from flexopt.selection.outcomes.measures import Decay
 from flexopt.selection.outcomes.moves import OfMove
 from flexopt.selection.several import outcome_stand
 from flexopt.selection.several.by_loop import ByLoop
+from flexopt.selection.several.others import other_stand
 from flexopt.selection.several.outcome_stand import OutcomeStand
 from flexopt.study.page import number
 from flexopt.study.reports import page
@@ -69,7 +70,7 @@ def test_no_placement_of_a_scan_is_better(name: str, monkeypatch: pytest.MonkeyP
     assert f"objective {name}" in repr(found)
     assert found.to_dict()["measure"] == name
     # What a report says of it.
-    report: Any = SimpleNamespace(problem=found.problems[0], selection=found)
+    report: Any = SimpleNamespace(problem=found.problems[0], selection=found, about=found)
     assert f"Objective {name}, Jacobian inverse control" in page._sentence(report)
     told_there = [each.remark.removesuffix(", the worst") for each in page._listed(report)]
     assert told_there == [f"{name} {number(value, 4)} {found.unit}" for value in found.V]
@@ -107,6 +108,34 @@ def test_where_the_base_stands_the_arm_is_held_for_the_gains_that_were_chosen(mo
             postures = [posture_at(base, elbow, target) for elbow in ("up", "down")]
             each = [worth("decay", base, posture, found.gains) for posture in postures]
             assert worth("decay", base, tuple(e.posture), found.gains) == pytest.approx(max(each), rel=1e-9)
+
+
+def test_another_placement_and_staying_have_the_loop_of_the_chosen_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The default gains follow from a posture: those of the chosen stand are kept elsewhere, beside both elbows."""
+    monkeypatch.setattr(Decay, "looked", 100)
+    base = -1.8
+    options: dict[str, Any] = {"objective": "decay", "loop": "default", "base": base, "workers": 1}
+    found = flexopt.select_stand(EXCAVATOR, TARGETS, **options)
+    assert isinstance(found, OutcomeStand)
+    assert len(found.alternatives) >= 2
+    loop = found.settings.fixed
+    assert None not in (loop.kp, loop.kv)
+
+    def decay(base: float, posture: Any) -> float:
+        return flexopt.outcome(EXCAVATOR, posture, base=[base], loop=loop).decay
+
+    for count, (told, (x,)) in enumerate(found.alternatives, start=2):
+        other = other_stand(found, count)
+        each = [decay(x, place.evaluation.posture) for place in other.places]
+        np.testing.assert_allclose(other.V, each, rtol=1e-9)
+        assert other.worth == pytest.approx(told, rel=1e-9)
+        assert min(each) == pytest.approx(told, rel=1e-9)
+        np.testing.assert_array_equal(other.base, [x])
+        for place, target in zip(other.places, TARGETS, strict=True):
+            np.testing.assert_allclose(place.evaluation.end_point, target, atol=1e-8)
+    for e, target in zip(configurations_of(found)["stay"], TARGETS, strict=True):
+        each = [decay(base, posture_at(base, elbow, target)) for elbow in ("up", "down")]
+        assert decay(base, e.posture) == pytest.approx(max(each), rel=1e-9)
 
 
 @pytest.mark.long
