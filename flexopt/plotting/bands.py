@@ -139,11 +139,6 @@ def _draw(axes: Axes, bands: Bands) -> None:
         axes.text(1.04, k, worst, transform=across, va="center", fontsize="small")
     axes.set_yticks([])
     axes.set_ylim(len(bands.rows) - 0.4, -0.6)
-    better, unit = "" if bands.more is None else f" ({'more' if bands.more else 'less'} is better)", bands.unit or "SI"
-    # Two units are long: the rest is a line of its own.
-    apart = " or " in unit and bool(better)
-    label = f"{labelled(bands.label, unit)}\n{better.strip()}" if apart else labelled(f"{bands.label}{better}", unit)
-    axes.set_xlabel(label)
     # A power of ten stands beside the axis: under its end it met the label of a narrow panel.
     axes.xaxis.get_offset_text().set_horizontalalignment("left")
     if bands.heading:
@@ -159,6 +154,13 @@ def _draw(axes: Axes, bands: Bands) -> None:
         axes.set_xticks(between_powers(low, high, most=4))
         axes.set_xticks([], minor=True)
         axes.xaxis.set_major_formatter(lambda value, _: shown(value, 3))
+    formatter = axes.xaxis.get_major_formatter()
+    formatter.set_locs(axes.get_xticks().tolist())
+    better, unit = "" if bands.more is None else f" ({'more' if bands.more else 'less'} is better)", bands.unit or "SI"
+    # Two units are long, and a power of ten needs room beside the label: the rest is a line of its own.
+    apart = bool(better) and (" or " in unit or bool(formatter.get_offset()))
+    label = f"{labelled(bands.label, unit)}\n{better.strip()}" if apart else labelled(f"{bands.label}{better}", unit)
+    axes.set_xlabel(label)
     open_frame(axes, "x")
 
 
