@@ -126,7 +126,7 @@ def _drive(loop: dict[str, Any]) -> str:
 @argument("problem")
 @of_machine
 @judged
-@value("--duration", "S", "Of a run, s (by default 20; of what is slow longer).", number)
+@value("--duration", "S", "Of a run, s (by default 20; longer where a mode or the loop is slow).", number)
 @of_picture("Draw the bands of every place: .png, .svg or .pdf.")
 @value("--html", "FILE", "Write a page: the word, the bands, the table, the rule.")
 @PDF

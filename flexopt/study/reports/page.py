@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.doubt import with_doubt
+from flexopt.foundation.doubt import decay_told
 from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.foundation.rounding import without_rounding
 from flexopt.robustness import Evaluation
@@ -288,7 +288,9 @@ def _loops(report: Report) -> PageTable:
     for name, loop in report.loops.items():
         run, linear = loop.run, loop.linear
         poles = "–" if linear is None else f"{number(-linear.growth_rate, 4)} at {number(linear.frequency_hz, 4)} Hz"
-        decay = "–" if run.growth_rate is None else with_minus(with_doubt(-run.growth_rate, run.growth_rate_error))
+        decay = (
+            "–" if run.growth_rate is None else with_minus(decay_told(run.growth_rate, run.growth_rate_error, 5, "-"))
+        )
         turn = "–" if run.peak_base_rotation is None else number(1e3 * run.peak_base_rotation, 4)
         off = "–" if run.end_error is None else number(1e3 * run.end_error, 4)
         rows.append(
@@ -298,7 +300,8 @@ def _loops(report: Report) -> PageTable:
             ]
         )  # fmt: skip
     header = [
-        "configuration", "verdict", "decay of the base in the run, 1/s", "decay of the linear loop, 1/s",
+        "configuration", "verdict", "decay of the base in the run, 1/s (± standard error)",
+        "decay of the linear loop, 1/s",
         OfNumbers("settles in, s"), OfNumbers("largest base rotation, mrad"),
         OfNumbers("end-point at the end, mm off"), OfNumbers("duration, s"),
     ]  # fmt: skip

@@ -26,15 +26,15 @@ from flexopt.simulation.run import OUTGREW
 SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "start_error", "peak_error", "end_error")
 # Length of a run, s: of slow machines so many periods of the slowest mode, at most this time and so many samples.
 DURATION, PERIODS, LONGEST, SAMPLES = 20.0, 10, 600.0, 300_000
+# Time constants after which what is left is no motion any more, 0.7 %; for so long runs wait for a slow loop, s.
+AT_REST, WAITS = 5.0, 60.0
 UNFINISHED = "the integrator could not finish the run"
 # Why a run that converges does not confirm; and more where the controller does not know the weight.
 OFF = "the end-point does not come to its target: in the end it is"
 SAGS = (
-    "; the controller carries the weight of the machine's file, and by how much this member's is another the arm stays "
-    "off without an integral part: loop.feedback pid with ki takes it to the target"
+    "; the controller carries the load of the machine's file, and a heavier or lighter one draws the arm off: an "
+    "integral part takes it to the target (loop.feedback pid with ki)"
 )
-# Time constants after which what is left is no motion any more: 5 %.
-AT_REST = 3.0
 # Of the weight, what is none.
 ROUNDING = 1e-9
 # What runs may show; of several the first that one of them shows.
@@ -96,9 +96,13 @@ class Runs(Result):
         return self.verdicts.count(word) / len(self.verdicts)
 
 
-def long_enough(modes_hz: Iterable[float], rate: float, least: float = DURATION) -> float:
-    """How long a run takes to show whether the slowest of these modes grows, s."""
+def long_enough(modes_hz: Iterable[float], rate: float, least: float = DURATION, decays: Iterable[float] = ()) -> float:
+    """How long a run takes to show whether the slowest of these modes grows, s; and that what decays is at rest.
+
+    For what decays more slowly than a minute shows no run waits.
+    """
     slowest_hz, longest = min(modes_hz), min(LONGEST, SAMPLES / rate)
+    least = max([least, *(AT_REST / decay for decay in decays if decay * WAITS >= AT_REST)])
     # Of what is slower still no run can tell, of members with half the frequency, too.
     return max(least, min(PERIODS / slowest_hz, longest)) if slowest_hz * longest >= 2 * FEWEST_WINDOWS else least
 
@@ -129,20 +133,21 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                 confirms = own.verdict == "converges"
                 whys = [] if confirms else [own.reason]
                 if not nearer[row] if confirms else end > start and decays[row] > 0:
-                    over = float(decays[row]) * duration
-                    whys.append(f"{OFF} {end:.3g} m off{_why_off(loop, members[row], over)}")
+                    whys.append(f"{OFF} {end:.3g} m off{_why_off(loop, members[row], float(decays[row]), duration)}")
                 reasons[row] = "; ".join(whys)
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
 
 
-def _why_off(loop: UncertainLoop, u: Vector, over: float) -> str:
-    """That the run is short beside the slowest motion, of which it lasts so many time constants, or what helps else.
+def _why_off(loop: UncertainLoop, u: Vector, decay: float, duration: float) -> str:
+    """That the run is short beside the slowest motion, or what helps else.
 
     As where the controller carries another weight than the member has, and nothing integrates that.
     """
     plant, settings = build_plant(loop.box.machine), loop.settings
-    if over < AT_REST:
-        return f"; the run is short, {over:.2g} time constants of the slowest motion"
+    over = decay * duration
+    if 0 < over < AT_REST:
+        long = f"a duration of {duration * AT_REST / over:.0f} s lasts {AT_REST:g}"
+        return f"; the run is short, {over:.2g} time constants of the slowest motion ({long})"
     if not loop.gravity or (settings.feedback == "pid" and np.all(settings.ki[settings.kp > 0] > 0)):
         return ""
     at = np.concatenate([np.zeros(plant.n_passive), loop.posture])

@@ -25,6 +25,8 @@ FASTER, MOST = 0.1, 0.95
 SEVERAL = 3
 # Of a decay, by which two are one: mirrored places differ by rounding.
 ALIKE = 1e-6
+# Between what a run shows and what helps, in why it does not confirm.
+BETWEEN = "; "
 # What "better" is, in every sentence.
 BETTER = f"decays at least {100 * FASTER:.0f} % faster"
 
@@ -200,11 +202,15 @@ def _because(why: str) -> str:
 
 
 def _doubted(names: Sequence[str], unconfirmed: Mapping[str, str]) -> str:
-    """Places that runs do not confirm, each with why; what is why of all stands once."""
+    """Places that runs do not confirm, each with why; what is why of all, or helps in all, stands once."""
     whys = {unconfirmed[name] for name in names}
     if len(whys) == 1:
         return listed(map(spoken, names)) + _because(whys.pop())
-    return listed(f"{spoken(name)}{_because(unconfirmed[name])}" for name in names)
+    heads, helps = zip(*(unconfirmed[name].partition(BETWEEN)[::2] for name in names), strict=True)
+    if len(set(helps)) > 1 or not helps[0]:
+        heads, helps = [unconfirmed[name] for name in names], [""]
+    each = listed(f"{spoken(name)}{_because(head)}" for name, head in zip(names, heads, strict=True))
+    return f"{each}{BETWEEN}{helps[0]}" if helps[0] else each
 
 
 def _why_not(rival: Place, share: float, unconfirmed: Mapping[str, str]) -> str:

@@ -97,12 +97,16 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "sought_by": sentence(verdict.sought_by),
         "drifts": sentence(verdict.drifts),
         "unseen": sentence(verdict.unseen),
+        "weightless": sentence(verdict.weightless),
         "taken": verdict.taken and sentence(f"staying is judged in {verdict.taken}"),
         "present": verdict.present_told and sentence(f"{STAY}: {verdict.present_told}"),
         "where": _where(verdict),
         "assumed": [sentence(verdict.assumed_ground)] if verdict.assumed_ground else [],
         "rests": [
-            sentence(each) for place in verdict.places for each in (place.rest, place.broken, place.unconfirmed) if each
+            sentence(each)
+            for place in verdict.places
+            for each in (place.rest, place.broken, verdict.doubts.get(place.name))
+            if each
         ],
         "loop": with_minus(verdict.controller),
         "handed_on": sentence(verdict.handed_on),

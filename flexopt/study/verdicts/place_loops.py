@@ -106,7 +106,7 @@ class PlaceLoops:
 
     def runs(self, members: Vector, decays: Vector, duration: float | None) -> Runs:
         """Nonlinear runs of the members (n, k), with decays (K, n), s; of each the worst target's."""
-        long = duration or long_enough(self.modes_hz, self.settings.rate)
+        long = duration or long_enough(self.modes_hz, self.settings.rate, decays=decays.ravel().tolist())
         return of_all([nonlinear_runs(loop, members, own, long) for loop, own in zip(self.loops, decays, strict=True)])
 
 

@@ -24,7 +24,7 @@ from flexopt.robustness.evaluation import in_words
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import broken, elsewhere, reached
 from flexopt.study.verdicts.confirmation import Runs
-from flexopt.study.verdicts.decision import FASTER, RULE, Word, gains_in_words, spoken
+from flexopt.study.verdicts.decision import BETWEEN, FASTER, RULE, Word, gains_in_words, spoken
 from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of
 from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD, allowed, told
 
@@ -141,8 +141,7 @@ class PlaceVerdict(Result):
         """Why the first of the nonlinear runs that does not confirm a stable loop does not; empty where all do."""
         words = zip(self.runs.verdicts, self.runs.reasons, strict=True) if self.runs else ()
         # That a loop grows where its eigenvalues do is no news.
-        why = next((why for word, why in words if why and (word == "converges" or self.decay.least > 0)), "")
-        return why and f"{self.name}, a nonlinear run that does not confirm: {why}"
+        return next((why for word, why in words if why and (word == "converges" or self.decay.least > 0)), "")
 
     @property
     def _on_a_joint(self) -> bool:
@@ -156,7 +155,9 @@ class PlaceVerdict(Result):
         if runs is None:
             return ""
         shares = (("converge", runs.converging), ("grow", runs.growing), ("undecided", runs.undecided))
-        return ", ".join(f"{100 * share:.0f} % {what}" for what, share in shares if share)
+        told = ", ".join(f"{100 * share:.0f} % {what}" for what, share in shares if share)
+        # The base may come to rest, and the end-point not to its target.
+        return f"{told} ({100 * runs.confirming:.0f} % confirm)" if runs.confirming < runs.converging else told
 
 
 @dataclass(frozen=True)
@@ -449,6 +450,27 @@ class Verdict(Pictured, Printed, Result):
         return "\n".join(lines)
 
     @property
+    def doubts(self) -> dict[str, str]:
+        """Why runs do not confirm places, a sentence by name; of those that the reason tells of it says it."""
+        whys = {place.name: place.unconfirmed for place in self.places}
+        return {
+            name: f"{name}, a nonlinear run that does not confirm: {why}"
+            for name, why in whys.items()
+            if why.split(BETWEEN)[0] not in self.reason
+        }
+
+    @property
+    def weightless(self) -> str:
+        """That the weight is left out, a sentence; empty where it acts, or the machine has none."""
+        problem = self.problems[0]
+        if problem.gravity or problem.machine.gravity == 0:
+            return ""
+        return (
+            "the weight is left out, of the linear loops and of the runs: with gravity = true in [selection], "
+            "--gravity in the shell, what an unknown load draws is judged, too"
+        )
+
+    @property
     def unseen(self) -> str:
         """That the slowest motion of places is none of the controller's, a sentence; empty where it is."""
         names = [place.name for place in self.places if place.unseen]
@@ -493,13 +515,13 @@ class Verdict(Pictured, Printed, Result):
     def __repr__(self) -> str:
         unit = self.settings.gain_units[0]
         wide = max(15, len(unit) + 13)
-        weightless = "" if self.problems[0].gravity else ", without what the moved weight bends"
+        bends = "" if self.problems[0].gravity else ", without what the moved weight bends"
         lines = [
             f"{self.problems[0].machine.name}: {self.controller}",
             *self.settings.proposed,
             *([f"  {self.handed_on}"] if self.handed_on else []),
             f"  {self.over}",
-            f"  drive of the base to the place; settling, and turn of the base, of a move by {MOVE:g} m{weightless};",
+            f"  drive of the base to the place; settling, and turn of the base, of a move by {MOVE:g} m{bends};",
             "  decay with the file's numbers, then the worst of everything:",
             f"  {'place':12} {'drive':>8} {'decay, slowest':>26} {'allowed Kp':>{wide}} {'delay margin':>13} "
             f"{'settling':>10} {'turn':>11}   nonlinear runs",
@@ -516,9 +538,9 @@ class Verdict(Pictured, Printed, Result):
             lines.append(f"  –: {'; '.join(whys)}")
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
         lines += [f"  {place.rest}" for place in self.places if place.rest]
-        lines += [f"  {each}" for place in self.places for each in (place.broken, place.unconfirmed) if each]
+        lines += [f"  {each}" for place in self.places for each in (place.broken, self.doubts.get(place.name)) if each]
         lines += [f"  {self.drifts}"] * bool(self.drifts)
-        lines += [f"  {self.unseen}"] * bool(self.unseen)
+        lines += [f"  {sentence}" for sentence in (self.unseen, self.weightless) if sentence]
         lines += [f"  {sentence}" for sentence in self.assumed]
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
         return "\n".join([*lines, *filter(None, (self.drawbacks, self.measure))])

@@ -124,7 +124,8 @@ def verdict(
         members: how many points of the uncertainty decays are computed of; all corners of up to six ranges at least.
         runs: how many of them are run nonlinearly in each place, too; 0 for none, which then need not confirm.
         duration: of a run, s; by default 20, in a place where that is longer ten periods of the slowest mode, ten
-            minutes or 300,000 samples at most.
+            minutes or 300,000 samples at most, and five time constants of the loop's slowest motion, where a minute
+            holds them.
         progress: called with the percentage done and 100: a fifth each for places, decays, runs, other gains, and
             what the loop does in each place.
 
