@@ -148,7 +148,7 @@ def select_command(
 
     A problem may ask for one placement for several targets, or for a way of the base along a path of them.
     """
-    draw = check_picture(options)
+    drawn, draw = options["plot"] is not None, check_picture(options)
     check_output("--out", out, (".json",))
     check_output("--proof", proof, (".json",))
     if log is not None and not log.lower().endswith(".csv"):
@@ -181,15 +181,26 @@ def select_command(
     more = {} if certificate is None else {"certificate": certificate}
     more |= {} if identified is None else {"identification": identified.to_dict()}
     judge = partial(_judgement, result, own, **judged) if judged_too else None
-    _hand_out(result.to_dict() | more, judge, judged, out, as_json=as_json)
+    _hand_out(result, result.to_dict() | more, judge, judged, out, draw if drawn else None, as_json=as_json)
     if certificate is not None and certificate["verdict"] != "proven":
         sys.exit(FAILED)
 
 
 def _hand_out(
-    chosen: Document, judge: Callable[..., Verdict] | None, judged: dict[str, Any], out: str | None, *, as_json: bool
+    result: Selection | Stand | BasePlan,
+    chosen: Document,
+    judge: Callable[..., Verdict] | None,
+    judged: dict[str, Any],
+    out: str | None,
+    draw: Callable[[Any], None] | None,
+    *,
+    as_json: bool,
 ) -> None:
-    """Write the choice, judge it where that is asked, and write both; it stands where no verdict is to be had."""
+    """Write the choice, judge it where that is asked, and write both; it stands where no verdict is to be had.
+
+    Where the verdict speaks of another candidate, the picture shows that as the chosen one.
+    """
+    from flexopt.study.reports.surroundings import spoken_of  # noqa: PLC0415  (what only verdicts need)
 
     def write() -> None:
         if (file := out) is not None:
@@ -208,6 +219,9 @@ def _hand_out(
             chosen = chosen | {"verdict": {"status": "failed", "error": json_ready(error.to_dict())}}
         else:
             chosen = chosen | {"verdict": judgement.to_dict()}
+            if draw is not None and (about := spoken_of(result, judgement.place)) is not result:
+                draw(about)
+                announce(f"the picture shows {judgement.place} as the chosen one, of which the verdict speaks")
             if not as_json:
                 say(f"\n{judgement!r}")
         write()

@@ -287,7 +287,9 @@ class Selection(Pictured, Result):
         if best.evaluation.epsilon_max is not None and not any(o.has_kinks for o in self.problem.sought):
             told.append(f"ε_max {best.evaluation.epsilon_max:.6g}")
         told.append(way_there(self.problem, best))
-        return f"among those as good, in this order: {', '.join(told)}"
+        alone = not any(self._as_good(other) for other in self.candidates[1:])
+        among = "the configurations of its set of optima" if alone else "those as good"
+        return f"among {among}, in this order: {', '.join(told)}"
 
     def _as_good(self, other: Candidate) -> bool:
         """Whether another candidate has as much of every objective as the best."""

@@ -181,12 +181,15 @@ def _why(run: Shown, linear: SampledLoop, ended: Ended | None) -> str:
     if linear.growth_rate < 0 < run.rate < DRAWN * max(linear.drift, default=0.0):
         return "the arm's self-motion, which the controller does not hold, takes the base with it"
     own = None if ended is None else ended.integrated()
-    if own is None or ended is None:
-        return "the run is too short to show it, too large for a linear loop, or damped by its own integrator"
-    if (own > 0) != (linear.growth_rate > 0):
+    if own is not None and ended is not None and (own > 0) != (linear.growth_rate > 0):
         integrator = ended.options.integrator
         return f"the integrator {integrator} makes the decay {-own:+.4g}/s; more substeps or another show the loop"
-    return "the run is too short to show it, or too large for a linear loop"
+    whys = ["too short to show it", "too large for a linear loop"]
+    if own is None and linear.growth_rate > 0:
+        whys.append("damped by its own integrator")
+    if linear.growth_rate < 0 and linear.neutral:
+        whys.append("drawn along by the arm's self-motion, which nothing brakes")
+    return f"the run is {', '.join(whys[:-1])}, or {whys[-1]}"
 
 
 def _words(run: Shown) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,32 @@ def test_a_choice_is_handed_out_before_its_verdict(
     told = found.stderr.splitlines()
     assert "the verdict follows, which may take minutes" in told
     assert "no verdict" in told[-1]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("place", ["candidate 1", "candidate 2", "stay"])
+def test_the_picture_of_a_choice_shows_the_place_of_its_verdict(
+    place: str, command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    judged = SimpleNamespace(place=place, to_dict=dict)
+    monkeypatch.setattr("flexopt.study.verdict", lambda *_, **__: judged)
+    drawn = list[Any]()
+    monkeypatch.setattr("flexopt.selection.Selection.plot", lambda selection, *_, **__: drawn.append(selection))
+    found = command("select", "article", "--loop", "kp=1e4", "--plot", str(tmp_path / "choice.png"))
+    first = drawn[0].candidates[0]
+    assert drawn[0].best is first
+    said = f"the picture shows {place} as the chosen one, of which the verdict speaks"
+    if place == "candidate 2":
+        assert len(drawn) == 2
+        assert drawn[1].best is drawn[1].candidates[1]
+        assert drawn[1].best.evaluation.base != first.evaluation.base
+        assert said in found.stderr
+    else:
+        assert len(drawn) == 1
+        assert "the picture shows" not in found.stderr
+    drawn.clear()
+    assert "the picture" not in command("select", "article", "--loop", "kp=1e4").stderr
+    assert not drawn
 
 
 @pytest.mark.long

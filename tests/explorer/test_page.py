@@ -384,5 +384,5 @@ def test_a_mode_grows_from_a_gain_on_whatever_serves_the_joints(
     with opened(chromium, flexopt.explore(flexopt.load(name), posture), pages) as page:
         told = page.locator("#modes tbody").inner_text()
         assert "grows" in told
-        assert told.count(f"if {gain} > κ = ") == told.count("grows")
+        assert told.count(f"if {gain} > κiso = ") == told.count("grows")
         assert ("g the servo gain" in page.locator("#numbers").inner_text()) == (gain != "Kv")

@@ -36,6 +36,7 @@ def test_places_that_break_constraints_on_some_ground_count_where_all_do() -> No
     assert fit_places({"stay": kept, "candidate 1": broken}, "breaks clearance of boom") == ["candidate 1"]
     assert fit_places({"stay": kept}, "breaks clearance of boom") == []
     assert "no place found that keeps the constraints on every ground dec" in decide(STAY, [], barred=True).reason
+    assert decide(STAY, [], sought="w1").reason.startswith("no place found by w1 decays")
     grows = place("stay", GROUNDS - 1.0)
     told = decide(grows, [], place("candidate 1", GROUNDS), barred=True, gains={"kp": [1.0]})
     assert told.word == "change gains"

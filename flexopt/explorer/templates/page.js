@@ -205,7 +205,7 @@ class Explorer extends Pictures {
     const { data } = this, box = $("sliders");
     $("subtitle").textContent = data.description;
     if (data.loop.drive !== "torque") {
-      $("kappa").textContent = ", more than the damping of the mode and of the joints' servos takes out once g Kv exceeds the κ that then stands beside it, g the servo gain";
+      $("kappa").innerHTML = ", more than the damping of the mode and of the joints' servos takes out once g Kv, the same in all rows, exceeds the κ<sub>iso</sub> that then stands beside it, g the servo gain";
     }
     $("unit").textContent = `w and |a||b| in ${data.unit === "mixed" ? "mixed units" : data.unit.replace("kg m2", "kg m²")}; Jacobian ${data.control} control.`;
     const gain = (name) => {
@@ -439,7 +439,8 @@ class Explorer extends Pictures {
       const numbers = [digits(hz), alone ? `${digits(angle * 180 / Math.PI)}°` : "one frequency with another", digits(shown), digits(size)];
       numbers.forEach((text, k) => { cells[k + 2].textContent = text; });
       const grows = dot < 0, gain = this.data.loop.drive === "torque" ? "Kv" : "g Kv";
-      const bound = !grows ? "" : kappa > 0 ? `if ${gain} > κ = ${digits(kappa)}` : "at any Kv > 0";
+      const now = this.data.loop.drive === "torque" ? `; it is ${digits(Math.max(...this.gains.kv))}` : "";
+      const bound = !grows ? "" : kappa > 0 ? `if ${gain} > κ<sub>iso</sub> = ${digits(kappa)}${now}` : "at any Kv > 0";
       cells[1].innerHTML = `<span class="word ${grows ? "grows" : "settles"}">${grows ? "▲ grows" : "▼ settles"}</span><span class="kappa">${bound}</span>`;
     });
     this.putBase.forEach((put, k) => put(this.base[k]));

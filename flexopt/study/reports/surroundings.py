@@ -31,7 +31,7 @@ def spoken_of(selection: Selection | Stand | BasePlan, place: str) -> Selection 
     Of a way along a path always the way.
     """
     number = candidate_number(place)
-    if number is None or isinstance(selection, BasePlan):
+    if number in (None, 1) or isinstance(selection, BasePlan):
         return selection
     if isinstance(selection, Stand):
         return other_stand(selection, number)

@@ -107,6 +107,7 @@ def decide(
     absent: str = UNREACHED.format("the target"),
     most: float = 0.0,
     barred: bool = False,
+    sought: str = "",
 ) -> Decision:
     """The word by `RULE`.
 
@@ -122,8 +123,9 @@ def decide(
         absent: why there is no staying.
         most: share of the members on which a place is better than staying, of all that were judged.
         barred: whether some that were found are not among these, for they break constraints on some ground.
+        sought: by which objective places were sought, where that knows no controller; else empty.
     """
-    found = f"no place found{KEEPING * barred}"
+    found = f"no place found{sought and f' by {sought}'}{KEEPING * barred}"
     sound = [place for place in others if place.holds and place.name not in unconfirmed]
     best = _best([place for place in sound if stay is None or _pays(place, stay)])
     if changed is not None and changed.holds and _spares(changed, stay, best, sound):

@@ -20,12 +20,11 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import CORNERED, UncertainLoop, UncertaintyBox
-from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import told_numbers
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.constraints.corners import WHERE
-from flexopt.selection.continua import unwound
+from flexopt.selection.continua import unwound, way_to
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
 from flexopt.selection.outcomes.result import ChosenByLoop, OutcomeSelection
@@ -336,16 +335,16 @@ def drive_to(configurations: Configurations, now: Vector) -> tuple[float, float]
     return length, turn
 
 
-def besides_driving(machine: AnyMachine, turn: float, there: Configurations, held: Vector | None) -> str:
+def besides_driving(problem: SelectionProblem, turn: float, there: Configurations) -> str:
     """What a move takes besides the drive, in words: the base's turn, rad, and the joint that moves most, in its unit.
 
-    `held`: the posture in which the arm is now (n,); None where nobody said. Of one target alone: postures at several
-    are as far from each other as the targets.
+    Of the joints where it is known how the arm is held now, and of one target alone: postures at several are as far
+    from each other as the targets.
     """
     told = [f"a turn of the base by {turn:.3g} rad"] if turn >= LEAST_TOLD else []
-    if held is None or len(there) != 1:
+    if problem.present_posture is None or len(there) != 1:
         return ", ".join(told)
-    away = there[0].posture - held
+    machine, away = problem.machine, way_to(problem, there[0].z)[there[0].base.size :]
     most, moved = int(np.argmax(np.abs(away))), np.abs(away) >= LEAST_TOLD
     if moved.any():
         others = ", other joints less" if moved.sum() > 1 else ""

@@ -33,6 +33,7 @@ from flexopt.model.loop import Loop, LoopLike, gain_ranges, under_control
 from flexopt.model.problem import SelectionKeywords, SelectionOptions, judged_by
 from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 from flexopt.selection import Selection, SelectionProblem, select, solve_problem, solve_selection
+from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.asked import any_problem
@@ -185,7 +186,7 @@ def verdict(
     absent = f"the present place {now_breaks or within[STAY]}" if STAY in stands else unreached(chosen)
     known = {
         name: Place(name, decays[name], slowest[name].decay, drives[name][0],
-                    besides_driving(machine, drives[name][1], stands[name], solved.present_posture))
+                    besides_driving(solved, drives[name][1], stands[name]))
         for name in told if name in fit
     }  # fmt: skip
     stay, rest = known.get(STAY), [place for name, place in known.items() if name != STAY]
@@ -199,6 +200,7 @@ def verdict(
         stay, rest, changed and changed[0], doubts, tried=tried, refuted=refuted, doubt=doubt, gains=gains,
         alternates=_alternates(loops, slowest) if tried else "", absent=absent,
         most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
+        sought="" if isinstance(chosen, ChosenByLoop) else chosen.objective,
     )  # fmt: skip
     decision = _with_present(decision, absent if stay is None else "", chosen, held.get(STAY))
     bands = _each(told, lambda name: _place(
