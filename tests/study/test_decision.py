@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexopt.study.verdicts.decision import Place, decide, deciding, faster, ranked
+from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, faster, ranked
 from flexopt.study.verdicts.verdict import first_places, fit_places, overlooked, shares_better
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
@@ -240,12 +240,27 @@ def test_what_tells_growing_from_stable_grounds_is_to_be_measured() -> None:
     assert np.array_equal(values, payload)
     gained = place("near", np.where(np.arange(40) < 20, 2.0, 0.7) * GROUNDS)
     what, values = deciding(decide(STAY, [gained]), {"stay": STAY, "near": gained}, STAY)
-    assert what == "what is gained by moving to near"
+    assert what == "the share gained by moving to near"
     assert np.array_equal(values > 0, faster(gained.decays, STAY.decays))
     # A thousandth more on some grounds and less on others decides nothing.
     alike = place("near", np.where(np.arange(40) < 20, 1.001, 0.999) * GROUNDS)
     _, values = deciding(decide(STAY, [alike], unconfirmed={"stay": ""}), {"stay": STAY, "near": alike}, STAY)
     assert values.max() < 0
+    # By the share of the decay, as the word: a load that takes as much from both tells, though what is gained in 1/s
+    # falls with it.
+    load = np.linspace(0.0, 1.0, 40)
+    slower, other = (
+        place("stay", 10.0 * np.exp(-3 * load)),
+        place("near", 10.0 * np.exp(-3 * load) * (1.05 + 0.1 * load)),
+    )
+    _, values = deciding(decide(slower, [other]), {"stay": slower, "near": other}, slower)
+    assert np.all(np.diff(values) > 0)
+    assert values.min() < 0 < values.max()
+    assert np.array_equal(values > 0, faster(other.decays, slower.decays))
+    # Whatever decays is better than what does not.
+    still, rival = place("stay", np.where(load < 0.5, 0.0, 1.0)), place("near", 0.5 + load)
+    _, values = deciding(Decision("cannot tell", "near", ""), {"stay": still, "near": rival}, still)
+    assert np.array_equal(values > 0, faster(rival.decays, still.decays))
     found_by_search = Place("near", GROUNDS, -0.1, 0.0)
     what, values = deciding(
         decide(grows := place("stay", -GROUNDS), [found_by_search]), {"near": found_by_search}, grows

@@ -194,9 +194,9 @@ def deciding(decision: Decision, known: Mapping[str, Place], stay: Place | None)
         return f"whether {spoken(place.name)} is stable", np.where(place.decays > 0, 1.0, -1.0)
     if stay is None or place.name == stay.name:
         return f"the decay at {spoken(place.name)}", place.decays
-    # Beyond what makes it better: where that has one sign everywhere, no ground decides.
-    gained = place.decays - stay.decays - FASTER * np.abs(stay.decays)
-    return f"what is gained by moving to {place.name}", gained
+    # As a share, by which one is better, and beyond what makes it so: of one sign everywhere, no ground decides.
+    gained = (place.decays - stay.decays) / np.maximum(np.abs(stay.decays), np.finfo(np.float64).tiny) - FASTER
+    return f"the share gained by moving to {place.name}", gained
 
 
 def _because(why: str) -> str:

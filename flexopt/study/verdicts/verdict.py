@@ -488,5 +488,5 @@ def _measure(
     which, rank = matters_most(box, points, values.tolist()) if values.min() < 0 < values.max() else ("", 0.0)
     if which:
         return f"to tell, measure {which}: {what} goes with it (rank correlation {rank:+.2f})"
-    seen = f"of the {len(points)} members looked at {what} goes with nothing that is uncertain by itself"
-    return f"no measurement alone is seen to tell: {seen}" if rank else ""
+    seen = f"on the {len(points)} grounds looked at {what} follows none of the uncertain numbers alone"
+    return f"no single measurement is seen to tell: {seen}" if rank else ""
