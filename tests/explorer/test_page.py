@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,12 @@ def same_as_python(machine: AnyMachine, explorer: Explorer, at: dict[str, Any]) 
     known = flexopt.evaluate(machine, at["posture"], base=at["base"])
     assert np.allclose([mode["w"] for mode in at["modes"]], known.w, rtol=0, atol=1e-9 * np.abs(known.w).max())
     assert np.allclose([mode["hz"] for mode in at["modes"]], known.frequencies_hz, rtol=1e-9)
+
+
+def as_number(text: str) -> float:
+    """As `12.3` or `1.23·10⁴`."""
+    digits, _, power = text.replace("−", "-").partition("·10")
+    return float(digits) * 10.0 ** int(power.translate(str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")) or 0)
 
 
 def pressed(page: Page, handle: str, *keys: str) -> dict[str, Any]:
@@ -383,6 +390,18 @@ def test_a_mode_grows_from_a_gain_on_whatever_serves_the_joints(
     posture = POSTURE if name == "excavator" else [-1.0, -1.5, -1.0]
     with opened(chromium, flexopt.explore(flexopt.load(name), posture), pages) as page:
         told = page.locator("#modes tbody").inner_text()
-        assert "grows" in told
-        assert told.count(f"if {gain} > κiso = ") == told.count("grows")
+        known = flexopt.outcome(flexopt.load(name), posture).allowance_isotropic
+        bounds = [
+            (as_number(bound), as_number(now))
+            for bound, now in re.findall(rf"grows if {gain} > κiso = (\S+); it is (\S+)", told)
+        ]
+        assert [bound for bound, _ in bounds] == pytest.approx(known[np.isfinite(known)], rel=1e-3)
+        # Of the gain that the page has now: a mode grows beyond its bound only.
+        assert told.count("▲ grows") == sum(now > bound for bound, now in bounds)
+        assert told.count("△ excited") == sum(now <= bound for bound, now in bounds) > 0
+        assert told.count("▼ settles") == len(known) - len(bounds)
+        page.evaluate("explorer.factors.kv = 1e6; explorer.touched();")
+        settled(page)
+        beyond = len(bounds) if name == "excavator" else 0  # The other's Kv is 0.
+        assert page.locator("#modes tbody").inner_text().count("▲ grows") == beyond
         assert ("g the servo gain" in page.locator("#numbers").inner_text()) == (gain != "Kv")

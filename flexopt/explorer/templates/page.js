@@ -205,7 +205,7 @@ class Explorer extends Pictures {
     const { data } = this, box = $("sliders");
     $("subtitle").textContent = data.description;
     if (data.loop.drive !== "torque") {
-      $("kappa").innerHTML = ", more than the damping of the mode and of the joints' servos takes out once g Kv, the same in all rows, exceeds the κ<sub>iso</sub> that then stands beside it, g the servo gain";
+      $("kappa").innerHTML = ", more than the damping of the mode and of the joints' servos takes out (grows) once g Kv, the same in all rows, exceeds the κ<sub>iso</sub> that then stands beside it, g the servo gain";
     }
     $("unit").textContent = `w and |a||b| in ${data.unit === "mixed" ? "mixed units" : data.unit.replace("kg m2", "kg m²")}; Jacobian ${data.control} control.`;
     const gain = (name) => {
@@ -438,10 +438,12 @@ class Explorer extends Pictures {
       const shown = Math.abs(w) > data.rounding * size ? w : 0;
       const numbers = [digits(hz), alone ? `${digits(angle * 180 / Math.PI)}°` : "one frequency with another", digits(shown), digits(size)];
       numbers.forEach((text, k) => { cells[k + 2].textContent = text; });
-      const grows = dot < 0, gain = this.data.loop.drive === "torque" ? "Kv" : "g Kv";
-      const now = this.data.loop.drive === "torque" ? `; it is ${digits(Math.max(...this.gains.kv))}` : "";
-      const bound = !grows ? "" : kappa > 0 ? `if ${gain} > κ<sub>iso</sub> = ${digits(kappa)}${now}` : "at any Kv > 0";
-      cells[1].innerHTML = `<span class="word ${grows ? "grows" : "settles"}">${grows ? "▲ grows" : "▼ settles"}</span><span class="kappa">${bound}</span>`;
+      const { drive, numbers: { servo_gain: served } } = this.data.loop, torque = drive === "torque";
+      const gain = torque ? "Kv" : "g Kv", level = (torque ? 1 : served[0]) * Math.max(...this.gains.kv);
+      const excited = dot < 0, state = !excited ? "settles" : level > kappa ? "grows" : "excited";
+      const mark = { grows: "▲ grows", excited: "△ excited", settles: "▼ settles" }[state];
+      const bound = kappa > 0 ? `grows if ${gain} > κ<sub>iso</sub> = ${digits(kappa)}; it is ${digits(level)}` : "at any Kv > 0";
+      cells[1].innerHTML = `<span class="word ${state}">${mark}</span><span class="kappa">${excited ? bound : ""}</span>`;
     });
     this.putBase.forEach((put, k) => put(this.base[k]));
     this.putJoints.forEach((put, k) => put(this.posture[k]));
