@@ -167,7 +167,7 @@ def b_is_optimal(machine: AnyMachine, points: dict[str, Vector], inverse_up: Cur
         f"workspace x = {nearest:.3f} m."
     )
     holds = min(abs(slope) for slope in slopes.values()) < 1e-9
-    quote = "results of optimizing the mobile base position … the optimized position"
+    quote = "the optimized position"
     return ArticleFinding(
         "B as an optimum", quote, "section 5.1", holds, sentence, {"slope": slopes, "maximum": nearest}
     )

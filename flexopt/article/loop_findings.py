@@ -46,8 +46,8 @@ def stability_by_moving(loops: ClosedLoops) -> ArticleFinding:
     runs = loops.adjustment
     holds = runs[WITH].verdict == "converges" and runs[WITHOUT].verdict == "grows"
     sentence = (
-        f"After {runs[WITH].time[-1]:g} s the end-point is {1e3 * _end(runs[WITH]):.2f} mm off its target with base "
-        f"adjustment and {1e3 * _end(runs[WITHOUT]):.1f} mm without; the base has turned by up to "
+        f"In the last of {runs[WITH].time[-1]:g} s the end-point is up to {1e3 * _at_last(runs[WITH]):.2f} mm off its "
+        f"target with base adjustment and {1e3 * _at_last(runs[WITHOUT]):.0f} mm without; the base has turned by up to "
         f"{1e3 * _turn(runs[WITH]):.1f} and {1e3 * _turn(runs[WITHOUT]):.0f} mrad. With base adjustment the "
         f"oscillation {_outcome(runs[WITH])}, without it {_outcome(runs[WITHOUT])}; the base takes "
         f"{loops.stopped.time[-1]:.1f} s for its way. With the second pair of gains and base adjustment it "
@@ -192,6 +192,12 @@ def _outcome(run: Trajectory) -> str:
 
 def _end(run: Trajectory) -> float:
     return math.nan if run.end_error is None else run.end_error
+
+
+def _at_last(run: Trajectory) -> float:
+    """Largest |r_d − r| in the last second, m."""
+    late = run.error[run.time > run.time[-1] - 1.0]
+    return float(np.sqrt(np.max(np.sum(late**2, axis=1))))
 
 
 def _turn(run: Trajectory) -> float:

@@ -148,6 +148,8 @@ def select_command(
 
     A problem may ask for one placement for several targets, or for a way of the base along a path of them.
     """
+    from flexopt.study.reports.surroundings import spoken_of  # noqa: PLC0415  (`evaluate` does not need it)
+
     drawn, draw = options["plot"] is not None, check_picture(options)
     check_output("--out", out, (".json",))
     check_output("--proof", proof, (".json",))
@@ -181,26 +183,22 @@ def select_command(
     more = {} if certificate is None else {"certificate": certificate}
     more |= {} if identified is None else {"identification": identified.to_dict()}
     judge = partial(_judgement, result, own, **judged) if judged_too else None
-    _hand_out(result, result.to_dict() | more, judge, judged, out, draw if drawn else None, as_json=as_json)
+    place = _hand_out(result.to_dict() | more, judge, judged, out, as_json=as_json)
+    # Last: what cannot be drawn is no reason to lose a verdict.
+    if drawn and (about := spoken_of(result, place)) is not result:
+        draw(about)
+        announce(f"the picture shows {place} as the chosen one, of which the verdict speaks")
     if certificate is not None and certificate["verdict"] != "proven":
         sys.exit(FAILED)
 
 
 def _hand_out(
-    result: Selection | Stand | BasePlan,
-    chosen: Document,
-    judge: Callable[..., Verdict] | None,
-    judged: dict[str, Any],
-    out: str | None,
-    draw: Callable[[Any], None] | None,
-    *,
-    as_json: bool,
-) -> None:
+    chosen: Document, judge: Callable[..., Verdict] | None, judged: dict[str, Any], out: str | None, *, as_json: bool
+) -> str:
     """Write the choice, judge it where that is asked, and write both; it stands where no verdict is to be had.
 
-    Where the verdict speaks of another candidate, the picture shows that as the chosen one.
+    Of which place the verdict speaks; empty without one.
     """
-    from flexopt.study.reports.surroundings import spoken_of  # noqa: PLC0415  (what only verdicts need)
 
     def write() -> None:
         if (file := out) is not None:
@@ -209,6 +207,7 @@ def _hand_out(
 
     write()
     refused: FlexoptError | None = None
+    place = ""
     if judge is not None:
         announce("the verdict follows, which may take minutes")
         try:
@@ -218,10 +217,7 @@ def _hand_out(
             refused = error
             chosen = chosen | {"verdict": {"status": "failed", "error": json_ready(error.to_dict())}}
         else:
-            chosen = chosen | {"verdict": judgement.to_dict()}
-            if draw is not None and (about := spoken_of(result, judgement.place)) is not result:
-                draw(about)
-                announce(f"the picture shows {judgement.place} as the chosen one, of which the verdict speaks")
+            chosen, place = chosen | {"verdict": judgement.to_dict()}, judgement.place
             if not as_json:
                 say(f"\n{judgement!r}")
         write()
@@ -229,6 +225,7 @@ def _hand_out(
         print_json(chosen)
     if refused is not None:
         leave_with(refused)
+    return place
 
 
 def _tell_choice(

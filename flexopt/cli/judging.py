@@ -91,9 +91,7 @@ def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | No
     if DEFAULT_LOOP not in entries:
         return _beside(known, asked)
     if left_out := [name for name in known if name not in asked]:
-        say_once(
-            f"flexopt: --loop default stands in place of the file's [loop]: its {', '.join(left_out)} do not count"
-        )
+        say_once(f"flexopt: --loop default stands in place of the file's [loop], without its {', '.join(left_out)}")
     return asked
 
 

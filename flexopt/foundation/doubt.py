@@ -30,14 +30,6 @@ def with_doubt(value: float, error: float | None, digits: int = 5, sign: Literal
     return f"{round(value, decimals):{sign}z.{places}f} ± {round(error, decimals):.{places}f}"
 
 
-def decay_told(rate: float, error: float | None, digits: int = 4, sign: Literal["-", "+"] = "+") -> str:
-    """The decay −rate, 1/s, as far as it is known: where not even its sign is, between what it lies."""
-    if error is None or not abs(rate) < error < math.inf:
-        return with_doubt(-rate, error, digits, sign)
-    least, most = (f"{end:+.2g}" for end in (-rate - error, -rate + error))
-    return f"between {least} and {most}"
-
-
 def in_degrees(angle: float, width: int, digits: int) -> str:
     """An angle, rad, as `12.3°`; where there is none, NaN, as `–`."""
     return f"{'–' if math.isnan(angle) else f'{math.degrees(angle):.{digits}f}°':>{width}}"

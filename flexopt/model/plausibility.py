@@ -38,6 +38,7 @@ GRAVITY = (0.5, 30.0)  # m/s², where there is any
 LIGHT = 0.01  # mass of the base over that of the arm that it carries
 HEAVY = 10.0  # payload over the machine's own mass
 CONCENTRATED = 0.03  # radius of gyration over a body's size in the plane
+LIKELY = 0.1  # the same, of what a guess makes of a body; a ball's is 0.32 of its diameter
 FLAT = 0.1  # height of the first joint over the base's length
 BASE_MASS = ("base.mass", "mass of the base")  # the field's name, of planar machines and in space
 ALIKE, UNLIKE = 3, 1.1  # bodies of one mass and inertia, and longest over shortest of these
@@ -260,7 +261,7 @@ def _unit_of_inertia(part: BodyNumbers, radius: float, size: float) -> str:
         (1e6, f"the inertia in kg mm², {part.inertia / 1e6:g} kg m²"),
     )
     share = 1.0 if not part.link else 0.6 if part.hinge else WIDE
-    fit = [words for factor, words in slips if CONCENTRATED * size < radius / math.sqrt(factor) < share * size]
+    fit = [words for factor, words in slips if LIKELY * size < radius / math.sqrt(factor) < share * size]
     return ", or ".join(fit) if fit else "mass and inertia are probably in different units"
 
 

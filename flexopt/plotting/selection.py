@@ -67,7 +67,8 @@ def plot_selection(sheet: Sheet, selection: Selection) -> None:
         draw_configurations([figure.add_subplot(seen[k, 0]) for k in range(2)], selection)
         draw_candidates([figure.add_subplot(grid[k, 1]) for k in range(3)], selection)
     best = selection.best.evaluation
-    sheet.title(f"{mathtext(best.machine)}: Jacobian {best.control} control, objective {selection.objective}")
+    other = "".join(f"; candidate {k}" for k, c in enumerate(selection.candidates[1:], 2) if c is selection.best)
+    sheet.title(f"{mathtext(best.machine)}: Jacobian {best.control} control, objective {selection.objective}{other}")
 
 
 def _draw_along_redundancy(figure: Figure | SubFigure, panels: list[Axes], selection: Selection) -> None:

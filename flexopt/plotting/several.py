@@ -217,4 +217,6 @@ def _title(sheet: Sheet, result: Stand | BasePlan) -> None:
     first = result.problems[0]
     heading = f"{mathtext(first.machine.name)}, Jacobian {first.control} control, "
     heading += f"objective {result.objective}: {result.status}"
+    if isinstance(result, Stand) and result.number > 1:
+        heading += f"; candidate {result.number}"
     sheet.title(textwrap.fill(heading, TITLE_WIDTH))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import instance
-from flexopt.foundation.doubt import decay_told
+from flexopt.foundation.doubt import with_doubt
 from flexopt.foundation.escapes import LEGEND_MAX, mathtext
 from flexopt.plant import build_plant
 from flexopt.plotting.panels import Panel, draw_stack
@@ -114,7 +114,7 @@ def outcome(trajectory: Trajectory) -> str:
     rate, error = trajectory.growth_rate, trajectory.growth_rate_error
     if rate is None:
         return trajectory.verdict
-    number = decay_told(rate, error, 3).replace("-", "−")
+    number = with_doubt(-rate, error, 3, "+").replace("-", "−")
     return f"{trajectory.verdict}, decay {number} s$^{{-1}}$"
 
 

@@ -15,7 +15,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import array_of, path, public
 from flexopt.foundation.documents import write_netcdf
-from flexopt.foundation.doubt import decay_told
+from flexopt.foundation.doubt import with_doubt
 from flexopt.foundation.palette import Theme
 from flexopt.foundation.pictures import Pictured, drawn
 from flexopt.foundation.results import Result
@@ -310,7 +310,7 @@ class Trajectory(Pictured, Result):
             for hz, e in zip(self.frequencies_hz, self.residual_oscillation, strict=True)
         )
         own, linear = self.growth_rate, self.linear_growth_rate
-        shown = "–" if own is None else f"{decay_told(own, self.growth_rate_error)}/s"
+        shown = "–" if own is None else f"{with_doubt(-own, self.growth_rate_error, 4, '+')}/s"
         exact = "–" if linear is None else f"{-linear:+z.4g}/s"
         why = "" if self.linear is None else alternating(self.linear, self.ended)
         at = ""

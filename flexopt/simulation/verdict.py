@@ -16,7 +16,7 @@ import numpy as np
 
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.doubt import decay_told
+from flexopt.foundation.doubt import with_doubt
 from flexopt.loop.spectrum import from_sample_to_sample
 from flexopt.loop.tangent import at_rest
 from flexopt.model import AnyMachine
@@ -203,4 +203,6 @@ def _words(run: Shown) -> str:
         verb = "grows" if run.rate > 0 else "does not clearly decay"
     else:
         verb = "decays" if run.rate < 0 else "does not clearly grow"
-    return f"{verb} (decay {decay_told(run.rate, run.error)}/s)"
+    if abs(run.rate) < run.error:
+        verb = "neither clearly grows nor decays"
+    return f"{verb} (decay {with_doubt(-run.rate, run.error, 4, '+')}/s)"

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from flexopt.foundation.doubt import BELOW, decay_told, with_doubt
+from flexopt.foundation.doubt import BELOW, with_doubt
 
 SHOWN = re.compile(r"-?\d+(\.\d+)?(e[+-]\d+)? ± (inf|\d+(\.\d+)?(e[+-]\d+)?)")
 
@@ -23,20 +23,6 @@ SHOWN = re.compile(r"-?\d+(\.\d+)?(e[+-]\d+)? ± (inf|\d+(\.\d+)?(e[+-]\d+)?)")
 )
 def test_digits_end_where_the_doubt_begins(value: float, error: float, text: str) -> None:
     assert with_doubt(value, error) == text
-
-
-@pytest.mark.parametrize(
-    ("rate", "error", "text"),
-    [
-        (-0.5, 1.6, "between -1.1 and +2.1"),
-        (2.0, 5.0, "between -7 and +3"),
-        (-0.5, 0.1, "+0.50 ± 0.10"),
-        (-0.5, None, "+0.5"),
-        (-0.5, math.inf, "+0.5 ± inf"),
-    ],
-)
-def test_of_a_decay_without_a_sign_its_ends_are_told(rate: float, error: float | None, text: str) -> None:
-    assert decay_told(rate, error) == text
 
 
 def test_what_is_shown_holds_what_was_meant() -> None:

@@ -82,7 +82,12 @@ GROWN = {"word": "grows", "rate": 0.5, "grown": float(np.exp(5.0))}
         ({}, "nothing rests", "converges", "no eigenvalues beside it: nothing rests"),
         ({"significant": False}, "nothing rests", "undecided", "nothing rests"),
         ({"short": True}, "nothing rests", "undecided", "nothing rests"),
-        ({"rate": -1.03, "error": 2.2}, "nothing rests", "undecided", "decays (decay between -1.2 and +3.2/s)"),
+        (
+            {"rate": -1.03, "error": 2.2},
+            "nothing rests",
+            "undecided",
+            "neither clearly grows nor decays (decay +1.0 ± 2.2/s)",
+        ),
         # Only what decays can be damped, and only what nothing brakes draws the base along.
         (GROWN, loop(-0.2), "undecided", "too short to show it, or too large for a linear loop"),
         (GROWN, replace(loop(-0.2), neutral=2), "undecided", "linear loop, or drawn along by the arm's self-motion"),

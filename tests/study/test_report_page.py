@@ -173,6 +173,16 @@ def test_of_several_targets_the_stand_of_the_verdict_is_drawn(tmp_path: Path) ->
     page = Parsed(page_text(report))
     words = f"Chosen: {verdict.place}, which the verdict is about; candidate 1 has the best w1."
     assert [text.count(words) for _, text in page.all("figcaption")].count(1) == 1
+    assert any("At target 1, the worst by w1" in text for _, text in page.all("figcaption"))
+    said = " ".join(text for _, text in page.all("p"))
+    assert f"Candidate 1 is worth {study_page.number(report.selection.worth)}" in said
+    # What is told of its measures is of the stand that is drawn.
+    told, others = ([study_page.sentence(each) for each in stand.remarks] for stand in (drawn, report.selection))
+    assert told
+    assert all(each in said for each in told)
+    assert set(others) - set(told)
+    assert not any(each in said for each in set(others) - set(told) - {study_page.sentence(report.selection.left_open)})
+    assert drawn.plot().get_suptitle().endswith(f"; candidate {drawn.number}")
     cells = {text for _, text in page.all("td")}
     assert f"{drawn.base[0]:.4f}" in cells
     assert f"{report.selection.base[0]:.4f}" not in cells
@@ -544,7 +554,7 @@ def test_the_edge_that_a_margin_is_from_has_a_minus_sign() -> None:
     digger, posture = flexopt.load("boom-stick-bucket"), (-0.9, -1.2, -0.5)
     target = flexopt.evaluate(digger, posture).end_point
     found = flexopt.select(digger, target, base=0.0, constraints={"tip_over_margin": 0.1}, starts=1, workers=1)
-    report: Any = SimpleNamespace(selection=found, about=found)
+    report: Any = SimpleNamespace(selection=found, about=found, verdict=None)
     assert "tip-over margin from x = −" in str(tables.constraints(report))
 
 

@@ -6,6 +6,7 @@ In: a `Stand` and the number of one of its placements. Out: a `Stand` with the c
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from flexopt.selection.several.by_loop import ByLoop, places_by_loop, shared_pro
 from flexopt.selection.several.results import Stand
 from flexopt.selection.several.solving import places_at
 from flexopt.selection.several.standing import one_placement
+
+T = TypeVar("T")
 
 
 def other_stand(stand: Stand, number: int) -> Stand:
@@ -30,4 +33,15 @@ def other_stand(stand: Stand, number: int) -> Stand:
         places, worth = places_by_loop(program, y), program.measure.sign * float(min(program.values(y)))
     else:
         places = places_at(held, held.packed(zs))
-    return replace(stand, places=places, worth=worth)
+    # What is told of the search for the chosen one is not of this.
+    exchanged = {
+        "alternatives": _with(stand.alternatives, number - 2, (stand.worth, stand.base)),
+        "alternative_postures": _with(
+            stand.alternative_postures, number - 2, np.array([place.evaluation.posture for place in stand.places])
+        ),
+    }
+    return replace(stand, places=places, worth=worth, number=number, ends=(), unverified=None, **exchanged)
+
+
+def _with(found: tuple[T, ...], k: int, other: T) -> tuple[T, ...]:
+    return (*found[:k], other, *found[k + 1 :])

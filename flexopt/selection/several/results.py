@@ -270,6 +270,7 @@ class Stand(Pictured, ConfigurationSet):
         alternative_postures: of each of these the posture at every target (K, n), rad or m.
         ends: worth of where each start led that led to a verified optimum; empty of a choice by the loop, whose climbs
             are chosen, not drawn.
+        number: which of the placements found it is, the best being 1.
 
     Example:
         >>> machine = flexopt.load("excavator")
@@ -282,6 +283,7 @@ class Stand(Pictured, ConfigurationSet):
     alternatives: tuple[tuple[float, Vector], ...]
     alternative_postures: tuple[Vector, ...]
     ends: tuple[float, ...] = field(default=(), kw_only=True)
+    number: int = field(default=1, repr=False, kw_only=True)
 
     @property
     def missed_chance(self) -> float | None:

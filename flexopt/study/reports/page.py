@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.doubt import decay_told
+from flexopt.foundation.doubt import with_doubt
 from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.foundation.rounding import without_rounding
 from flexopt.robustness import Evaluation
@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from flexopt.study.reports.result import Report
 
 CAPTIONS = {
-    "selection": "The machine in the chosen and the present configuration, and its measures; 0 is best.",
-    "several": "The machine at its targets, and its measures; 0 is best.",
+    "selection": "The machine in the chosen and the present configuration, and its measures; of w_i 0 is best.",
+    "several": "The machine at its targets, and its measures; of w_i 0 is best.",
     "loops": "Nonlinear closed loops with the same gains and the joints displaced alike at the start.",
 }
 MAP_CAPTION = (
@@ -85,7 +85,7 @@ def report_html(report: Report) -> str:
         placed=placed,
         placed_note=note,
         measured=_measured(report),
-        said=" ".join(sentence(str(each)) for each in (*report.selection.remarks, *report.problem.assumed)),
+        said=" ".join(sentence(str(each)) for each in (*_remarks(report), *report.problem.assumed)),
         constraints=constraints(report),
         panels=_panels(report),
         frame="" if report.map is None else sentence(str(report.map.dataset.attrs["frame"])),
@@ -142,11 +142,19 @@ def _sentence(report: Report) -> str:
     return f"Target of the end-point: {target_of(problem)}. Objective {several.objective}, {how} {several.status}."
 
 
+def _remarks(report: Report) -> tuple[str, ...]:
+    """Sentences on the choice; of another stand those on it, after what more starts may find."""
+    selection, about = report.selection, report.about
+    if isinstance(selection, Stand) and isinstance(about, Stand) and about is not selection:
+        return (*filter(None, [selection.left_open]), *about.remarks)
+    return selection.remarks
+
+
 def _gained(several: Stand | BasePlan) -> str:
     """What the base's way or its one placement is worth."""
     if isinstance(several, Stand):
         unit = f" {several.unit}" if several.unit else ""
-        return f"Worth {number(several.worth)}{unit}; {len(several.alternatives)} other local optima."
+        return f"Candidate 1 is worth {number(several.worth)}{unit}; {len(several.alternatives)} other local optima."
     still = "no single placement reaches them all"
     if several.still is not None:
         still = f"{number(several.standing)} where the base stands still"
@@ -248,19 +256,21 @@ def _with_units(names: Iterable[str], units: Iterable[str]) -> list[str]:
 
 def _shown(report: Report) -> str:
     """Which configuration pictures, map and loops show as the chosen one, or of which target they are."""
-    chosen, objective = chosen_number(report), report.selection.objective
-    if isinstance(report.selection, BasePlan):
+    chosen, objective, about = chosen_number(report), report.selection.objective, report.about
+    at = "" if isinstance(about, Selection) else f"At target {about.worst + 1}, the worst by {objective}, "
+    if isinstance(about, BasePlan):
         another = " The verdict is about another, candidate 2: the best placement that stands still."
-        return "At the target with the smallest V, along the way of the base." + another * (chosen > 1)
-    if isinstance(report.selection, Stand) and chosen == 1:
-        return "At the target with the smallest V, the base standing where it is best by the objective."
+        return f"{at}along the way of the base.{another * (chosen > 1)}"
+    if isinstance(about, Stand) and chosen == 1:
+        return f"{at}the base standing where it is best by that."
     if chosen == 1:
         return f"Chosen: candidate 1, which has the best {objective}."
     if report.verdict is not None and report.verdict.word == "cannot tell":
-        about = f"Drawn as chosen: candidate {chosen}, of which the verdict cannot tell whether it pays to move there"
+        told = f"Drawn as chosen: candidate {chosen}, of which the verdict cannot tell whether it pays to move there"
     else:
-        about = f"Chosen: candidate {chosen}, which the verdict is about"
-    return f"{about}; candidate 1 has the best {objective}."
+        told = f"Chosen: candidate {chosen}, which the verdict is about"
+    at = at and f" {at.removesuffix(', ')}."
+    return f"{told}; candidate 1 has the best {objective}.{at}"
 
 
 def _options(report: Report) -> str:
@@ -288,9 +298,7 @@ def _loops(report: Report) -> PageTable:
     for name, loop in report.loops.items():
         run, linear = loop.run, loop.linear
         poles = "–" if linear is None else f"{number(-linear.growth_rate, 4)} at {number(linear.frequency_hz, 4)} Hz"
-        decay = (
-            "–" if run.growth_rate is None else with_minus(decay_told(run.growth_rate, run.growth_rate_error, 5, "-"))
-        )
+        decay = "–" if run.growth_rate is None else with_minus(with_doubt(-run.growth_rate, run.growth_rate_error))
         turn = "–" if run.peak_base_rotation is None else number(1e3 * run.peak_base_rotation, 4)
         off = "–" if run.end_error is None else number(1e3 * run.end_error, 4)
         rows.append(

@@ -92,7 +92,7 @@ def report(
     """Solve a configuration problem and show the machine, the choice, a map, the closed loops and the gains.
 
     What cannot be computed for a machine (a closed loop whose step is too long for RK4, say) is left out and noted. Of
-    several targets map, modes and closed loop are those at the target with the smallest V.
+    several targets map, modes and closed loop are those at the worst target.
 
     Args:
         problem: from `flexopt.load_problem` or `flexopt.build_selection`.

@@ -57,7 +57,7 @@ class Report(Printed, Result):
         name, description, source: of the problem.
         machine: the machine.
         selection: the chosen configuration, further candidates, the present one, and the problem; of several targets
-            a `Stand` or a `BasePlan`, and maps, loops and modes are those at the target with the smallest V.
+            a `Stand` or a `BasePlan`, and maps, loops and modes are those at the worst target.
         map: around the chosen configuration: over the placement where that has two coordinates, else over end-points
             (or over two joints, where the task has one row); None where there is none.
         marks: present and chosen configuration as points of the map, name -> (x, y).
@@ -104,7 +104,7 @@ class Report(Printed, Result):
 
     @property
     def problem(self) -> SelectionProblem:
-        """The configuration problem; of several targets that of the one with the smallest V."""
+        """The configuration problem; of several targets that of the worst."""
         return problem_of(self.about)
 
     @property

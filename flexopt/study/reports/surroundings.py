@@ -39,12 +39,12 @@ def spoken_of(selection: Selection | Stand | BasePlan, place: str) -> Selection 
 
 
 def problem_of(selection: Selection | Stand | BasePlan) -> SelectionProblem:
-    """The problem of one target; of several that of the one with the smallest V."""
+    """The problem of one target; of several that of the worst."""
     return selection.problem if isinstance(selection, Selection) else selection.problems[selection.worst]
 
 
 def best_of(selection: Selection | Stand | BasePlan) -> Evaluation:
-    """The chosen configuration; of several targets that of the one with the smallest V."""
+    """The chosen configuration; of several targets that of the worst."""
     if isinstance(selection, Selection):
         return selection.best.evaluation
     return selection.places[selection.worst].evaluation

@@ -80,7 +80,8 @@ def constraints(report: Report) -> ConstraintTables | None:
 
     left = len(selection.candidates if one else selection.places) - len(shown)
     more = f"1 more {kind} keeps" if left == 1 else f"{left} more {kind}s keep"
-    others = f"{more} within them, too; the values are in report.json."
+    where = "; the values are in report.json" if one or selection is report.selection else ""
+    others = f"{more} within them, too{where}."
 
     def table(names: list[str]) -> PageTable:
         rows = list[list[str]]()

@@ -5,6 +5,7 @@ In: a loop in a configuration, members. Out: an ensemble's verdicts, settling ti
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -28,6 +29,8 @@ SHOWN = ("settling_time", "peak_base_rotation", "growth_rate", "start_error", "p
 DURATION, PERIODS, LONGEST, SAMPLES = 20.0, 10, 600.0, 300_000
 # Time constants after which what is left is no motion any more, 0.7 %; for so long runs wait for a slow loop, s.
 AT_REST, WAITS = 5.0, 60.0
+# Longer no run may be, s; shares of rounding.
+DURATIONS, ALIKE = 1e4, 1e-6
 UNFINISHED = "the integrator could not finish the run"
 # Why a run that converges does not confirm; and more where the controller does not know the weight.
 OFF = "the end-point does not come to its target: in the end it is"
@@ -102,7 +105,8 @@ def long_enough(modes_hz: Iterable[float], rate: float, least: float = DURATION,
     For what decays more slowly than a minute shows no run waits.
     """
     slowest_hz, longest = min(modes_hz), min(LONGEST, SAMPLES / rate)
-    least = max([least, *(AT_REST / decay for decay in decays if decay * WAITS >= AT_REST)])
+    slow = max((AT_REST / decay for decay in decays if decay * WAITS >= AT_REST), default=0.0)
+    least = max(least, min(slow, SAMPLES / rate))
     # Of what is slower still no run can tell, of members with half the frequency, too.
     return max(least, min(PERIODS / slowest_hz, longest)) if slowest_hz * longest >= 2 * FEWEST_WINDOWS else least
 
@@ -114,6 +118,7 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
     """
     waits = [on_their_way(loop.box.numbers(u)[1], loop.settings.rate) for u in members]
     verdicts = ["grows" if decay < 0 else "undecided" for decay in decays.tolist()]
+    least = float(np.min(decays, initial=np.inf, where=decays > 0))
     found, nearer, reasons = np.full((3, len(members)), np.nan), [False] * len(members), [UNFINISHED] * len(members)
     for wait in sorted(set(waits)):
         rows = [k for k, each in enumerate(waits) if each == wait]
@@ -133,21 +138,24 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                 confirms = own.verdict == "converges"
                 whys = [] if confirms else [own.reason]
                 if not nearer[row] if confirms else end > start and decays[row] > 0:
-                    whys.append(f"{OFF} {end:.3g} m off{_why_off(loop, members[row], float(decays[row]), duration)}")
+                    short = _short(float(decays[row]) * duration, AT_REST / least)
+                    whys.append(f"{OFF} {end:.3g} m off{short}{_sags(loop, members[row])}")
                 reasons[row] = "; ".join(whys)
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
 
 
-def _why_off(loop: UncertainLoop, u: Vector, decay: float, duration: float) -> str:
-    """That the run is short beside the slowest motion, or what helps else.
+def _short(over: float, needed: float) -> str:
+    """That a run lasts only so many time constants of its slowest motion, and how long five of the place's last, s."""
+    if not 0 < over < AT_REST * (1 - ALIKE):
+        return ""
+    step = 10.0 ** (math.floor(math.log10(needed)) - 1)
+    long = f" ({math.ceil(needed / step - ALIKE) * step:g} s last {AT_REST:g})" if needed < DURATIONS else ""
+    return f"; the run is short, {over:.2g} time constants of the slowest motion{long}"
 
-    As where the controller carries another weight than the member has, and nothing integrates that.
-    """
+
+def _sags(loop: UncertainLoop, u: Vector) -> str:
+    """That the controller carries another weight than the member has, and nothing integrates that; empty elsewhere."""
     plant, settings = build_plant(loop.box.machine), loop.settings
-    over = decay * duration
-    if 0 < over < AT_REST:
-        long = f"a duration of {duration * AT_REST / over:.0f} s lasts {AT_REST:g}"
-        return f"; the run is short, {over:.2g} time constants of the slowest motion ({long})"
     if not loop.gravity or (settings.feedback == "pid" and np.all(settings.ki[settings.kp > 0] > 0)):
         return ""
     at = np.concatenate([np.zeros(plant.n_passive), loop.posture])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -419,7 +420,7 @@ class Verdict(Pictured, Printed, Result):
         if many:
             # No one posture is how the arm is held.
             why = "the one that was given is not used" if given else "how the arm is held was not given"
-            return f"postures that reach the targets: {why}"
+            return f"the postures that are best by {self.selection.objective} at each target: {why}"
         return "" if given else "a posture that reaches the target: how the arm is held was not given"
 
     @property
@@ -456,7 +457,7 @@ class Verdict(Pictured, Printed, Result):
         return {
             name: f"{name}, a nonlinear run that does not confirm: {why}"
             for name, why in whys.items()
-            if why.split(BETWEEN)[0] not in self.reason
+            if not (why.split(BETWEEN)[0] in self.reason and re.search(rf"\b{spoken(name)}\b", self.reason))
         }
 
     @property

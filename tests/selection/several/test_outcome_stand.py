@@ -131,6 +131,11 @@ def test_another_placement_and_staying_have_the_loop_of_the_chosen_one(monkeypat
         assert other.worth == pytest.approx(told, rel=1e-9)
         assert min(each) == pytest.approx(told, rel=1e-9)
         np.testing.assert_array_equal(other.base, [x])
+        # The chosen one is then one of the others.
+        assert other.number == count
+        assert found.worth in [worth for worth, _ in other.alternatives]
+        assert min(abs(base[0] - x) for _, base in other.alternatives) > 1e-3
+        assert "0 m from this one" not in repr(other)
         for place, target in zip(other.places, TARGETS, strict=True):
             np.testing.assert_allclose(place.evaluation.end_point, target, atol=1e-8)
     for e, target in zip(configurations_of(found)["stay"], TARGETS, strict=True):
