@@ -28,6 +28,8 @@ from flexopt.selection.several.targets import none_reaches_all
 
 # Postures of a target that are looked at from a placement.
 POSTURES = 6
+# So many times the usual number of postures is reached where the base stands in one placement.
+FINER = 6
 
 
 @dataclass(frozen=True, repr=False)
@@ -76,15 +78,15 @@ def outcome_stand(
     )
 
 
-def held_by_loop(problems: tuple[SelectionProblem, ...], base: Vector, asked: Asked, finer: int) -> list[Vector]:
+def held_by_loop(problems: tuple[SelectionProblem, ...], base: Vector, asked: Asked) -> list[Vector]:
     """[base, posture] at each target of the best way to stand in one placement (n_b,), which the problems hold.
 
-    `finer` times as many postures are looked at as usual; gains are not chosen.
+    Gains are not chosen.
 
     Raises:
         NoSolutionFound, UnreachableTarget: as `outcome_stand`.
     """
-    program, optima, *_ = _climbed(problems, base[:, None], asked, 1, None, finer)
+    program, optima, *_ = _climbed(problems, base[:, None], asked, 1, None)
     return _configurations(program, optima[0].y)
 
 
@@ -94,9 +96,10 @@ def _climbed(
     asked: Asked,
     workers: int,
     progress: Progress | None,
-    finer: int = 1,
 ) -> Climbs:
     """Where climbs from the best of what was looked at lead."""
+    # Of one placement there is time for more postures.
+    finer = FINER if bases.shape[1] == 1 else 1
     found = [reached_from(problem, bases, problem.seed, finer) for problem in problems]
     whole = np.flatnonzero(np.all([np.isfinite(reached.value).any(axis=1) for reached in found], axis=0))
     if not whole.size:

@@ -258,7 +258,7 @@ def _best_by_loop(chosen: ByLoop, base: Vector) -> Configurations | None:
     held = (_standing_at(problem, base) for problem in chosen.problems)
     problems = tuple(replace(problem, starts=problem.starts or CLIMBED) for problem in held)
     try:
-        found = held_by_loop(problems, base, replace(chosen.asked, loop=chosen.settings.fixed), FINER)
+        found = held_by_loop(problems, base, replace(chosen.asked, loop=chosen.settings.fixed))
     except (NoSolutionFound, UnreachableTarget):
         return None
     return _evaluated(chosen.problems, found)

@@ -172,6 +172,11 @@ def test_nothing_is_looked_at_twice_and_where_the_base_stands_the_arm_is_held_fo
     shown = held_at(stand, 0)
     assert shown is not None
     np.testing.assert_array_equal(shown.posture, stay[0].posture)
+    # Where the base stands in one placement the choice is no worse than staying there.
+    fixed = flexopt.select_stand(
+        machine, TARGETS, objective="decay", loop=LOOP, base=base, base_range=(base, base), starts=1, workers=1
+    )
+    assert fixed.worth >= min(held) * (1 - 1e-6)
 
 
 def test_what_does_not_go_together() -> None:
