@@ -365,7 +365,7 @@ def test_a_posture_that_was_given_is_not_called_missing() -> None:
     for given, missing in (({"posture": (0.9929, -2.6302)}, False), ({}, True)):
         stand = flexopt.select_stand(machine, TARGETS, starts=2, base=0.0, workers=1, **given)
         found = repr(flexopt.verdict(stand, loop=ARTICLE, members=2, runs=0))
-        assert "postures that reach the targets" in found
+        assert "the postures that are best by w1 at each target" in found
         assert (words in found) == missing
         assert ("the one that was given is not used" in found) != missing
         assert ("posture: decides nothing" in repr(stand)) != missing
