@@ -215,14 +215,16 @@ class Outcome(Result):
             lines.append(
                 "  the loop does not brake the arm's self-motion, no part of the decay; loop.nullspace_damping does"
             )
-        lines += [f"  the arm's self-motion drifts, decay {-rate:+.3g}/s" for rate in self.drift if rate > 0]
+        lines += [f"  the arm's self-motion drifts, e-fold in {1 / rate:.3g} s" for rate in self.drift if rate > 0]
         lines += [f"  {sentence}" for sentence in slow_self_motion(self.drift, self.decay)]
         stable = ", ".join(self._stable) or "nowhere"
         most = f"above {self.settings.highest_kp:.4g}" if math.isinf(self.allowed_gain) else _told(self.allowed_gain)
         unit = f" {self.settings.gain_units[0]} (stable: {stable})"
         lines.append(f"  allowed gain Kp {most}{'' if math.isnan(self.allowed_gain) else unit}")
-        if any(rate > 0 for rate in self.drift) and any(word.startswith("from") for word in self._stable):
-            lines.append("    from: with less, the drift may move the end-point, too, and then counts as the loop's")
+        first = self._stable[0] if self._stable else ""
+        if any(rate > 0 for rate in self.drift) and first.startswith("from"):
+            below = first.removeprefix("from ").split(" ")[0]
+            lines.append(f"    below {below} that drift may move the end-point, too, and is then counted as the loop's")
         margin = f"{_told(1e3 * self.delay_margin)}{' ms' if math.isfinite(self.delay_margin) else ''}"
         lines.append(
             f"  delay margin {margin}; disk margin {_told(self.disk_margin)}; "

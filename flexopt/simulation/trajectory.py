@@ -317,7 +317,8 @@ class Trajectory(Pictured, Result):
         if self.linear is not None and why:
             at = f" at {self.linear.frequency_hz:.4g} Hz{why}"
         elif self.linear is not None and self.linear.aperiodic:
-            at = ", a motion without oscillation"
+            hertz = self.linear.frequency_hz
+            at = f" at {hertz:.4g} Hz, which hardly swings" if hertz else ", a motion without oscillation"
         beyond = "" if self.overshoot is None else f"overshoot {100 * self.overshoot:.1f} %, "
         settles = f"does not settle in {self.time[-1]:g} s"
         if self.settling_time is not None:

@@ -73,6 +73,13 @@ def test_a_move_says_which_joint_moves_most() -> None:
     move = f"{('boom', 'stick')[most]} by {away[most]:+.3g} rad, other joints less"
     assert found.reason.endswith(f", for a drive of {chosen.drive:.3g} m, {move}")
     assert "no nonlinear run was made" in repr(found)
+    # Where every run confirms there is no doubt to tell.
+    confirmed = flexopt.verdict(flexopt.load("excavator"), (0.0, 1.6), base=0.0, loop=loop, **few | {"runs": 1})
+    assert any(place.runs and not any(place.runs.reasons) for place in confirmed.places)
+    doubted = {place.name for place in confirmed.places if place.runs and any(place.runs.reasons)}
+    assert set(confirmed.doubts) <= doubted
+    assert not any(each.endswith(": ") for each in confirmed.doubts.values())
+    assert "confirm: \n" not in f"{confirmed!r}\n"
     left = "the weight is left out, of the linear loops and of the runs"
     assert left in repr(found)
     assert left.capitalize() in found._html()

@@ -457,7 +457,7 @@ class Verdict(Pictured, Printed, Result):
         return {
             name: f"{name}, a nonlinear run that does not confirm: {why}"
             for name, why in whys.items()
-            if not (why.split(BETWEEN)[0] in self.reason and re.search(rf"\b{spoken(name)}\b", self.reason))
+            if why and not (why.split(BETWEEN)[0] in self.reason and re.search(rf"\b{spoken(name)}\b", self.reason))
         }
 
     @property
