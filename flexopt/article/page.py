@@ -29,7 +29,7 @@ CAPTIONS = {
     "the article's (a) to (c). Gains and start are stated, not printed. The end-point error on the left and the "
     f"optimised posture are additions. {DOUBT}",
     "figure10": "Fig. 10. The base's way by nullspace augmentation from posture A, with the article's stop and without "
-    "it: the machine on the left; on the right, from above, position and rate of the base and the objective.",
+    "it: the machine on the left; on the right, from top to bottom, position and rate of the base and the objective.",
     "figures11and12": "Figs. 11 and 12. End-point error on the left, base oscillation on the right, with base "
     "adjustment from A to B along Fig. 10, and without at A. Gains and start are stated, not printed. "
     f"{DOUBT}",

@@ -8,7 +8,7 @@ In: the constraints of a problem. Out: artists in a view.
 from __future__ import annotations
 
 import math
-from itertools import product
+from itertools import combinations, product
 from typing import Any, cast
 
 import numpy as np
@@ -36,6 +36,8 @@ AROUND = 0.5
 TOGETHER, BESIDE, UNDER, OVER, ASIDE = 0.03, 0.08, 0.05, 0.09, 16.0
 # By such a share of the picture the name of a half-plane moves along its border.
 ALONG = 0.15
+# Shares of lengths and areas that come of rounding.
+ALIKE = 1e-9
 
 
 def held(constraints: Constraints, shape: Shape) -> str:
@@ -124,14 +126,43 @@ def _names(view: View, constraints: Constraints, limits: Points) -> list[tuple[s
 def _draw_obstacle(axes: Axes, view: View, obstacle: Obstacle, crosses: Points, limits: Points) -> None:
     # Not among the data, which the limits may be fitted to.
     if isinstance(obstacle, Sphere):
-        middle = view.of(np.array(obstacle.center))
-        style = _style(view, np.array(obstacle.center)[:, None], obstacle.radius)
-        axes.add_artist(Circle((float(middle[0]), float(middle[1])), obstacle.radius, **style))
+        middle, radius = np.array(obstacle.center), obstacle.radius
+        at = tuple(view.of(middle).tolist())
+        depth = float(view.depth(middle[:, None])[0]) if _seen_from_the_side(view) else 0.0
+        if depth:
+            axes.add_artist(Circle(at, radius, **_style(beside=True)))
+        if abs(depth) < radius:
+            axes.add_artist(Circle(at, math.sqrt(radius**2 - depth**2), **_style()))
     elif isinstance(obstacle, Box):
         corners = _corners(obstacle)
-        axes.add_artist(Polygon(_hull(view.of(corners)).T, closed=True, **_style(view, corners)))
+        whole = _hull(view.of(corners))
+        cut = _hull(view.of(_section(view, corners))) if _seen_from_the_side(view) else whole
+        if _area(cut) < (1 - ALIKE) * _area(whole):
+            axes.add_artist(Polygon(whole.T, closed=True, **_style(beside=True)))
+        if _area(cut) > 0:
+            axes.add_artist(Polygon(cut.T, closed=True, **_style()))
     else:
         _draw_half_plane(axes, view, obstacle, crosses, limits)
+
+
+def _seen_from_the_side(view: View) -> bool:
+    """Whether what is seen may stand beside the arm's plane."""
+    return view.upright and view.axes.shape[1] == 3
+
+
+def _section(view: View, corners: Points) -> Points:
+    """Points (3, k) whose hull is what the plane cuts of the hull of corners (3, K)."""
+    depth = view.depth(corners)
+    depth[np.abs(depth) < ALIKE * np.abs(depth).max()] = 0.0
+    pairs = [(i, j) for i, j in combinations(range(depth.size), 2) if depth[i] * depth[j] <= 0 and depth[i] != depth[j]]
+    i, j = np.array(pairs, dtype=int).reshape(-1, 2).T
+    return corners[:, i] + (corners[:, j] - corners[:, i]) * (depth[i] / (depth[i] - depth[j]))
+
+
+def _area(corners: Points) -> float:
+    """Of a polygon (2, k) whose corners come in order; 0 of fewer than three."""
+    x, y = corners - corners[:, :1]
+    return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
 
 
 def _name(axes: Axes, text: str, at: Points, **placed: Any) -> None:
@@ -143,9 +174,8 @@ def _name(axes: Axes, text: str, at: Points, **placed: Any) -> None:
     )  # fmt: skip
 
 
-def _style(view: View, points: Points, radius: float = 0.0) -> dict[str, Any]:
+def _style(*, beside: bool = False) -> dict[str, Any]:
     """Fainter and dashed what stands beside the arm's plane, seen from the side."""
-    beside = view.upright and not view.cuts(points, radius)
     return {
         "facecolor": colors().obstacle, "edgecolor": colors().edge, "linewidth": 0.8, "alpha": 0.2 if beside else 0.55,
         "linestyle": "--" if beside else "-", "zorder": 1.5,
@@ -195,9 +225,12 @@ def _corners(box: Box) -> Points:
 
 
 def _hull(points: Points) -> Points:
-    """Corners of the convex hull (2, k) in order."""
+    """Corners of the convex hull (2, k) in order; none where the points lie on a line."""
     from scipy.spatial import ConvexHull  # noqa: PLC0415  (slow to import)
 
+    size = float(np.ptp(points, axis=1).max()) if points.size else 0.0
+    if not size or np.linalg.svd(points - points.mean(axis=1, keepdims=True), compute_uv=False)[-1] < ALIKE * size:
+        return np.zeros((2, 1))
     order = cast(list[int], ConvexHull(points.T).vertices.tolist())
     return points[:, order]
 

@@ -24,8 +24,6 @@ DEEPER = 0.45
 LIFTED = 0.07
 # Below this share of the machine's size an arm has no main direction to be seen from the side.
 UPRIGHT = 1e-3
-# What is as near to a plane as this share of its coordinates, which is rounding, touches it.
-TOUCHING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -79,13 +77,10 @@ class View:
         seen: Points = self.axes @ points
         return seen
 
-    def cuts(self, points: Points, radius: float = 0.0) -> bool:
-        """Whether the plane passes through or touches the hull of points (d, K) with a radius; in the plane always."""
-        if self.axes.shape[1] == 2:
-            return True
-        depth = np.cross(self.axes[0], self.axes[1]) @ (points - self.origin[:, None])
-        reach = radius + TOUCHING * max(float(np.abs(points).max()), float(np.abs(self.origin).max()), radius)
-        return bool(depth.min() <= reach and depth.max() >= -reach)
+    def depth(self, points: Points) -> Points:
+        """How far points (3, K) lie before the plane, (K,)."""
+        away: Points = np.cross(self.axes[0], self.axes[1]) @ (points - self.origin[:, None])
+        return away
 
 
 def shape_at(machine: AnyMachine, q: Points, base: Points) -> Shape:

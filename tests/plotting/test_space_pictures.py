@@ -7,17 +7,18 @@ import warnings
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch
+from matplotlib.patches import Circle, FancyBboxPatch, Polygon
+from matplotlib.transforms import Affine2D
 from PIL import Image
 
 import flexopt
-from flexopt.model.constraints import read_constraints
+from flexopt.model.constraints import Constraints, read_constraints
 from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
 from flexopt.plotting.scene import Actor, draw_scene
 from flexopt.plotting.scenery import draw_scenery, scenery_points
 from flexopt.plotting.several import view_of_way
-from flexopt.plotting.shape import Shape, capsule_outline, shape_at, shape_of, views
+from flexopt.plotting.shape import Shape, View, capsule_outline, shape_at, shape_of, views
 from flexopt.plotting.trajectory import deflection_panel
 from tests.oracles.spatial import grounded, in_space, pinocchio_tree, random_tree
 from tests.plotting.looking import faults
@@ -117,16 +118,52 @@ def test_views_are_orthogonal_projections():
     assert side.of(tip)[1] == pytest.approx(tip[2], rel=1e-15)
     np.testing.assert_allclose(above.of(foot), [0.4, -0.2], atol=1e-15)
     assert build_plant(machine).graph.segments == shape.segments
-    assert side.cuts(tip[:, None])
-    # What touches counts, on whichever side rounding leaves it; what is a millimetre off does not.
     away = np.cross(side.axes[0], side.axes[1])
-    for rounding in (-4, -1, 0, 1, 4):
-        off = rounding * np.finfo(float).eps
-        assert side.cuts((tip + off * away)[:, None])
-        assert side.cuts((tip + (3 + off) * away)[:, None], radius=3.0)
-    assert not side.cuts((tip + 1e-3 * away)[:, None])
-    assert not side.cuts((tip + 3 * np.cross(side.axes[0], side.axes[1]))[:, None], radius=2.9)
-    assert side.cuts((tip + 3 * np.cross(side.axes[0], side.axes[1]))[:, None], radius=3.1)
+    np.testing.assert_allclose(
+        side.depth(np.array([tip, foot, tip + 3 * away, tip - 2 * away]).T), [0, 0, 3, -2], atol=1e-14
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_the_arms_plane_cuts_of_an_obstacle_is_solid_and_all_of_it_faint(seed: int) -> None:
+    """Beside points of the plane, each inside the box or the ball by its own definition."""
+    rng = np.random.default_rng(seed)
+    turn = rng.uniform(-3, 3)
+    view = View(
+        "side", np.array([[np.cos(turn), np.sin(turn), 0], [0, 0, 1]]), ("along", "z"), True, rng.normal(size=3)
+    )
+    center, size, yaw, radius = rng.uniform(-0.3, 0.3, 3) + view.origin, rng.uniform(1, 3, 3), rng.uniform(-3, 3), 1.2
+    obstacles = [
+        {"kind": "box", "center": center.tolist(), "size": size.tolist(), "yaw": yaw},
+        {"kind": "sphere", "center": center.tolist(), "radius": radius},
+    ]
+    u, v = rng.uniform(-3, 3, (2, 4000))
+    points = view.origin[:, None] + view.axes[0][:, None] * u + view.axes[1][:, None] * v
+    c, s = np.cos(yaw), np.sin(yaw)
+    local = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ (points - center[:, None])
+    inside = (
+        np.all(abs(local) <= size[:, None] / 2, axis=0),
+        np.linalg.norm(points - center[:, None], axis=0) <= radius,
+    )
+    for obstacle, within in zip(obstacles, inside, strict=True):
+        axes = Figure().subplots()
+        constraints = Constraints.model_validate({"clearance": {"distance": 0.1, "obstacles": [obstacle]}})
+        limits = np.array([[-9.0, 9.0], [-9.0, 9.0]])
+        draw_scenery(axes, view, constraints, 0.0, "point", np.zeros((2, 0)), limits)
+        whole, cut = (each for each in axes.get_children() if isinstance(each, Circle | Polygon))
+        assert (whole.get_linestyle(), cut.get_linestyle()) == ("--", "-")
+        assert whole.get_alpha() < cut.get_alpha()
+        # Curves are followed to a pixel.
+        large = Affine2D().scale(1e4)
+        drawn, around = (
+            each.get_path().transformed(each.get_patch_transform() + large).contains_points(1e4 * view.of(points).T)
+            for each in (cut, whole)
+        )
+        assert 50 < within.sum() < 3950
+        # A circle's path is one of curves: 0.03 % of its radius off.
+        assert np.mean(drawn != within) < 1e-3
+        assert np.all(around[within])
+        assert around.sum() >= drawn.sum()
 
 
 def test_capsule_outline():

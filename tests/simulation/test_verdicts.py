@@ -110,7 +110,7 @@ def test_a_mode_that_ten_seconds_do_not_show():
     for run in (short, long):
         assert run.linear_growth_rate == pytest.approx(truth, rel=1e-9)
         assert run.to_dict()["verdict"] == run.verdict
-    assert "undecided: the run of 10 s decays" in repr(short)
+    assert "undecided: the run of 10 s neither clearly grows nor decays" in repr(short)
     assert short.verdict_reason.endswith("the run is too short to show it, or too large for a linear loop")
     assert pickle.loads(pickle.dumps(short)).verdict == "undecided"
 
