@@ -24,12 +24,12 @@ def other_stand(stand: Stand, number: int) -> Stand:
         return stand
     worth, base = stand.alternatives[number - 2]
     zs = [np.append(base, posture) for posture in stand.alternative_postures[number - 2]]
-    problems, first = stand.problems, stand.problems[0]
+    problems = stand.problems
     held = one_placement(problems, np.ones(len(problems)), weighted=False)
     if isinstance(stand, ByLoop):
         asked = replace(stand.asked, loop=stand.settings.fixed)
         program = shared_program(asked, problems, held.coupling, np.zeros(0), zs[0])
-        y = program.joined([z / first.scale for z in zs])
+        y = program.joined([z / problem.scale for problem, z in zip(problems, zs, strict=True)])
         places, worth = places_by_loop(program, y), program.measure.sign * float(min(program.values(y)))
     else:
         places = places_at(held, held.packed(zs))
