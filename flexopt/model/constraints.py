@@ -258,7 +258,7 @@ def _check_within(value: Any) -> tuple[Any, ...]:
 
 
 class Constraints(FileModel):
-    """What a configuration must keep, the passive coordinates at rest; what is left out does not bind.
+    """What a configuration must keep, under `gravity` as the machine sags; what is left out does not bind.
 
     Attributes:
         joint_margin: kept from every joint limit, rad or m.
@@ -279,8 +279,8 @@ class Constraints(FileModel):
         outcome: what the real loop must do at least, or at most, over all that is uncertain; with `flexopt.select`'s
             `loop`.
         within: numbers of the machine that may be others, as of `[[uncertainty]]`, four at most: whatever depends on
-            them, as `holding` and `tip_over_margin` on the payload, is kept at all corners of these intervals, too.
-            What is `own` is kept with the file's numbers.
+            them, as `holding` and `tip_over_margin` on the payload, under `gravity` everything on masses and springs,
+            is kept at all corners of these intervals, too. What is `own` is kept with the file's numbers.
         own: `flexopt.Constraint`s of the user's own, which files cannot have.
     """
 

@@ -68,7 +68,8 @@ def ask(arguments: Arguments, given: Mapping[str, Any]) -> _Asked | None:
     objectives: tuple[Objective, ...] = ()
     if given["objective"] is not None:
         objectives = read_objectives(arguments, machine, given["objective"], given["weights"])
-    asked = _suiting(arguments, machine, given["constraints"] or Constraints())
+    gravity = given.get("gravity") is True
+    asked = _suiting(arguments, machine, given["constraints"] or Constraints(), gravity=gravity)
     own = own_constraints(arguments, machine, asked)
     # What an options object leaves out is assumed; a distance to the limits asks for them.
     free = not (assumes(given.get("assume") or EVERYTHING, "limits") or asked.joint_margin)
@@ -139,7 +140,7 @@ def build_one(
     told = present if travel_now is None else travel_now[: len(names)]
     now = standing(plant, told)
     beside = assumed(plant, asked.assume, targets, kept, now, frozenset(ranges), given=told is not None)
-    rows = build_constraints(plant, kept, beside.ground)
+    rows = build_constraints(plant, kept, beside.ground, gravity=asked.gravity)
     constraint_set = rows if len(rows) else None
     ranges, sampled, intervals = _placements(plant, target, ranges, margin, now, beside.drive)
     length = outer_reach(plant)[1]
@@ -234,9 +235,9 @@ def _confirm_own(functions: Quantities, objectives: tuple[Objective, ...], scan:
     raise_if_any(InputError, "select", faults)
 
 
-def _suiting(arguments: Arguments, machine: AnyMachine, asked: Constraints) -> Constraints:
+def _suiting(arguments: Arguments, machine: AnyMachine, asked: Constraints, *, gravity: bool) -> Constraints:
     """The constraints, as far as they suit the machine; faults go to `arguments`."""
-    faults = constraint_faults(build_plant(machine), asked)
+    faults = constraint_faults(build_plant(machine), asked, gravity=gravity)
     if asked.outcome is not None:
         sentence = "is for flexopt.select, select_stand and plan_base, or flexopt select: it wants a loop"
         faults.append(Fault("outcome", sentence))

@@ -284,18 +284,25 @@ def test_in_order(walk, objectives, control, gravity):
 
 
 # What a loop must do at least has branches of its own, walked over in test_measures.
-def constrained():
+def constrained(*, gravity=False):
     asked = CONSTRAINTS | {"within": [{"of": "arm3.mass", "factor": (0.7, 1.5)}]}
     assert set(asked) == set(Constraints.model_fields) - {"own", "outcome"}, "a kind of constraint is not walked"
     machine = flexopt.tree_from_dict(slewing())
-    options = {"constraints": asked, "starts": 2, **PRESENT}
+    options = {"constraints": asked, "starts": 2, "gravity": gravity, **PRESENT}
     return flexopt.build_selection(machine, (3.5, 1.0, 1.2), **options)
 
 
-@pytest.mark.long("two")
-@pytest.mark.parametrize("objectives", [[(1.0, 0.0)], [(1.0, 0.0), (0.0, 1.0)]], ids=["one", "two"])
-def test_every_kind_of_constraint(walk, objectives):
-    for stage, start in every_stage(maximising(constrained(), *objectives)):
+@pytest.mark.long("two", "sagged")
+@pytest.mark.parametrize(
+    ("objectives", "gravity"),
+    [
+        pytest.param([(1.0, 0.0)], False, id="one"),
+        pytest.param([(1.0, 0.0), (0.0, 1.0)], False, id="two"),
+        pytest.param([(1.0, 0.0)], True, id="sagged"),
+    ],
+)
+def test_every_kind_of_constraint(walk, objectives, gravity):
+    for stage, start in every_stage(maximising(constrained(gravity=gravity), *objectives)):
         walk(stage, start)
 
 

@@ -38,14 +38,16 @@ KINDS: dict[str, ConstraintKind] = {
     "holding": holding.KIND,
     "tool_angle": tool_angle.KIND,
 }
+# In a structure: the machine sags.
+WEIGHT = "weight"
 # Kinds that are the same wherever the machine stands; a clearance is where it is from the ground.
-EVERYWHERE = ("manipulability", "self_clearance", "ground", "tip_over_margin", "holding", "tool_angle")
+EVERYWHERE = (WEIGHT, "manipulability", "self_clearance", "ground", "tip_over_margin", "holding", "tool_angle")
 Structure = tuple[tuple[str, Any, int], ...]
 
 
 @dataclass(frozen=True, eq=False)
 class ConstraintSet:
-    """Rows lower ≤ g(base, posture, p, c) ≤ upper, (k,), with the passive coordinates at rest.
+    """Rows lower ≤ g(base, posture, p, c) ≤ upper, (k,), the machine standing still: under gravity as it then sags.
 
     Attributes:
         rows: what each is called, and its unit, bounds and scale.
@@ -73,13 +75,13 @@ class ConstraintSet:
         )
 
 
-def constraint_faults(plant: Plant, constraints: Constraints) -> list[Fault]:
+def constraint_faults(plant: Plant, constraints: Constraints, *, gravity: bool = False) -> list[Fault]:
     """What stands in the way of these constraints for a machine; fields are those of `Constraints`."""
     found = [fault for kind in KINDS.values() for fault in kind.faults(plant, constraints)]
     within = constraints.within or ()
     wrong = corners.within_faults(plant, within)
     if within and not found and not wrong:
-        on = {entry for group in _asked(plant, constraints) for _, entry in _dependence(plant, group)}
+        on = {entry for group in _asked(plant, constraints) for _, entry in _dependence(plant, group, gravity=gravity)}
         sentence = (
             "no constraint of flexopt's that was asked for depends on it; holding and tip_over_margin do on masses"
         )
@@ -102,22 +104,26 @@ def _asked(plant: Plant, constraints: Constraints) -> list[Group]:
     return [group for kind in KINDS.values() for group in kind.groups(plant, constraints)]
 
 
-def _groups(plant: Plant, constraints: Constraints, assumed_ground: float | None = None) -> list[Group]:
+def _groups(
+    plant: Plant, constraints: Constraints, assumed_ground: float | None = None, *, gravity: bool = False
+) -> list[Group]:
     """All of constraints without faults."""
     groups = _asked(plant, constraints)
     if assumed_ground is not None:
         groups += ground.ground_groups(plant, assumed_ground)
     within = constraints.within or ()
-    return groups + corners.corner_groups(plant, groups, within, partial(_dependence, plant))
+    return groups + corners.corner_groups(plant, groups, within, partial(_dependence, plant, gravity=gravity))
 
 
-def _dependence(plant: Plant, group: Group) -> list[tuple[int, int]]:
+def _dependence(plant: Plant, group: Group, *, gravity: bool = False) -> list[tuple[int, int]]:
     """Which rows of a group depend on which entries of p."""
-    function = _functions(plant.machine, (group.structure,))[0]
+    function = _functions(plant.machine, (group.structure,), gravity)[0]
     return list(zip(*function.jac_sparsity(0, function.index_in("p")).get_triplet(), strict=True))
 
 
-def build_constraints(plant: Plant, constraints: Constraints, assumed_ground: float | None = None) -> ConstraintSet:
+def build_constraints(
+    plant: Plant, constraints: Constraints, assumed_ground: float | None = None, *, gravity: bool = False
+) -> ConstraintSet:
     """The rows that a configuration of this machine must keep.
 
     `joint_margin` and `travel` give no rows: they belong to bounds and objective.
@@ -126,32 +132,33 @@ def build_constraints(plant: Plant, constraints: Constraints, assumed_ground: fl
         plant: of the machine.
         constraints: from `flexopt.model.constraints.read_constraints`.
         assumed_ground: its height, m; see `flexopt.selection.assumed`.
+        gravity: whether the machine sags under its weight.
 
     Raises:
         InputError: the machine lacks what a kind needs, or bodies and coordinates do not suit it; lists every fault.
     """
-    raise_if_any(InputError, "constraints", constraint_faults(plant, constraints))
-    groups = _groups(plant, constraints, assumed_ground)
+    raise_if_any(InputError, "constraints", constraint_faults(plant, constraints, gravity=gravity))
+    groups = _groups(plant, constraints, assumed_ground, gravity=gravity)
     rows = tuple(row for group in groups for row in group.rows)
     structure = tuple(group.structure for group in groups)
-    function, report = _functions(plant.machine, structure)
+    function, report = _functions(plant.machine, structure, gravity)
     assert function.size1_out(0) == len(rows)
     return ConstraintSet(
         rows=rows,
         constants=ca.DM([number for group in groups for number in group.constants]),
         function=function,
         report=report,
-        structure=structure,
+        structure=structure + ((WEIGHT, None, 0),) * gravity,
     )
 
 
 @lru_cache(maxsize=32)
-def _functions(machine: AnyMachine, structure: Structure) -> tuple[ca.Function, ca.Function]:
+def _functions(machine: AnyMachine, structure: Structure, gravity: bool) -> tuple[ca.Function, ca.Function]:
     """The rows as a solver sees them, and as people do."""
     plant = build_plant(machine)
     g = plant.graph
     c = ca.SX.sym("c", sum(count for _, _, count in structure))
-    scene = Scene(plant, g.base, g.posture, g.p)
+    scene = Scene(plant, g.base, g.posture, g.p, gravity)
     rows: list[ca.SX] = []
     reported: list[ca.SX] = []
     start = 0

@@ -16,6 +16,9 @@ from flexopt.errors import Fault
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
 
+# From rest: a sag of 0.1 rad is then off by less than rounding, each step about squaring what it is off by.
+SAGS = 4
+
 
 @dataclass(frozen=True)
 class ScaledConstraint:
@@ -52,22 +55,31 @@ class Group:
 
 @dataclass(frozen=True)
 class Scene:
-    """A machine at rest as SX graphs, each made when first asked for.
+    """A machine that stands still as SX graphs, each made when first asked for.
 
     Attributes:
         plant: the machine's plant.
         base, posture, p: the symbols that all is a graph of.
+        gravity: whether it sags under its weight.
     """
 
     plant: Plant
     base: ca.SX
     posture: ca.SX
     p: ca.SX
+    gravity: bool = False
 
     @cached_property
     def q(self) -> ca.SX:
-        """Coordinates, the passive ones undeflected, (n_q,)."""
-        return self.plant.rest(self.base, self.posture, self.p)
+        """Coordinates (n_q,): the passive ones undeflected, or under gravity after `SAGS` steps of Newton's method."""
+        at = [self.base, self.posture, self.p]
+        q = self.plant.rest(*at)
+        if not self.gravity:
+            return q
+        passive = q[: self.plant.n_passive]
+        for _ in range(SAGS):
+            passive = self.plant.static_step(passive, *at)
+        return ca.vertcat(passive, self.posture)
 
     @property
     def dimension(self) -> int:

@@ -1,0 +1,146 @@
+"""Constraints under gravity, of machines that sag, against the sagged machine by means of its own."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.model.constraints import read_constraints
+from flexopt.plant import build_plant
+from flexopt.plotting.shape import shape_at
+from flexopt.selection.constraints import build_constraints
+from tests.selection.constraints.test_corners import SHIPPED, supported, values, with_numbers
+
+
+def posture_of(machine: Any) -> np.ndarray:
+    """Within the limits."""
+    low, high = np.clip(np.array(machine.limits), -2.0, 2.0).T
+    return low + 0.4 * (high - low)
+
+
+def sagged(machine: Any, base: np.ndarray, posture: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Coordinates where springs and weight balance, by Newton's method with differences: K (q − q₀) + g(q) = 0."""
+    plant = build_plant(machine)
+    m, rest = plant.n_passive, plant.rest(base, posture, p).full().ravel()
+    stiffness = plant.stiffness(p).full()[:m, :m]
+
+    def force(passive: np.ndarray) -> np.ndarray:
+        q = np.concatenate([passive, posture])
+        return stiffness @ (passive - rest[:m]) + plant.gravity(q, base, p).full().ravel()[:m]
+
+    passive, step = rest[:m].copy(), 1e-6
+    for _ in range(30):
+        slopes = np.array([(force(passive + step * e) - force(passive - step * e)) / (2 * step) for e in np.eye(m)]).T
+        passive -= np.linalg.solve(slopes, force(passive))
+    return np.concatenate([passive, posture])
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_volumes_and_the_centre_of_mass_are_those_of_the_sagged_machine(name: str) -> None:
+    machine = supported(name)
+    plant, d = build_plant(machine), build_plant(machine).frames.dimension
+    base, posture, p = np.full(plant.n_base, 0.2), posture_of(machine), plant.parameter_values.full().ravel()
+    wall = {"kind": "half_plane", "name": "wall", "point": [3.0] * d, "normal": [-1.0, *[0.2] * (d - 1)]}
+    tank = {"kind": "sphere", "name": "tank", "center": [4.0] * d, "radius": 0.5}
+    asked: dict[str, Any] = {"tip_over_margin": 0.01}
+    if machine.capsules:
+        asked["clearance"] = {"distance": 0.1, "obstacles": [wall, tank]}
+    payload = "payload.mass"
+    own = {each.name: each.value for each in machine.parameters}[payload]
+    heavy = 2.0 * own + 0.05 * sum(each.value for each in machine.parameters if each.unit == "kg")
+    rows = build_constraints(plant, read_constraints(asked | {"within": {payload: (own, heavy)}}), gravity=True)
+    at_rest = build_constraints(plant, read_constraints(asked))
+    found = values(machine, rows, base, posture, p)
+    reported = dict(
+        zip([row.name for row in rows.rows], rows.report(base, posture, p, rows.constants).full().ravel(), strict=True)
+    )
+    seen, moved = 0, 0.0
+    for mass in (own, heavy):
+        numbers = with_numbers(machine, {payload: mass})
+        q = sagged(machine, base, posture, numbers)
+        assert np.abs(q - plant.rest(base, posture, numbers).full().ravel()).max() > 1e-4
+        where = f" where {payload} is {mass:.4g} kg" * (mass != own)
+        centre = plant.centre_of_mass(q, base, numbers).full().ravel()
+        unsagged = plant.centre_of_mass(plant.rest(base, posture, numbers), base, numbers).full().ravel()
+        if d == 2:
+            (low, high), x = np.sort(np.array(machine.support_points).ravel())[[0, -1]], centre[0] - base[0]
+            margins = sorted([x - low, high - x])
+            told = sorted(value for label, value in reported.items() if label.startswith("tip-over"))
+            assert {round(m, 7) for m in margins} <= {round(t, 7) for t in told}
+        moved = max(moved, float(np.abs(centre - unsagged)[: d - 1].max()))
+        for (start, end, radius), capsule in zip(shape_at(machine, q, base).capsules, machine.capsules, strict=True):
+            ends = [np.asarray(start), np.asarray(end)]
+            along = (ends[1] - ends[0]) if capsule.start != capsule.end else None
+            if len([each for each in machine.capsules if each.called == capsule.called]) > 1:
+                continue
+            normal = np.array(wall["normal"]) / np.linalg.norm(wall["normal"])
+            walls = [float(normal @ (each - 3.0)) - radius for each in ends]
+            labels = [f"{capsule.called} (start)", f"{capsule.called} (end)"] if along is not None else [capsule.called]
+            for label, away in zip(labels, walls, strict=False):
+                assert reported[f"clearance of {label} from wall{where}"] == pytest.approx(away, abs=1e-9)
+                seen += 1
+            middle = np.full(d, 4.0)
+            share = 0.0 if along is None else float(np.clip((middle - ends[0]) @ along / (along @ along), 0, 1))
+            nearest = ends[0] if along is None else ends[0] + share * along
+            gap = float(np.linalg.norm(middle - nearest)) - 0.5 - radius
+            assert reported[f"clearance of {capsule.called} from tank{where}"] == pytest.approx(gap, abs=1e-9)
+    assert seen > 0 or not machine.capsules
+    assert moved > 1e-5
+    # At rest they are others.
+    unmoved = values(machine, at_rest, base, posture, p)
+    assert max(abs(found[label] - value) for label, value in unmoved.items()) > 1e-6
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_slopes_of_rows_are_those_of_differences(name: str) -> None:
+    machine = supported(name)
+    plant = build_plant(machine)
+    base, posture, p = np.full(plant.n_base, 0.2), posture_of(machine), plant.parameter_values
+    asked: dict[str, Any] = {"tip_over_margin": 0.01, "manipulability": 0.1}
+    if machine.capsules:
+        far = {"kind": "sphere", "name": "tank", "center": [9.0] * plant.frames.dimension, "radius": 0.5}
+        asked["clearance"] = {"distance": 0.1, "obstacles": [far]}
+    rows = build_constraints(plant, read_constraints(asked), gravity=True)
+    z = ca.SX.sym("z", plant.n_base + plant.n_actuated)
+    n_b = plant.n_base
+    graph = rows.function(z[:n_b], z[n_b:], p, rows.constants)
+    slopes = ca.Function("slopes", [z], [ca.jacobian(graph, z)])
+    at, step = np.concatenate([base, posture]), 1e-5
+
+    def g(z: np.ndarray) -> np.ndarray:
+        return rows.function(z[:n_b], z[n_b:], p, rows.constants).full().ravel()
+
+    differences = np.array([(g(at + step * e) - g(at - step * e)) / (2 * step) for e in np.eye(at.size)]).T
+    size = np.abs(differences).max()
+    # Of central differences: step squared, and rounding over the step.
+    assert np.abs(slopes(at).full() - differences).max() < 1e-7 * size
+
+
+def test_what_is_chosen_keeps_its_distance_as_it_sags() -> None:
+    """The bucket above a floor, as its springs and its weight have it."""
+    machine = supported("boom-stick-bucket")
+    tips = [capsule for capsule in machine.capsules if capsule.body == "bucket"]
+    assert tips
+    target = (7.0, 1.0)
+    wall = {"kind": "half_plane", "name": "floor", "point": [0.0, 0.2], "normal": [0.0, 1.0]}
+    constraints = {"clearance": {"distance": 0.05, "bodies": ["bucket"], "obstacles": [wall]}}
+    chosen = flexopt.select(machine, target, base=0.0, gravity=True, constraints=constraints, starts=4)
+    for candidate in chosen.candidates:
+        e = candidate.evaluation
+        q = sagged(machine, e.base, e.posture, build_plant(machine).parameter_values.full().ravel())
+        least = min(
+            min(start[1], end[1]) - 0.2 - radius
+            for start, end, radius in shape_at(machine, q, e.base).capsules[-len(tips) :]
+        )
+        told = min(
+            value.value for label, value in candidate.constraints.items() if "bucket" in label and "floor" in label
+        )
+        assert told == pytest.approx(least, abs=1e-8)
+        assert told >= 0.05 - 1e-6
+        assert e.end_point == pytest.approx(target, abs=1e-8)
+    assert all(one.objective >= other.objective for one, other in pairwise(chosen.candidates))
