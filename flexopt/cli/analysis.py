@@ -166,7 +166,8 @@ def select_command(
     identified = None if log is None else _identified(log, imu, settings, as_json)
     if asks_for_loop(settings.get("objective"), settings.get("constraints")):
         settings["loop"] = _loop(own, judged["loop"])
-        settings["ranges"] = ranges_table(judged["ranges"]) or settings.get("ranges")
+        # Of a file that asks for another objective it is no argument yet.
+        settings["ranges"] = ranges_table(judged["ranges"]) or settings.get("ranges") or own["ranges"]
     if proof is not None and not certify:
         raise InputError("select: --proof goes with --certify", [Fault("--proof", "goes with --certify", proof)])
     if certify and "target" not in settings:
@@ -324,13 +325,14 @@ def _judgement(
 def _selection_settings(machine: str, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Arguments of `flexopt.select`: from the problem file, where one is named, overridden by the options given.
 
-    Also the loop and the uncertainty of the file.
+    Also the loop and the uncertainty of the file or its machine, and as `ranges` those of a problem's own.
     """
     from flexopt.model import Problem  # noqa: PLC0415  (`evaluate` does not need it)
 
     loaded = read(load_any, machine)
     whose = loaded.loaded_machine if isinstance(loaded, Problem) else loaded
     own = {name: getattr(loaded, name) or getattr(whose, name) or None for name in ("loop", "uncertainty")}
+    own["ranges"] = loaded.uncertainty or None if isinstance(loaded, Problem) else None
     settings: dict[str, Any] = loaded.select_arguments() if isinstance(loaded, Problem) else {"machine": loaded}
     if isinstance(loaded, Problem) and loaded.target.kind != "end_point":
         single = [name for name in ("end_point", "elbow", "gain", "slack") if options[name] is not None]

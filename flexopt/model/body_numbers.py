@@ -18,6 +18,8 @@ from flexopt.model.planar import Machine
 from flexopt.model.tree import Tree
 from flexopt.model.tree_quantities import symmetric
 
+# Share of a principal moment that comes of rounding.
+ALIKE = 1e-9
 # Share of the weight that pushes sideways, where a joint does not hold it.
 ASIDE = 0.1
 # Of x, y, z, in a tree file.
@@ -38,7 +40,7 @@ class BodyNumbers:
         path: from its parent's joint to its own at most.
         link: whether it is a link between joints, whose mass lies along it.
         moments: principal ones of its inertia; in the plane the one;  about_centre: the largest that it has about its
-            centre if the given ones are about its joint.
+            centre if the given ones are about its joint, NaN where no body has such ones.
         hinge: whether its joint turns;  bears: share of the weight that its joint holds, at least `ASIDE`, that of a
             slide that is level and of a hinge that stands upright;  springs: of each whether it turns, its stiffness,
             and that share of it;  effort, speed: of the drive (infinite: none);  limits: of the joint;  rest: its rest
@@ -245,7 +247,7 @@ def _body(
     return BodyNumbers(
         where=where, length=length, size=_capsules(machine, body.name), extent=_extent(machine, body.name),
         com=float(np.linalg.norm(com)), along=float(com @ along), aside=float(np.linalg.norm(aside)), mass=body.mass,
-        about_centre=float(np.linalg.eigvalsh(shifted)[-1]),
+        about_centre=_largest(*np.linalg.eigvalsh(shifted).tolist()),
         inertia=float(moments[-1]), moments=tuple(moments.tolist()), variance=max(float(along @ spread @ along), 0.0),
         across=max(float(np.linalg.eigvalsh(projector @ spread @ projector)[-1]), 0.0),
         path=float(np.linalg.norm(body.position)) + travel, link=False, hinge=hinge,
@@ -255,3 +257,8 @@ def _body(
         driven="" if joint.passive else joint.name,
         end=machine.end_point.body == body.name and np.array_equal(far, machine.end_point.position),
     )  # fmt: skip
+
+
+def _largest(least: float, middle: float, most: float) -> float:
+    """Of principal moments in order; NaN where they are none of a body: one is negative, or above the others' sum."""
+    return most if least >= 0 and least + middle >= most * (1 - ALIKE) else math.nan

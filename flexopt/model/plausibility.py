@@ -229,6 +229,9 @@ def _inertia(part: BodyNumbers, reach: float, planar: bool) -> Iterator[Implausi
         )
         pivot = part.variance - part.along**2 - (part.aside**2 if part.across == 0 else 0.0)
         if pivot > (0.02 * part.length) ** 2 and radius < WIDE * size:
+            # None has such moments about its centre: it is wide.
+            if math.isnan(part.about_centre):
+                return
             about_centre = f"about which it is some {part.about_centre:.3g} kg m²"
             meant = f"probably about the pivot, not the centre of mass, {about_centre}"
             yield ImplausibleNumber(f"{part.where}.inertia", given, words, meant)

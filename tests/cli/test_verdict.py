@@ -75,6 +75,33 @@ def test_a_choice_is_handed_out_before_its_verdict(
     assert "no verdict" in told[-1]
 
 
+def test_what_a_file_calls_uncertain_counts_for_an_objective_of_the_command(command: Command, tmp_path: Path) -> None:
+    text = """schema = 1
+name = "own"
+machine = "excavator"
+[target]
+end_point = [0.0, 1.6]
+[selection]
+objective = "OBJECTIVE"
+base_range = [-2.0, -1.0]
+starts = 1
+[loop]
+kp = [1e4]
+kv = [1e3]
+[[uncertainty]]
+of = "stiffness"
+factor = [0.5, 2.0]
+"""
+    for word in ("w1", "decay"):
+        (tmp_path / f"{word}.toml").write_text(text.replace("OBJECTIVE", word), encoding="utf-8")
+    asked, own = (
+        command("select", *words, "--json").document for words in (("w1.toml", "--objective", "decay"), ("decay.toml",))
+    )
+    assert own["uncertainty"]
+    for key in ("uncertainty", "best", "measure"):
+        assert asked[key] == own[key]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("place", ["candidate 1", "candidate 2", "stay"])
 def test_the_picture_of_a_choice_shows_the_place_of_its_verdict(

@@ -352,6 +352,25 @@ def test_an_inertia_about_the_pivot_is_told_with_the_one_about_the_centre(name: 
         assert sentence.endswith(f"about which it is some {largest:.3g} kg m²")
 
 
+def test_an_inertia_that_is_possible_about_the_centre_alone_is_not_called_one_about_the_pivot() -> None:
+    """A wrist of the Unitree Z1 as its maker's file has it: about the joint no body has these moments."""
+    data = grounded(3, 0)
+    wrist = [1.7605e-4, 5.5896e-4, 5.386e-4, 4e-7, 5.689e-5, -1.3e-7]
+    centre, mass = np.array([0.03121533, 0.0, 0.00646316]), 0.38938492
+    about = np.linalg.eigvalsh(matrix_of(wrist) - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre)))
+    assert about[0] > 0
+    assert about[0] + about[1] < about[2]
+    arm1 = next(body for body in data["bodies"] if body["name"] == "arm1")
+    # 40 times as large: as long as its neighbour is far.
+    arm1 |= {"mass": mass * 40**3, "com": (40 * centre).tolist(), "inertia": scaled(wrist, 40**5)}
+    next(body for body in data["bodies"] if body["name"] == "arm2")["position"] = [40 * 0.0492, 0.0, 0.0]
+    assert not [sentence for sentence in told(data) if "arm1'.inertia" in sentence]
+    # One that a body may have about its joint is told of.
+    arm1["inertia"] = scaled(wrist, 1.3 * 40**5)
+    possible = [sentence for sentence in told(data) if "arm1'.inertia" in sentence]
+    assert [sentence for sentence in possible if "about the pivot" in sentence]
+
+
 RAM = 420.0 * np.array([0.03, 1.8**2 / 12, 1.8**2 / 12])  # a bar of 1.8 m, kg m²
 
 

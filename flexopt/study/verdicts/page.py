@@ -95,6 +95,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "places": _places(verdict),
         "left_out": sentence(verdict.left_out),
         "sought_by": sentence(verdict.sought_by),
+        "unverified": "",
         "drifts": sentence(verdict.drifts),
         "unseen": sentence(verdict.unseen),
         "weightless": sentence(verdict.weightless),
@@ -121,8 +122,9 @@ def verdict_html(verdict: Verdict) -> str:
     problems = verdict.problems
     where = target_of(problems[0]) if len(problems) == 1 else f"{len(problems)} targets"
     title = f"Verdict: {problems[0].machine.name}, end-point at {where}"
-    # A report names them beside its choice.
+    # A report tells both beside its choice.
     told = judged(verdict) | {"assumed": [sentence(assumption) for assumption in verdict.assumed]}
+    told |= {"unverified": sentence(verdict.unverified)}
     return render("study/templates/verdict.html", title=title, provenance=verdict.provenance, judged=told, missing="")
 
 

@@ -24,6 +24,7 @@ from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import broken, elsewhere, reached
+from flexopt.selection.result import unverified_told
 from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import BETWEEN, FASTER, RULE, Word, gains_in_words, spoken
 from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of
@@ -360,6 +361,11 @@ class Verdict(Pictured, Printed, Result):
         )
 
     @property
+    def unverified(self) -> str:
+        """That a climb came further than the best of the choice, a sentence; empty where none did."""
+        return unverified_told(self.selection.objective, self.selection.unverified)
+
+    @property
     def controller(self) -> str:
         """The loop in words, with its gains."""
         return repr(self.settings).splitlines()[0]
@@ -529,7 +535,7 @@ class Verdict(Pictured, Printed, Result):
         ]
         highest = self.settings.highest_kp
         lines += [_row(place, allowed(place.allowed_gain.least, unit, highest), wide) for place in self.places]
-        lines += [f"  {sentence}" for sentence in (self.left_out, self.sought_by) if sentence]
+        lines += [f"  {sentence}" for sentence in (self.left_out, self.sought_by, self.unverified) if sentence]
         grows = any(place.decay.least <= 0 for place in self.places)
         late = any(math.isnan(place.settling.greatest) and place.decay.least > 0 for place in self.places)
         if grows or late:
