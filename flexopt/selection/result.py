@@ -163,7 +163,8 @@ def unverified_told(objective: str, value: float | None) -> str:
     """A sentence on a climb that came further than the best; empty where there is none."""
     if value is None:
         return ""
-    return f"a climb that could not be verified came to {objective} {value:.6g}; more starts may settle it, where no clearance has a kink there"
+    came = f"a climb that could not be verified came to {objective} {value:.6g}"
+    return f"{came}; more starts may settle it, where no clearance has a kink there"
 
 
 @dataclass(frozen=True)
