@@ -28,6 +28,8 @@ CORRECTIONS = 12
 TRIES, RADIUS, LEAST_RADIUS = 60, 0.1, 1e-8
 # Branches and rows that are active: distances, in units of their sizes.
 ACTIVE, ON_ROW = 1e-6, 1e-7
+# Steps beside a point, in scaled variables, where rows may have other slopes; the share by which these then differ.
+BESIDE, KINKED = 1e-6, 1e-3
 # Norm of the Lagrangian's gradient, in scaled variables, below which a point is stationary.
 STATIONARY = 1e-4
 
@@ -305,7 +307,7 @@ def first_order(program: OutcomeProgram, y: Vector, value: float) -> tuple[float
     if not (np.all(np.isfinite(least)) and np.all(np.isfinite(by_level))):
         return math.inf, ()
     equal, lowest, highest = _row_ends(program)
-    columns, names = list[Vector](), list[str]()
+    columns, names, held = list[Vector](), list[str](), list[tuple[float, int]]()
     for number, row_name in enumerate(program.row_names):
         if equal[number]:
             columns += [slopes[number], -slopes[number]]
@@ -314,6 +316,7 @@ def first_order(program: OutcomeProgram, y: Vector, value: float) -> tuple[float
             if abs(rows[number] - end) <= ON_ROW:
                 columns.append(sign * slopes[number])
                 names.append(row_name)
+                held.append((sign, number))
     for i, (name, low, high) in enumerate(zip(program.names, *program.bounds, strict=True)):
         for sign, end, side in ((1.0, low, "lower"), (-1.0, high, "upper")):
             if abs(y[i] - end) <= ON_ROW:
@@ -322,12 +325,42 @@ def first_order(program: OutcomeProgram, y: Vector, value: float) -> tuple[float
                 columns.append(column)
                 if low != high:
                     names.append(f"{name} {side} bound")
+    open_ = _left_open(least, by_level, columns)
+    if open_ > STATIONARY and held:
+        open_ = _left_open(least, by_level, columns + _other_sides(program, y, held))
+    return open_, tuple(names)
+
+
+def _left_open(least: Vector, by_level: Vector, columns: list[Vector]) -> float:
+    """Norm of what nonnegative multipliers of branches (k, n) and rows leave of the gradient."""
     # The last row asks for −Σ λ_k ∂_t = 1, with a weight that leaves nothing of it open.
     weight = 1e3 * max(1.0, float(np.abs(least).max(initial=0.0)))
-    matrix = np.zeros((y.size + 1, len(least) + len(columns)))
+    matrix = np.zeros((least.shape[1] + 1, len(least) + len(columns)))
     matrix[:-1] = np.array([*least, *columns]).T
     matrix[-1, : len(least)] = -weight * by_level
-    right = np.zeros(y.size + 1)
+    right = np.zeros(len(matrix))
     right[-1] = weight
     multipliers = nonnegative_least_squares(matrix, right)
-    return float(np.linalg.norm((matrix @ multipliers - right)[:-1])), tuple(names)
+    return float(np.linalg.norm((matrix @ multipliers - right)[:-1]))
+
+
+def _other_sides(program: OutcomeProgram, y: Vector, held: list[tuple[float, int]]) -> list[Vector]:
+    """Slopes that rows which hold have beside y, where they have a kink there, as of two distances the smaller.
+
+    Each is a row of its own, g₁ ≥ low and g₂ ≥ low, that holds at y, too: what is beside lies below the slope at y, and
+    leads back to the same value. Of the larger of two neither need hold, and they do not count.
+
+    `held`: sign and number of each.
+    """
+    rows, slopes, found = program.rows(y), program.row_slopes(y), list[Vector]()
+    for step in BESIDE * np.concatenate([np.eye(y.size), -np.eye(y.size)]):
+        there, others = program.rows(y + step), program.row_slopes(y + step)
+        for sign, number in held:
+            here, other = sign * slopes[number], sign * others[number]
+            size, change = float(np.linalg.norm(here)), sign * (there[number] - rows[number])
+            kinked = np.linalg.norm(other - here) > KINKED * size
+            # Below the slope to rounding and what curvature makes of a step.
+            below = change <= here @ step + KINKED * BESIDE * size
+            if kinked and below and abs(change - other @ step) <= ON_ROW:
+                found.append(other)
+    return found
