@@ -88,7 +88,9 @@ def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[ShippedKind, 
     if told not in kinds and data:
         raise _wrong_kind(text, data, told)
     shipped = PACKAGE.parent in path.resolve().parents
-    name = f"{path.parent.name}/{path.name}" if named_kind or (shipped and not path.is_absolute()) else str(path)
+    name = (
+        f"{path.resolve().parent.name}/{path.name}" if named_kind or (shipped and not path.is_absolute()) else str(path)
+    )
     check_extent(data, name)
     return Source(data, told, path.parent, name)
 

@@ -911,6 +911,19 @@ def test_a_load_that_the_controller_does_not_know_is_named_where_the_arm_stays_o
     long = max(float(seconds) for _, seconds in told)
     again = flexopt.verdict(chosen, loop=loop | {"feedback": "pid", "ki": 0.2}, duration=long, **asked)
     assert all(place.runs is not None and not any(place.runs.reasons) for place in again.places)
+    # Where full levers do not bear the load an integral part does not help either: the moment of a point mass.
+    weak = flexopt.verdict(
+        chosen, loop=loop | {"feedback": "pid", "ki": 0.2, "servo_gain": 1e4}, duration=20.0, **asked
+    )
+    words = r"at \w+ the load is another than the file's by (\S+) N m, of which a full lever bears ([^;]+);"
+    told = re.findall(words, weak.reason)
+    assert told
+    skeleton = flexopt.evaluate(machine, weak.places[0].posture, base=weak.places[0].base).skeleton
+    arm = float(np.abs(skeleton[0, -1] - skeleton[0]).max())
+    own = next(each.value for each in machine.parameters if each.name == "payload.mass")
+    heaviest = max(abs(mass - own) for mass in (500.0, 1500.0)) * 9.81 * arm
+    assert all(float(bears) < float(load) <= 1.3 * heaviest for load, bears in told)
+    assert weak.reason.count("a larger loop.servo_gain bears more") == 1
     # The stiffness alone leaves the weight as the controller knows it.
     known = flexopt.verdict(chosen, loop=loop, ranges={"stiffness": (0.5, 2.0)}, members=2, runs=2)
     assert all(place.runs is not None and not any(place.runs.reasons) for place in known.places)

@@ -15,6 +15,7 @@ import numpy as np
 from flexopt.errors import FlexoptWarning, NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.results import Result
+from flexopt.loop.levers import full_rates
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.simulation import on_their_way
 from flexopt.plant import build_plant
@@ -139,7 +140,9 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                 whys = [] if confirms else [own.reason]
                 if not nearer[row] if confirms else end > start and decays[row] > 0:
                     short = _short(float(decays[row]) * duration, AT_REST / least)
-                    whys.append(f"{OFF} {end:.3g} m off{short}{_sags(loop, members[row])}")
+                    sags = _sags(loop, members[row])
+                    # What a full lever does not bear no longer run shows.
+                    whys.append(f"{OFF} {end:.3g} m off{sags if sags.startswith(',') else short + sags}")
                 reasons[row] = "; ".join(whys)
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
 
@@ -154,14 +157,37 @@ def _short(over: float, needed: float) -> str:
 
 
 def _sags(loop: UncertainLoop, u: Vector) -> str:
-    """That the controller carries another weight than the member has, and nothing integrates that; empty elsewhere."""
+    """That the controller carries another weight than the member has, and what helps; empty where it has the right one.
+
+    Full levers may not bear the difference, and without an integral part the arm hangs where its feedback does.
+    """
     plant, settings = build_plant(loop.box.machine), loop.settings
-    if not loop.gravity or (settings.feedback == "pid" and np.all(settings.ki[settings.kp > 0] > 0)):
+    if not loop.gravity:
         return ""
     at = np.concatenate([np.zeros(plant.n_passive), loop.posture])
     each = (plant.gravity(at, loop.base, p).full().ravel() for p in (loop.box.numbers(u)[0], loop.box.nominal))
     own, known = (weight[plant.n_passive :] for weight in each)
-    return SAGS if np.abs(own - known).max() > ROUNDING * np.abs(known).max() else ""
+    more = own - known
+    if np.abs(more).max() <= ROUNDING * np.abs(known).max():
+        return ""
+    integrates = settings.feedback == "pid" and bool(np.all(settings.ki[settings.kp > 0] > 0))
+    return _full_levers(loop, more) or ("" if integrates else SAGS)
+
+
+def _full_levers(loop: UncertainLoop, more: Vector) -> str:
+    """Which joint's full lever bears less than a load (n,) that the controller does not know; empty where all do."""
+    machine, settings = loop.box.machine, loop.settings
+    if settings.drive != "velocity":
+        return ""
+    # A drive pushes against what draws it.
+    rates = full_rates(machine, loop.posture)
+    bears = settings.servo_gain * np.where(more > 0, rates[:, 1], rates[:, 0])
+    k = int(np.argmax(np.abs(more) / np.maximum(bears, np.finfo(np.float64).tiny)))
+    if abs(more[k]) <= bears[k]:
+        return ""
+    unit = "N m" if machine.joint_units[k] == "rad" else "N"
+    load = f"at {machine.joints[k]} the load is another than the file's by {abs(more[k]):.3g} {unit}"
+    return f", and {load}, of which a full lever bears {bears[k]:.3g}; a larger loop.servo_gain bears more"
 
 
 def of_all(each: Sequence[Runs]) -> Runs:

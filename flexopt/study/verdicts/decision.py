@@ -123,7 +123,7 @@ def decide(
         absent: why there is no staying.
         most: share of the members on which a place is better than staying, of all that were judged.
         barred: whether some that were found are not among these, for they break constraints on some ground.
-        sought: by which objective places were sought, where that knows no controller; else empty.
+        sought: by what places were sought, in words; empty: that is not told.
     """
     found = f"no place found{sought and f' by {sought}'}{KEEPING * barred}"
     sound = [place for place in others if place.holds and place.name not in unconfirmed]

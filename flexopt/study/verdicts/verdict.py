@@ -200,7 +200,7 @@ def verdict(
         stay, rest, changed and changed[0], doubts, tried=tried, refuted=refuted, doubt=doubt, gains=gains,
         alternates=_alternates(loops, slowest) if tried else "", absent=absent,
         most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
-        sought="" if isinstance(chosen, ChosenByLoop) else chosen.objective,
+        sought=_sought(chosen),
     )  # fmt: skip
     decision = _with_present(decision, absent if stay is None else "", chosen, held.get(STAY))
     bands = _each(told, lambda name: _place(
@@ -227,6 +227,12 @@ def verdict(
         excluded=tuple(name for name in stands if name not in fit and name != STAY),
         present_breaks=now_breaks,
     )
+
+
+def _sought(chosen: Chosen) -> str:
+    """By what places were sought, and where of all that is uncertain, within a sentence."""
+    everywhere = isinstance(chosen, ChosenByLoop) and len(chosen.uncertainty)
+    return f"{chosen.objective}{' in the worst case' * bool(everywhere)}"
 
 
 def fit_places(within: Mapping[str, str], now_breaks: str) -> list[str]:
