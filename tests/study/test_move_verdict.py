@@ -811,6 +811,17 @@ def test_staying_where_every_place_breaks_constraints_is_told() -> None:
     assert all(re.search(r"where payload.mass is 2500 kg and stick.mass is", sentence) for sentence in sentences)
 
 
+def test_drives_without_a_speed_have_no_full_lever() -> None:
+    """A verdict on an unknown load is one all the same."""
+    loop: dict[str, Any] = {"kp": 1.0, "kv": 0.0, "drive": "velocity", "servo_gain": 1e4}
+    few: dict[str, Any] = {"starts": 2, "members": 2, "runs": 2, "duration": 4.0}
+    asked: dict[str, Any] = {"base": 0.0, "gravity": True, "ranges": {"payload.mass": (0.0, 300.0)}}
+    found = flexopt.verdict(flexopt.load("excavator"), (0.0, 1.6), loop=loop, **asked, **few)
+    reasons = [why for place in found.places if place.runs for why in place.runs.reasons]
+    assert any("m off" in why for why in reasons)
+    assert not any("full lever" in why for why in reasons)
+
+
 @pytest.mark.parametrize("softer", [0.01, 0.003])
 def test_runs_of_slow_machines_last_ten_periods(softer: float) -> None:
     """Of 3 s nothing can be told of them, which is said."""

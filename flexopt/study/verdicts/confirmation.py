@@ -177,7 +177,8 @@ def _sags(loop: UncertainLoop, u: Vector) -> str:
 def _full_levers(loop: UncertainLoop, more: Vector) -> str:
     """Which joint's full lever bears less than a load (n,) that the controller does not know; empty where all do."""
     machine, settings = loop.box.machine, loop.settings
-    if settings.drive != "velocity":
+    # Without a speed no lever is known to be full.
+    if settings.drive != "velocity" or machine.joints_without_speed:
         return ""
     # A drive pushes against what draws it.
     rates = full_rates(machine, loop.posture)
