@@ -148,8 +148,6 @@ def select_command(
 
     A problem may ask for one placement for several targets, or for a way of the base along a path of them.
     """
-    from flexopt.study.reports.surroundings import spoken_of  # noqa: PLC0415  (`evaluate` does not need it)
-
     drawn, draw = options["plot"] is not None, check_picture(options)
     check_output("--out", out, (".json",))
     check_output("--proof", proof, (".json",))
@@ -186,9 +184,12 @@ def select_command(
     judge = partial(_judgement, result, own, **judged) if judged_too else None
     place = _hand_out(result.to_dict() | more, judge, judged, out, as_json=as_json)
     # Last: what cannot be drawn is no reason to lose a verdict.
-    if drawn and (about := spoken_of(result, place)) is not result:
-        draw(about)
-        announce(f"the picture shows {place} as the chosen one, of which the verdict speaks")
+    if drawn and place:
+        from flexopt.study.reports.surroundings import spoken_of  # noqa: PLC0415  (what only verdicts need)
+
+        if (about := spoken_of(result, place)) is not result:
+            draw(about)
+            announce(f"the picture shows {place} as the chosen one, of which the verdict speaks")
     if certificate is not None and certificate["verdict"] != "proven":
         sys.exit(FAILED)
 

@@ -17,6 +17,14 @@ from tests.cli.command import Command
 LOOP = {"kp": 1e4, "kv": 1e3}
 B = (0.0448, -2.0499)
 GROUND = {"stiffness": (0.5, 2.0)}
+# The head of a problem file.
+OWN = """schema = 1
+name = "own"
+machine = "excavator"
+[target]
+end_point = [0.0, 1.6]
+[selection]
+"""
 
 
 @pytest.mark.long
@@ -38,13 +46,7 @@ def test_the_command_says_what_python_says(command: Command) -> None:
 
 
 def test_the_weight_can_be_asked_for_beside_a_problem_file(command: Command, tmp_path: Path) -> None:
-    text = """schema = 1
-name = "own"
-machine = "excavator"
-[target]
-end_point = [0.0, 1.6]
-[selection]
-base = [0.0]
+    text = f"""{OWN}base = [0.0]
 starts = 2
 """
     (tmp_path / "own.toml").write_text(text, encoding="utf-8")
@@ -76,13 +78,7 @@ def test_a_choice_is_handed_out_before_its_verdict(
 
 
 def test_what_a_file_calls_uncertain_counts_for_an_objective_of_the_command(command: Command, tmp_path: Path) -> None:
-    text = """schema = 1
-name = "own"
-machine = "excavator"
-[target]
-end_point = [0.0, 1.6]
-[selection]
-objective = "OBJECTIVE"
+    text = f"""{OWN}objective = "OBJECTIVE"
 base_range = [-2.0, -1.0]
 starts = 1
 [loop]

@@ -325,10 +325,10 @@ def first_order(program: OutcomeProgram, y: Vector, value: float) -> tuple[float
                 columns.append(column)
                 if low != high:
                     names.append(f"{name} {side} bound")
-    open_ = _left_open(least, by_level, columns)
-    if open_ > STATIONARY and held:
-        open_ = _left_open(least, by_level, columns + _other_sides(program, y, held))
-    return open_, tuple(names)
+    rest = _left_open(least, by_level, columns)
+    if rest > STATIONARY and held:
+        rest = _left_open(least, by_level, columns + _other_sides(program, y, held))
+    return rest, tuple(names)
 
 
 def _left_open(least: Vector, by_level: Vector, columns: list[Vector]) -> float:

@@ -545,7 +545,8 @@ class Verdict(Pictured, Printed, Result):
             lines.append(f"  –: {'; '.join(whys)}")
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
         lines += [f"  {place.rest}" for place in self.places if place.rest]
-        lines += [f"  {each}" for place in self.places for each in (place.broken, self.doubts.get(place.name)) if each]
+        doubts = self.doubts
+        lines += [f"  {each}" for place in self.places for each in (place.broken, doubts.get(place.name)) if each]
         lines += [f"  {self.drifts}"] * bool(self.drifts)
         lines += [f"  {sentence}" for sentence in (self.unseen, self.weightless) if sentence]
         lines += [f"  {sentence}" for sentence in self.assumed]
