@@ -164,7 +164,7 @@ def unverified_told(objective: str, value: float | None) -> str:
     if value is None:
         return ""
     came = f"a climb that could not be verified came to {objective} {value:.6g}"
-    return f"{came}; more starts may settle it, where no clearance has a kink there"
+    return f"{came}; more starts may settle it"
 
 
 @dataclass(frozen=True)

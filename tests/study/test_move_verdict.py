@@ -80,7 +80,7 @@ def test_a_move_says_which_joint_moves_most() -> None:
     assert set(confirmed.doubts) <= doubted
     assert not any(each.endswith(": ") for each in confirmed.doubts.values())
     assert "confirm: \n" not in f"{confirmed!r}\n"
-    told = "a climb that could not be verified came to w1 -0.125; more starts may settle it, where no clearance has a kink there"
+    told = "a climb that could not be verified came to w1 -0.125; more starts may settle it"
     further = replace(found, selection=replace(found.selection, unverified=-0.125))
     assert told in repr(further)
     assert told.capitalize().replace("-", "−") in further._html()

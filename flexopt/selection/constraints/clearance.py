@@ -1,8 +1,9 @@
 """Clearance of the machine's capsules from the ground, half-planes, spheres and boxes.
 
 A row for each capsule and obstacle: the signed distance of their surfaces, m, exact, negative by the depth where they
-meet. From the ground and from half-planes each end of a capsule has a row of its own, which is smooth. Bodies that no
-actuated joint moves stand on the ground and keep no distance from it.
+meet. From the ground and from half-planes each end of a capsule has a row of its own, which is smooth; from a box a
+capsule has two, which are where it lies along a face. Bodies that no actuated joint moves stand on the ground and keep
+no distance from it.
 """
 
 from __future__ import annotations
@@ -19,12 +20,15 @@ from flexopt.model.constraints import Box, Clearance, Constraints, Obstacle, Sph
 from flexopt.model.tables import Capsule
 from flexopt.plant import Plant
 from flexopt.selection.constraints.kind import ConstraintKind, Group, ScaledConstraint, Scene
-from flexopt.selection.constraints.segment_distance import from_box, from_sphere, point_from_box
+from flexopt.selection.constraints.segment_distance import from_box, from_sphere, point_from_box, rows_from_box
 
 # Capsules shorter than this are balls, m.
 BALL = 1e-9
 # What results call the ground that is asked for.
 GROUND = "ground"
+# A row for each of these parts of a capsule; of a box both are told as what is between the surfaces.
+BY_END = (" (start)", " (end)")
+PARTS = {"ground": BY_END, "half_plane": BY_END, "box": ("", "")}
 
 
 def _faults(plant: Plant, constraints: Constraints) -> list[Fault]:
@@ -134,9 +138,8 @@ def group(
     names = capsule_names(capsules)
     for k in chosen:
         who = names[k]
-        by_end = kind in ("ground", "half_plane") and not _is_ball(capsules[k])
-        whose = [f"{who} (start)", f"{who} (end)"] if by_end else [who]
-        rows += [ScaledConstraint(f"clearance of {part} from {name}", "m", distance, math.inf) for part in whose]
+        parts = ("",) if is_ball(capsules[k]) else PARTS.get(kind, ("",))
+        rows += [ScaledConstraint(f"clearance of {who}{part} from {name}", "m", distance, math.inf) for part in parts]
     return Group("clearance", (kind, tuple(chosen)), numbers, tuple(rows))
 
 
@@ -152,11 +155,19 @@ def _numbers(obstacle: Obstacle) -> tuple[float, ...]:
 
 
 def _graph(scene: Scene, shape: Any, c: ca.SX) -> list[ca.SX]:
+    return _rows(scene, shape, c, DISTANCES)
+
+
+def _report(scene: Scene, shape: Any, c: ca.SX) -> list[ca.SX]:
+    return _rows(scene, shape, c, DISTANCES | {"box": _from_box})
+
+
+def _rows(scene: Scene, shape: Any, c: ca.SX, distances: dict[str, DistanceRows]) -> list[ca.SX]:
     kind, chosen = cast(tuple[str, tuple[int, ...]], shape)
     rows: list[ca.SX] = []
     for k in chosen:
         capsule = scene.plant.machine.capsules[k]
-        found = DISTANCES[kind](axis_ends(scene, capsule), axis_length(capsule), c)
+        found = distances[kind](axis_ends(scene, capsule), axis_length(capsule), c)
         rows += [distance - capsule.radius for distance in found]
     return rows
 
@@ -164,10 +175,11 @@ def _graph(scene: Scene, shape: Any, c: ca.SX) -> list[ca.SX]:
 def axis_ends(scene: Scene, capsule: Capsule) -> list[ca.SX]:
     """The ends of a capsule's axis, (d,), m, inertial frame; of a ball the one point."""
     start, end = scene.point(capsule.body, capsule.start), scene.point(capsule.body, capsule.end)
-    return [(start + end) / 2] if _is_ball(capsule) else [start, end]
+    return [(start + end) / 2] if is_ball(capsule) else [start, end]
 
 
-def _is_ball(capsule: Capsule) -> bool:
+def is_ball(capsule: Capsule) -> bool:
+    """Whether a capsule is a ball: one point is all of its axis."""
     return axis_length(capsule) < BALL
 
 
@@ -189,17 +201,30 @@ def _from_sphere(ends: list[ca.SX], length: float, c: ca.SX) -> list[ca.SX]:
 
 
 def _from_box(ends: list[ca.SX], length: float, c: ca.SX) -> list[ca.SX]:
+    """Of a capsule the distance twice, for there are two rows."""
+    own, half = _in_box(ends, c)
+    return [from_box(*own, length, half)] * 2 if len(own) == 2 else [point_from_box(own[0], half)]
+
+
+def _beside_box(ends: list[ca.SX], length: float, c: ca.SX) -> list[ca.SX]:
+    own, half = _in_box(ends, c)
+    return rows_from_box(*own, length, half) if len(own) == 2 else [point_from_box(own[0], half)]
+
+
+def _in_box(ends: list[ca.SX], c: ca.SX) -> tuple[list[ca.SX], ca.SX]:
+    """Points in the box's frame, and its half sides."""
     d = ends[0].shape[0]
     center, half, cosine, sine = c[:d], c[d : 2 * d], c[2 * d], c[2 * d + 1]
     away = [end - center for end in ends]
-    own = [ca.vertcat(cosine * a[0] + sine * a[1], cosine * a[1] - sine * a[0], a[2:]) for a in away]
-    return [from_box(own[0], own[1], length, half) if len(own) == 2 else point_from_box(own[0], half)]
+    return [ca.vertcat(cosine * a[0] + sine * a[1], cosine * a[1] - sine * a[0], a[2:]) for a in away], half
 
 
-DISTANCES: dict[str, Callable[[list[ca.SX], float, ca.SX], list[ca.SX]]] = {
+# From the ends of a capsule's axis, its length and an obstacle's constants to rows.
+DistanceRows = Callable[[list[ca.SX], float, ca.SX], list[ca.SX]]
+DISTANCES: dict[str, DistanceRows] = {
     "ground": _from_ground,
     "half_plane": _from_half_plane,
     "sphere": _from_sphere,
-    "box": _from_box,
+    "box": _beside_box,
 }
-KIND = ConstraintKind(_groups, _graph, _faults)
+KIND = ConstraintKind(_groups, _graph, _faults, report=_report)

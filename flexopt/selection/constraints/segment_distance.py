@@ -1,5 +1,8 @@
 """Signed distances of a segment from simple solids as graphs, m: exact, and with finite derivatives everywhere.
 
+A distance has a kink where nearest points change places. Rows of distances, the least of which it is, have none there,
+so that a solver and a proof see every side.
+
 A segment runs from `start` to `end` (d,) and has the constant length `length` > 0, m. Less a radius they are those of a
 capsule.
 """
@@ -7,6 +10,7 @@ capsule.
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import casadi as ca
 
@@ -21,6 +25,10 @@ SLIVER = 1e-12
 # Two segments count as parallel where the square of the sine between them is below this: their ends then tell the
 # distance, and where they are apart at all it is wrong by far less than rounding.
 SINE_SQUARED = 1e-12
+# Pieces of a segment shorter than this share of it are none.
+NO_PIECE = 1e-9
+# Up to which share of the coordinates they are computed from distances are the same.
+SAME = 1e-12
 
 
 def from_sphere(ends: list[ca.SX], length: float, center: ca.SX, radius: ca.SX) -> ca.SX:
@@ -51,19 +59,43 @@ def from_box(start: ca.SX, end: ca.SX, length: float, half: ca.SX) -> ca.SX:
     return _box_distance(start.shape[0]).call([start, end, ca.SX(length), half])[0]
 
 
+def rows_from_box(start: ca.SX, end: ca.SX, length: float, half: ca.SX) -> list[ca.SX]:
+    """`from_box` as two rows whose lesser it is: it has a kink where the segment lies along a face, they have none.
+
+    Along a face or an edge each row is the distance at one end of the part of the segment beside it: of the end of the
+    segment, or of an edge or a corner of the box. Where the lesser of these is not the distance both rows are that.
+    """
+    return _box_distance(start.shape[0]).call([start, end, ca.SX(length), half])[1:]
+
+
 @lru_cache
 def _box_distance(dimension: int) -> ca.Function:
-    """`from_box`, written once for all pairs: most of the time that constraints take to build would go there."""
+    """Both, written once for all pairs: most of the time that constraints take to build would go there."""
     start, end, half = (ca.SX.sym(name, dimension) for name in ("start", "end", "half"))
     length = ca.SX.sym("length")
     separation = _separation(start, end, length, half)
-    at = start + _nearest(start, end, length, half) * (end - start)
-    outside = safe_norm(ca.fmax(ca.fabs(at) - half, 0))
-    return ca.Function("box_distance", [start, end, length, half], [ca.if_else(separation > 0, outside, separation)])
+    nearest = _nearest(start, end, length, half)
+    along = end - start
+    outside = safe_norm(ca.fmax(ca.fabs(start + nearest.at * along) - half, 0))
+    distance = ca.if_else(separation > 0, outside, separation)
+    ends = _ends_beside(start, along, length, half, nearest)
+    size = ca.norm_1(start) + ca.norm_1(end) + ca.norm_1(half)
+    tells = ca.logic_and(separation > 0, ca.fabs(ca.fmin(*ends) - distance) <= SAME * size)
+    rows = [ca.if_else(tells, row, distance) for row in ends]
+    return ca.Function("box_distance", [start, end, length, half], [distance, *rows])
 
 
-def _nearest(start: ca.SX, end: ca.SX, length: ca.SX, half: ca.SX) -> ca.SX:
-    """Where on the segment, 0 to 1, the point nearest to the box is; the middle of them where there are several."""
+class _Nearest(NamedTuple):
+    """Where on a segment the point nearest to a box is, 0 to 1; between which of the `places` where pieces end."""
+
+    at: ca.SX
+    low: ca.SX
+    high: ca.SX
+    places: list[ca.SX]
+
+
+def _nearest(start: ca.SX, end: ca.SX, length: ca.SX, half: ca.SX) -> _Nearest:
+    """The middle of them where there are several."""
     along = end - start
 
     def slope(s: ca.SX) -> ca.SX:
@@ -72,12 +104,13 @@ def _nearest(start: ca.SX, end: ca.SX, length: ca.SX, half: ca.SX) -> ca.SX:
 
     low, slope_low = ca.SX(0), ca.fmin(slope(ca.SX(0)), 0)
     high, slope_high = ca.SX(1), ca.fmax(slope(ca.SX(1)), 0)
-    candidates = [ca.SX(0), ca.SX(1)]
+    places = [ca.SX(0), ca.SX(1)]
     for k in range(along.shape[0]):
         crosses = ca.fabs(along[k]) > PARALLEL * length
         by = ca.if_else(crosses, along[k], 1.0)
-        candidates += [ca.fmax(0, ca.fmin(1, (side * half[k] - start[k]) / by)) for side in (-1, 1)]
-    for s in candidates:
+        clipped = [ca.fmax(0, ca.fmin(1, (side * half[k] - start[k]) / by)) for side in (-1, 1)]
+        places += [ca.if_else(crosses, s, 0.0) for s in clipped]
+    for s in places:
         here = slope(s)
         before = ca.logic_and(here <= 0, s >= low)
         low, slope_low = ca.if_else(before, s, low), ca.if_else(before, here, slope_low)
@@ -86,7 +119,45 @@ def _nearest(start: ca.SX, end: ca.SX, length: ca.SX, half: ca.SX) -> ca.SX:
     rise = slope_high - slope_low
     rises = rise > 0
     share = ca.if_else(rises, -slope_low / ca.if_else(rises, rise, 1.0), 0.5)
-    return low + share * (high - low)
+    return _Nearest(low + share * (high - low), ca.fmin(low, high), ca.fmax(low, high), places)
+
+
+def _ends_beside(start: ca.SX, along: ca.SX, length: ca.SX, half: ca.SX, nearest: _Nearest) -> list[ca.SX]:
+    """Distances at both ends of the piece that lies most nearly along the box, of those beside the nearest point.
+
+    Past an end the squared distance is another quadratic, whose least value counts there; past the segment's own there
+    is none.
+    """
+
+    def before(s: ca.SX) -> ca.SX:
+        return ca.mmax(ca.vertcat(0, *(ca.if_else(x < s - NO_PIECE, x, 0) for x in nearest.places)))
+
+    def after(s: ca.SX) -> ca.SX:
+        return ca.mmin(ca.vertcat(1, *(ca.if_else(x > s + NO_PIECE, x, 1) for x in nearest.places)))
+
+    def of_piece(low: ca.SX, high: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """How far its middle is beyond each pair of faces, and how fast that changes; 0 where it is between them."""
+        at = start + (low + high) / 2 * along
+        beyond = ca.fabs(at) > half
+        return ca.if_else(beyond, ca.fabs(at) - half, 0), ca.if_else(beyond, ca.sign(at) * along, 0)
+
+    def least(low: ca.SX, high: ca.SX, end: ca.SX) -> ca.SX:
+        away, by = of_piece(low, high)
+        bend = ca.dot(by, by)
+        bends = ca.logic_and(high - low > NO_PIECE, bend > (PARALLEL * length) ** 2)
+        lowest = away - by * ca.dot(away, by) / ca.if_else(bends, bend, 1.0)
+        at_end = ca.fmax(ca.fabs(start + end * along) - half, 0)
+        return safe_norm(ca.if_else(bends, lowest, at_end))
+
+    pieces = [(before(nearest.low), nearest.low), (nearest.low, nearest.high), (nearest.high, after(nearest.high))]
+    low, high, flattest = ca.SX(0), ca.SX(1), ca.SX.inf()
+    for one, other in pieces:
+        by = of_piece(one, other)[1]
+        bend = ca.if_else(other - one > NO_PIECE, ca.dot(by, by), ca.SX.inf())
+        flatter = bend < flattest
+        low, high = ca.if_else(flatter, one, low), ca.if_else(flatter, other, high)
+        flattest = ca.fmin(bend, flattest)
+    return [least(before(low), low, low), least(high, after(high), high)]
 
 
 def _separation(start: ca.SX, end: ca.SX, length: ca.SX, half: ca.SX) -> ca.SX:
@@ -122,13 +193,24 @@ def from_segment(one: list[ca.SX], length: float, other: list[ca.SX], other_leng
     return _segment_distance(one[0].shape[0]).call([*one, ca.SX(length), *other, ca.SX(other_length)])[0]
 
 
+def rows_from_segment(one: list[ca.SX], length: float, other: list[ca.SX], other_length: float) -> list[ca.SX]:
+    """`from_segment` as rows whose least it is: of two segments two, for beside each other it has a kink, they none.
+
+    Each is the distance at one end of where they are beside each other; both are the distance where the lesser is not.
+    """
+    if len(one) == 1 or len(other) == 1:
+        return [from_segment(one, length, other, other_length)]
+    return _segment_distance(one[0].shape[0]).call([*one, ca.SX(length), *other, ca.SX(other_length)])[1:]
+
+
 @lru_cache
 def _segment_distance(dimension: int) -> ca.Function:
-    """`from_segment`, written once for all pairs."""
+    """Both, written once for all pairs."""
     a, b, c, d = (ca.SX.sym(name, dimension) for name in "abcd")
     one, other = ca.SX.sym("one"), ca.SX.sym("other")
     u, v, away = b - a, d - c, a - c
-    ends = [_from_end(x, a, u, one) for x in (c, d)] + [_from_end(x, c, v, other) for x in (a, b)]
+    of_c, of_d = (_from_end(x, a, u, one) for x in (c, d))
+    of_a, of_b = (_from_end(x, c, v, other) for x in (a, b))
     across = _cross(u, v)
     size = ca.dot(across, across)
     leaning = size > SINE_SQUARED * (one * other) ** 2
@@ -141,8 +223,14 @@ def _segment_distance(dimension: int) -> ca.Function:
         lines = -ca.mmin(ca.fabs(ca.vertcat(*depths)))
     else:
         lines = ca.fabs(ca.dot(away, across)) / ca.sqrt(by)
-    distance = ca.if_else(inside, lines, ca.mmin(ca.vertcat(*ends)))
-    return ca.Function("segment_distance", [a, b, one, c, d, other], [distance])
+    distance = ca.if_else(inside, lines, ca.mmin(ca.vertcat(of_c, of_d, of_a, of_b)))
+    # Along `one`, in units of its length times itself, c and d lie at these.
+    at_c, at_d = -u_away, uv - u_away
+    first = ca.if_else(ca.fmin(at_c, at_d) > 0, ca.if_else(at_c < at_d, of_c, of_d), of_a)
+    last = ca.if_else(ca.fmax(at_c, at_d) < one**2, ca.if_else(at_c < at_d, of_d, of_c), of_b)
+    tells = ca.logic_and(ca.logic_not(inside), ca.fmin(first, last) <= distance)
+    rows = [ca.if_else(tells, row, distance) for row in (first, last)]
+    return ca.Function("segment_distance", [a, b, one, c, d, other], [distance, *rows])
 
 
 def _from_end(point: ca.SX, start: ca.SX, along: ca.SX, length: ca.SX) -> ca.SX:

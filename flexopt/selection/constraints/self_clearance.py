@@ -1,14 +1,15 @@
 """Clearance of the machine's capsules from each other.
 
-A row for each pair of capsules whose bodies an actuated joint moves against each other, neighbours aside: those share
-the joint between them. It is the distance of their surfaces, m, exact; where the axes of two capsules meet minus both
-radii (in the plane less the depth). Pairs that overlap in every posture, as hulls across a shoulder may, have no row:
-no posture could keep them apart.
+For each pair of capsules whose bodies an actuated joint moves against each other, neighbours aside (those share the
+joint between them), the distance of their surfaces, m, exact; where the axes of two capsules meet minus both radii (in
+the plane less the depth). It counts as two rows, which are where they lie beside each other; with a ball as one. Pairs
+that overlap in every posture, as hulls across a shoulder may, have no row: no posture could keep them apart.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, cast
 
@@ -18,19 +19,27 @@ import numpy as np
 from flexopt.errors import Fault
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
+from flexopt.model.tables import Capsule
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.reach import arm_length, sampled_ranges
-from flexopt.selection.constraints.clearance import axis_ends, axis_length, capsule_names, without_volumes
+from flexopt.selection.constraints.clearance import (
+    axis_ends,
+    axis_length,
+    capsule_names,
+    is_ball,
+    without_volumes,
+)
 from flexopt.selection.constraints.kind import ConstraintKind, Group, ScaledConstraint, Scene
-from flexopt.selection.constraints.segment_distance import from_segment
+from flexopt.selection.constraints.segment_distance import from_segment, rows_from_segment
 
+Pairs = tuple[tuple[int, int], ...]
 # Postures in which a pair must overlap to have no row.
 LOOKED = 512
 
 
 @lru_cache(maxsize=32)
-def meeting_pairs(machine: AnyMachine) -> tuple[tuple[int, int], ...]:
+def meeting_pairs(machine: AnyMachine) -> Pairs:
     """Numbers of capsules that a choice of posture may bring together."""
     bodies = {body.name: body for body in machine.kinematic_tree.bodies}
     filled = {capsule.body for capsule in machine.capsules}
@@ -59,14 +68,14 @@ def meeting_pairs(machine: AnyMachine) -> tuple[tuple[int, int], ...]:
 
 
 @lru_cache(maxsize=32)
-def overlapping_pairs(machine: AnyMachine) -> tuple[tuple[int, int], ...]:
+def overlapping_pairs(machine: AnyMachine) -> Pairs:
     """Those of `meeting_pairs` that overlap in each of `LOOKED` postures, spread evenly over the limits."""
     pairs = meeting_pairs(machine)
     if not pairs:
         return ()
     plant = build_plant(machine)
     g = plant.graph
-    rows = ca.vertcat(*_graph(Scene(plant, g.base, g.posture, g.p), pairs, ca.SX(0, 1)))
+    rows = ca.vertcat(*(row for (row,) in _rows(Scene(plant, g.base, g.posture, g.p), pairs, _distance)))
     distances = ca.Function("distances", [g.base, g.posture, g.p], [rows], ["base", "posture", "p"], ["distances"])
     low, high = sampled_ranges(machine, arm_length(plant)).T
     postures = low[:, None] + (high - low)[:, None] * low_discrepancy(plant.n_actuated, LOOKED, 0)
@@ -75,7 +84,7 @@ def overlapping_pairs(machine: AnyMachine) -> tuple[tuple[int, int], ...]:
     return tuple(pair for pair, most in zip(pairs, found.max(axis=1).tolist(), strict=True) if most < 0)
 
 
-def _kept_apart(machine: AnyMachine) -> tuple[tuple[int, int], ...]:
+def _kept_apart(machine: AnyMachine) -> Pairs:
     without = overlapping_pairs(machine)
     return tuple(pair for pair in meeting_pairs(machine) if pair not in without)
 
@@ -112,16 +121,42 @@ def _groups(plant: Plant, constraints: Constraints) -> list[Group]:
         return []
     names, pairs = capsule_names(plant.machine.capsules), _kept_apart(plant.machine)
     labels = [f"self-clearance of {names[j]} from {names[i]}" for i, j in pairs]
-    rows = tuple(ScaledConstraint(label, "m", least, math.inf) for label in labels)
+    rows = tuple(
+        ScaledConstraint(label, "m", least, math.inf)
+        for label, pair in zip(labels, pairs, strict=True)
+        for _ in range(_count(plant.machine.capsules, pair))
+    )
     return [Group("self_clearance", pairs, (), rows)]
 
 
+def _count(capsules: tuple[Capsule, ...], pair: tuple[int, int]) -> int:
+    """How many rows a pair has."""
+    return 1 if any(is_ball(capsules[k]) for k in pair) else 2
+
+
 def _graph(scene: Scene, shape: Any, _: ca.SX) -> list[ca.SX]:
+    return [row for rows in _rows(scene, shape, rows_from_segment) for row in rows]
+
+
+def _report(scene: Scene, shape: Any, _: ca.SX) -> list[ca.SX]:
+    capsules, pairs = scene.plant.machine.capsules, cast(Pairs, shape)
+    distances = zip(_rows(scene, shape, _distance), pairs, strict=True)
+    return [distance for (distance,), pair in distances for _ in range(_count(capsules, pair))]
+
+
+def _distance(*segments: Any) -> list[ca.SX]:
+    return [from_segment(*segments)]
+
+
+def _rows(scene: Scene, shape: Any, of_pair: Callable[..., list[ca.SX]]) -> list[list[ca.SX]]:
+    """Of each pair."""
     capsules = scene.plant.machine.capsules
     ends = [axis_ends(scene, capsule) for capsule in capsules]
     lengths, radii = [axis_length(capsule) for capsule in capsules], [capsule.radius for capsule in capsules]
-    pairs = cast(tuple[tuple[int, int], ...], shape)
-    return [from_segment(ends[i], lengths[i], ends[j], lengths[j]) - radii[i] - radii[j] for i, j in pairs]
+    return [
+        [row - radii[i] - radii[j] for row in of_pair(ends[i], lengths[i], ends[j], lengths[j])]
+        for i, j in cast(Pairs, shape)
+    ]
 
 
-KIND = ConstraintKind(_groups, _graph, _faults)
+KIND = ConstraintKind(_groups, _graph, _faults, report=_report)

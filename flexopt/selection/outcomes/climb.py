@@ -28,8 +28,6 @@ CORRECTIONS = 12
 TRIES, RADIUS, LEAST_RADIUS = 60, 0.1, 1e-8
 # Branches and rows that are active: distances, in units of their sizes.
 ACTIVE, ON_ROW = 1e-6, 1e-7
-# Steps beside a point, in scaled variables, where rows may have other slopes; the share by which these then differ.
-BESIDE, KINKED = 1e-6, 1e-3
 # Norm of the Lagrangian's gradient, in scaled variables, below which a point is stationary.
 STATIONARY = 1e-4
 
@@ -307,7 +305,7 @@ def first_order(program: OutcomeProgram, y: Vector, value: float) -> tuple[float
     if not (np.all(np.isfinite(least)) and np.all(np.isfinite(by_level))):
         return math.inf, ()
     equal, lowest, highest = _row_ends(program)
-    columns, names, held = list[Vector](), list[str](), list[tuple[float, int]]()
+    columns, names = list[Vector](), list[str]()
     for number, row_name in enumerate(program.row_names):
         if equal[number]:
             columns += [slopes[number], -slopes[number]]
@@ -316,7 +314,6 @@ def first_order(program: OutcomeProgram, y: Vector, value: float) -> tuple[float
             if abs(rows[number] - end) <= ON_ROW:
                 columns.append(sign * slopes[number])
                 names.append(row_name)
-                held.append((sign, number))
     for i, (name, low, high) in enumerate(zip(program.names, *program.bounds, strict=True)):
         for sign, end, side in ((1.0, low, "lower"), (-1.0, high, "upper")):
             if abs(y[i] - end) <= ON_ROW:
@@ -325,10 +322,7 @@ def first_order(program: OutcomeProgram, y: Vector, value: float) -> tuple[float
                 columns.append(column)
                 if low != high:
                     names.append(f"{name} {side} bound")
-    rest = _left_open(least, by_level, columns)
-    if rest > STATIONARY and held:
-        rest = _left_open(least, by_level, columns + _other_sides(program, y, held))
-    return rest, tuple(names)
+    return _left_open(least, by_level, columns), tuple(names)
 
 
 def _left_open(least: Vector, by_level: Vector, columns: list[Vector]) -> float:
@@ -342,25 +336,3 @@ def _left_open(least: Vector, by_level: Vector, columns: list[Vector]) -> float:
     right[-1] = weight
     multipliers = nonnegative_least_squares(matrix, right)
     return float(np.linalg.norm((matrix @ multipliers - right)[:-1]))
-
-
-def _other_sides(program: OutcomeProgram, y: Vector, held: list[tuple[float, int]]) -> list[Vector]:
-    """Slopes that rows which hold have beside y, where they have a kink there, as of two distances the smaller.
-
-    Each is a row of its own, g₁ ≥ low and g₂ ≥ low, that holds at y, too: what is beside lies below the slope at y, and
-    leads back to the same value. Of the larger of two neither need hold, and they do not count.
-
-    `held`: sign and number of each.
-    """
-    rows, slopes, found = program.rows(y), program.row_slopes(y), list[Vector]()
-    for step in BESIDE * np.concatenate([np.eye(y.size), -np.eye(y.size)]):
-        there, others = program.rows(y + step), program.row_slopes(y + step)
-        for sign, number in held:
-            here, other = sign * slopes[number], sign * others[number]
-            size, change = float(np.linalg.norm(here)), sign * (there[number] - rows[number])
-            kinked = np.linalg.norm(other - here) > KINKED * size
-            # Below the slope to rounding and what curvature makes of a step.
-            below = change <= here @ step + KINKED * BESIDE * size
-            if kinked and below and abs(change - other @ step) <= ON_ROW:
-                found.append(other)
-    return found

@@ -25,6 +25,15 @@ def listed(rows: ConstraintSet) -> SimpleNamespace:
     return SimpleNamespace(labels=labels, units=units, lower=lower, upper=upper, scales=scales)
 
 
+def least_by_label(rows: ConstraintSet, values: np.ndarray) -> dict[str, float]:
+    """Of rows that are called alike, which hold one quantity together, the least."""
+    assert len(values) == len(rows)
+    found: dict[str, float] = {}
+    for row, value in zip(rows.rows, values.tolist(), strict=True):
+        found[row.name] = min(value, found.get(row.name, math.inf))
+    return found
+
+
 def random_capsules(rng: np.random.Generator, bodies: list[str], d: int) -> list[Data]:
     """One or two on every body, some of them balls."""
     made: list[Data] = []
