@@ -32,6 +32,8 @@ SAMPLES = 256
 SAME = 1e-6
 # A target is reached to this share of a metre, position and orientation rows alike.
 REACHED = 1e-10
+# How far off a posture of a machine that sags may be, as a share of the arm, to start from.
+NEARLY = 1e-3
 # Rounding may push |cos| past 1 by this much on the edge of the reach.
 EDGE = 1e-12
 
@@ -160,6 +162,19 @@ def solve_postures(plant: Plant, target: Vector, bases: Vector, starts: Vector) 
         [plant.parameter_values], REACHED,
     )  # fmt: skip
     return z[n_b:], left
+
+
+def held_on(plant: Plant, target: Vector, bases: Vector, postures: Vector) -> Vector:
+    """Of postures (n, N) that reach the target at rest, those near them with which the machine as it sags does.
+
+    Where none is found, as where it falls over, the posture as it is.
+    """
+    p, count = plant.parameter_values, postures.shape[1]
+    targets = np.repeat(target.reshape(-1, 1), count, axis=1)
+    found = plant.held.call([bases, postures, p, targets])[0].full()
+    q = np.vstack([plant.deflected.call([bases, found, p])[0].full(), found])
+    off = np.abs(plant.end_point.call([q, bases, p])[0].full() - targets).max(axis=0, initial=0.0)
+    return np.where(off <= NEARLY * arm_length(plant), found, postures)
 
 
 def branch(plant: Plant, target: Vector, bases: Vector, unit: Vector, sign: float) -> tuple[Vector, Any]:

@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 
 import casadi as ca
 
-from flexopt.algebra import solve_spd
+from flexopt.algebra import apply_pseudo_inverse, solve_spd
 from flexopt.errors import Fault, InputError
 from flexopt.foundation.boundary import instance, public, public_class
 from flexopt.foundation.control import Control, control_method
@@ -21,6 +21,8 @@ from flexopt.plant.mass_centre import centre_of_mass
 
 # Newton iterations for the static deflection; it converges quadratically from rest, in 4 or 5 for real machines.
 STATIC_ITERATIONS = 12
+# Rounds in which a posture is turned until the end-point is where it is held.
+HELD = 6
 # Parameters that a message names.
 NAMED = 4
 
@@ -284,6 +286,23 @@ class Plant:
         stepped = self._newton_step(q_p, g.base, g.posture, g.p)
         inputs = {"q_p": q_p, "base": g.base, "posture": g.posture, "p": g.p}
         return self._function("static_step", inputs, [ca.densify(stepped)], ["next"])
+
+    @cached_property
+    def held(self) -> ca.Function:
+        """The posture (n,), turned by Jv⁺ so that the end-point of the machine as it sags is on a target (n_task,).
+
+        Feedback holds the arm so. Each of `HELD` rounds leaves of what is off the share by which the sag changes over
+        it. Inputs base, posture, p, target.
+        """
+        g, target = self.graph, ca.SX.sym("target", self.n_task)
+        rest, posture = self.rest(g.base, g.posture, g.p), g.posture
+        inverse = apply_pseudo_inverse(self.rigid_jacobian(rest, g.base, g.p), ca.SX.eye(self.n_task))
+        q_p = rest[: self.n_passive]
+        for _ in range(HELD):
+            q_p = self._newton_step(q_p, g.base, posture, g.p)
+            posture = posture + inverse @ (target - self.end_point(ca.vertcat(q_p, posture), g.base, g.p))
+        inputs = {"base": g.base, "posture": g.posture, "p": g.p, "target": target}
+        return self._function("held", inputs, [ca.densify(posture)], ["held"])
 
     @public(base=_SX, posture=_SX, p=_SX, deflection=_SX)
     def operating_point(self, base: ca.SX, posture: ca.SX, p: ca.SX, deflection: ca.SX | None = None) -> OperatingPoint:

@@ -515,19 +515,30 @@ def resting(problem: SelectionProblem, z: Vector) -> list[str]:
 
 
 def rows_with(problem: SelectionProblem, z: Vector, p: Any) -> Vector:
-    """Values of all constraints, (n_rows,), of a machine with the numbers p (n_par,)."""
-    at = [*problem.quantities.at(z)[:2], p]
+    """Values of all constraints, (n_rows,), of a machine with the numbers p (n_par,), held as `held_with` does."""
+    at = [*held_with(problem, z, p), p]
     parts = [problem.measures.w.call(at)[2], problem.measures.plant.singularity_sine_squared.call(at)[0]]
     if problem.constraint_set is not None:
         parts += problem.constraint_set.function.call([*at, problem.constraint_set.constants])
     return np.concatenate([part.full().ravel() for part in parts])
 
 
+def held_with(problem: SelectionProblem, z: Vector, p: Any) -> tuple[Vector, Vector]:
+    """Base and posture of z; of a machine that sags with other numbers than the file's, the posture that holds it."""
+    base, posture = problem.quantities.at(z)[:2]
+    nominal = problem.measures.plant.parameter_values
+    if p is None or not problem.gravity or ca.DM(p).full().tolist() == nominal.full().tolist():
+        return base, posture
+    plant = problem.measures.plant
+    there = plant.end_point(np.append(plant.deflected(base, posture, nominal), posture), base, nominal)
+    return base, plant.held(base, posture, p, there).full().ravel()
+
+
 def own_with(problem: SelectionProblem, z: Vector, p: Any) -> Vector:
     """The values of the user's own constraints at z, of a machine with the numbers p (n_par,); None: with its own."""
-    n_base = len(problem.machine.base_coordinates)
+    base, posture = held_with(problem, z, p)
     terms = [OwnTerm(constraint.function) for constraint in problem.asked.own or ()]
-    found = [problem.quantities.of_own(term, z[:n_base], z[n_base:], p).ravel() for term in terms]
+    found = [problem.quantities.of_own(term, base, posture, p).ravel() for term in terms]
     return np.concatenate([np.zeros(0), *found])
 
 

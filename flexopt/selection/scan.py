@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Interval, Vector
 from flexopt.plant import Plant
-from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, low_discrepancy
+from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, held_on, low_discrepancy
 from flexopt.selection.constraints import ConstraintSet
 from flexopt.selection.objective import Objective, Quantities
 
@@ -165,6 +165,8 @@ def scan_redundancy(
     for sign in ELBOW_SIGN.values() if bases.size else ():
         postures, reaches = branch(plant, target, bases, joints, sign)
         reached = reached or bool(reaches.any())
+        if functions.measures.gravity:
+            postures[:, reaches] = held_on(plant, target, bases[:, reaches], postures[:, reaches])
         sines = plant.singularity_sine_squared(bases, postures, p).full().ravel()
         good: NDArray[np.int64] = np.flatnonzero(
             reaches & _inside(limits, postures) & (sines >= sine_squared_min - EDGE)

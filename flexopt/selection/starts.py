@@ -22,7 +22,7 @@ from flexopt.algebra.feasible import repeated
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
 from flexopt.foundation.processes import in_parallel
-from flexopt.plant.inverse_kinematics import low_discrepancy, reach_steps
+from flexopt.plant.inverse_kinematics import held_on, low_discrepancy, reach_steps
 from flexopt.selection.nlp.program import values_of
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.scan import FEASIBLE, Scan, empty_scan, peaks, scanned
@@ -106,6 +106,10 @@ def sample_configurations(problem: SelectionProblem, starts: int) -> tuple[Scan,
     if not reaches.any():
         return empty_scan(plant, reached=False), float(np.nanmin(off) * problem.row_bounds[2][0])
     z, unit = z[:, reaches], unit[:, reaches]
+    if problem.gravity:
+        # What is turned beyond a limit misses the target, and may be moved.
+        held = held_on(plant, problem.target, z[:n_b], z[n_b:])
+        z[n_b:] = np.clip(held.T, problem.lower[n_b:], problem.upper[n_b:]).T
     left = violated(problem, z)
     missing = ENOUGH * starts - int(np.sum(left <= FEASIBLE))
     if missing > 0:
@@ -134,7 +138,7 @@ def _beyond(problem: SelectionProblem, z: Vector) -> Vector:
     """The violation of every row at points z (n_z, N), in units of the scales, (N, rows)."""
     lower, upper, scale = problem.row_bounds
     at = [*problem.quantities.at(z), problem.constants]
-    rows = problem.configuration.rows_at_rest.call(at)[0].full().T
+    rows = problem.configuration.rows_alone.call(at)[0].full().T
     return np.maximum(np.maximum(lower - rows, rows - upper) / scale, 0.0)
 
 

@@ -75,7 +75,7 @@ def at_corner(scene: Scene, entries: Sequence[int], numbers: ca.SX) -> Scene:
     """The scene with these numbers in place of the entries of p."""
     p = ca.SX(scene.p)
     p[list(entries)] = numbers
-    return replace(scene, p=p)
+    return scene.with_numbers(p)
 
 
 def _with_ends(machine: AnyMachine, within: Sequence[Uncertainty], ends: Sequence[int]) -> Vector:

@@ -6,7 +6,7 @@ In: a plant and validated `Constraints`. Out: `Group`s, whose rows go below each
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -80,6 +80,13 @@ class Scene:
         for _ in range(SAGS):
             passive = self.plant.static_step(passive, *at)
         return ca.vertcat(passive, self.posture)
+
+    def with_numbers(self, p: ca.SX) -> Scene:
+        """The machine with the numbers p; where it sags, the arm held so that its end-point stays where it is."""
+        if not self.gravity:
+            return replace(self, p=p)
+        there = self.plant.end_point(self.q, self.base, self.p)
+        return replace(self, p=p, posture=self.plant.held(self.base, self.posture, p, there))
 
     @property
     def dimension(self) -> int:

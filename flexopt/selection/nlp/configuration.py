@@ -19,6 +19,7 @@ from flexopt.model import AnyMachine
 from flexopt.robustness.expansion import Expansion
 from flexopt.robustness.measures import Measures, build_measures
 from flexopt.selection.constraints import ConstraintSet
+from flexopt.selection.constraints.kind import Scene
 
 
 @dataclass(frozen=True)
@@ -80,12 +81,14 @@ class Configuration:
 
     @cached_property
     def _rows(self) -> ca.SX:
-        return self._rows_of(self.measures.expansion.point.end_point) if self.gravity else self._rows_at_rest
+        return self._rows_of(self.measures.expansion.point.end_point) if self.gravity else self._rows_alone
 
     @cached_property
-    def _rows_at_rest(self) -> ca.SX:
-        g = self.measures.plant.graph
-        return self._rows_of(ca.substitute(g.end_point, g.q, g.rest))
+    def _rows_alone(self) -> ca.SX:
+        plant = self.measures.plant
+        g = plant.graph
+        scene = Scene(plant, g.base, g.posture, g.p, self.gravity)
+        return self._rows_of(ca.substitute(g.end_point, g.q, scene.q))
 
     def _rows_of(self, task: ca.SX) -> ca.SX:
         s, plant = self._symbols, self.measures.plant
@@ -96,14 +99,14 @@ class Configuration:
         return ca.densify(ca.vertcat(*parts))
 
     @cached_property
-    def rows_at_rest(self) -> ca.Function:
-        """(base, posture, p, c) -> rows (n_rows,) with the passive coordinates at rest."""
-        return self._function("rows_at_rest", ("base", "posture", "p", "c"), {}, [self._rows_at_rest], ["rows"])
+    def rows_alone(self) -> ca.Function:
+        """(base, posture, p, c) -> rows (n_rows,), the deflection found with them."""
+        return self._function("rows_alone", ("base", "posture", "p", "c"), {}, [self._rows_alone], ["rows"])
 
     @cached_property
     def feasible(self) -> ca.Function:
-        """`feasible_steps` of the rows at rest in z; its last inputs are p and c."""
-        return feasible_steps(self._rows_at_rest, self._z, [self._symbols["p"], self._symbols["c"]])
+        """`feasible_steps` of `rows_alone` in z; its last inputs are p and c."""
+        return feasible_steps(self._rows_alone, self._z, [self._symbols["p"], self._symbols["c"]])
 
     @cached_property
     def row_values(self) -> ca.Function:

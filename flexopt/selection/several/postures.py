@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.plant.inverse_kinematics import ELBOW_SIGN, REACHED, branch, low_discrepancy, solve_postures
+from flexopt.plant.inverse_kinematics import ELBOW_SIGN, REACHED, branch, held_on, low_discrepancy, solve_postures
 from flexopt.plant.reach import arm_length, sampled_ranges
 from flexopt.selection.nlp.program import values_of
 from flexopt.selection.problem import SelectionProblem
@@ -102,9 +102,13 @@ def climbed_held(problem: SelectionProblem, reached: Reached, seed: int) -> Reac
 
 def _valued(problem: SelectionProblem, z: Vector, reaches: NDArray[np.bool_]) -> Reached:
     """What configurations (n_z, N, C) are worth, of which those reach the target."""
-    shape = z.shape[1:]
+    shape, reached = z.shape[1:], reaches.ravel()
     flat = problem.wrapped(z.reshape(z.shape[0], -1).T).T
-    off = np.where(reaches.ravel(), _violation(problem, flat), np.inf)
+    if problem.gravity and reached.any():
+        plant = problem.measures.plant
+        n_b = plant.n_base
+        flat[n_b:, reached] = held_on(plant, problem.target, flat[:n_b, reached], flat[n_b:, reached])
+    off = np.where(reached, _violation(problem, flat), np.inf)
     value = np.full(off.size, -np.inf)
     good = np.flatnonzero(off <= EDGE)
     if good.size:

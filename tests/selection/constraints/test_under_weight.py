@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.optimize import root
 
 import flexopt
 from flexopt.model.constraints import read_constraints
@@ -40,6 +41,25 @@ def sagged(machine: Any, base: np.ndarray, posture: np.ndarray, p: np.ndarray) -
     return np.concatenate([passive, posture])
 
 
+def held(machine: Any, base: np.ndarray, posture: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """The posture, turned by Jvᵀ λ, with which the end-point of the machine with other numbers is where it was."""
+    plant = build_plant(machine)
+    own, m = plant.parameter_values.full().ravel(), plant.n_passive
+
+    def end_point(q: np.ndarray) -> np.ndarray:
+        return plant.end_point(q, base, own).full().ravel()
+
+    at, rest, step = sagged(machine, base, posture, own), plant.rest(base, posture, own).full().ravel(), 1e-6
+    slopes = [(end_point(rest + step * e) - end_point(rest - step * e)) / (2 * step) for e in np.eye(at.size)[m:]]
+    found: Any = root(
+        lambda x: end_point(sagged(machine, base, posture + np.array(slopes) @ x, numbers)) - end_point(at),
+        np.zeros(plant.n_task),
+        tol=1e-13,
+    )
+    assert np.abs(found.fun).max() < 1e-10
+    return posture + np.array(slopes) @ found.x
+
+
 @pytest.mark.parametrize("name", SHIPPED)
 def test_volumes_and_the_centre_of_mass_are_those_of_the_sagged_machine(name: str) -> None:
     machine = supported(name)
@@ -62,8 +82,10 @@ def test_volumes_and_the_centre_of_mass_are_those_of_the_sagged_machine(name: st
     seen, moved = 0, 0.0
     for mass in (own, heavy):
         numbers = with_numbers(machine, {payload: mass})
-        q = sagged(machine, base, posture, numbers)
+        q = sagged(machine, base, held(machine, base, posture, numbers), numbers)
         assert np.abs(q - plant.rest(base, posture, numbers).full().ravel()).max() > 1e-4
+        # The rounds that hold the end-point leave some of 1e-8 m.
+        close = 1e-9 if mass == own else 1e-7
         where = f" where {payload} is {mass:.4g} kg" * (mass != own)
         centre = plant.centre_of_mass(q, base, numbers).full().ravel()
         unsagged = plant.centre_of_mass(plant.rest(base, posture, numbers), base, numbers).full().ravel()
@@ -82,13 +104,13 @@ def test_volumes_and_the_centre_of_mass_are_those_of_the_sagged_machine(name: st
             walls = [float(normal @ (each - 3.0)) - radius for each in ends]
             labels = [f"{capsule.called} (start)", f"{capsule.called} (end)"] if along is not None else [capsule.called]
             for label, away in zip(labels, walls, strict=False):
-                assert reported[f"clearance of {label} from wall{where}"] == pytest.approx(away, abs=1e-9)
+                assert reported[f"clearance of {label} from wall{where}"] == pytest.approx(away, abs=close)
                 seen += 1
             middle = np.full(d, 4.0)
             share = 0.0 if along is None else float(np.clip((middle - ends[0]) @ along / (along @ along), 0, 1))
             nearest = ends[0] if along is None else ends[0] + share * along
             gap = float(np.linalg.norm(middle - nearest)) - 0.5 - radius
-            assert reported[f"clearance of {capsule.called} from tank{where}"] == pytest.approx(gap, abs=1e-9)
+            assert reported[f"clearance of {capsule.called} from tank{where}"] == pytest.approx(gap, abs=close)
     assert seen > 0 or not machine.capsules
     assert moved > 1e-5
     # At rest they are others.
