@@ -86,7 +86,7 @@ class Other:
         if problem.travel is not None:
             away = (z - problem.travel.now[:, None]) / problem.scale[:, None]
             value = value - problem.travel.cost * problem.objective_scale * (away**2).sum(axis=0)
-        rows = problem.configuration.rows_at_rest.call([*at, problem.constants])[0].full()
+        rows = problem.configuration.rows_alone.call([*at, problem.constants])[0].full()
         lower, upper, scale = (x[:, None] for x in problem.row_bounds)
         broken = np.maximum(lower - rows, rows - upper) / scale
         inside = np.all((z >= self.lower) & (z <= self.upper), axis=0)
@@ -95,7 +95,7 @@ class Other:
     def end_points(self, z: Vector) -> Vector:
         """(r, N), at rest."""
         at = [z[: self.n_base], z[self.n_base :], self.p, self.problem.constants]
-        return self.problem.configuration.rows_at_rest.call(at)[0].full()[: self.problem.target.size]
+        return self.problem.configuration.rows_alone.call(at)[0].full()[: self.problem.target.size]
 
     def onto(self, z: Vector) -> Vector:
         """Points (n, N) moved to the target by Newton's shortest steps; where they do not lead there, NaN."""

@@ -26,6 +26,8 @@ VALUE = Quantity("", low=-1e15, high=1e15)
 SPRINGS, DAMPERS, LATE = "stiffness", "damping", "dead_time"
 WORDS = (SPRINGS, DAMPERS, LATE)
 UNCERTAIN_MAX, NAME_MAX = 8, 200
+# Relative difference of factors that are one, which decimals are rounded to.
+ALIKE = 1e-9
 
 
 _FACTORS = pair(FACTOR, allow_equal=True)
@@ -125,9 +127,17 @@ def parameters_of(names: Sequence[str], machine: Any) -> tuple[int, ...]:
 
 
 def told_numbers(machine: Any, p: Sequence[float]) -> str:
-    """Those of p (n_par) that are not the machine's own, in words."""
-    others = [(own, x) for own, x in zip(machine.parameters, p, strict=True) if own.value != x]
-    return listed(f"{own.name} is {x:.4g} {own.unit}".rstrip() for own, x in others) if others else ""
+    """Those of p (n_par) that are not the machine's own, in words: of all springs or all dampers a common factor."""
+    others = {own.name: (own, x) for own, x in zip(machine.parameters, p, strict=True) if own.value != x}
+    told = list[str]()
+    for word in (SPRINGS, DAMPERS):
+        names = {own.name for own in machine.parameters if own.value} & _of_passive(machine, word)
+        factors = [others[name][1] / others[name][0].value for name in names if name in others]
+        if len(factors) == len(names) > 1 and max(factors) - min(factors) <= ALIKE * max(factors):
+            told.append(f"{word} is {factors[0]:.4g} of the file's")
+            others = {name: each for name, each in others.items() if name not in names}
+    told += [f"{own.name} is {x:.4g} {own.unit}".rstrip() for own, x in others.values()]
+    return listed(told) if told else ""
 
 
 # What is taken where nothing is said of the ground: one factor of all springs. Built without the checks, whose schema

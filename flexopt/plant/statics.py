@@ -11,6 +11,8 @@ from flexopt.plant.plant import Plant
 
 # Of what the static deflection may leave over, relative to the weight.
 STATIC_TOLERANCE = 1e-8
+# The same of few steps, whose machine hangs where it does to rounding of what is told of it.
+NEARLY_SETTLED = 1e-6
 
 
 def left_over(plant: Plant, q: ca.SX, residual: ca.SX) -> ca.SX:
@@ -33,6 +35,23 @@ def check_settled(plant: Plant, q: Vector, base: Vector) -> None:
             violations={"static equilibrium": left},
             iterate=dict(zip(plant.coordinates, q.tolist(), strict=True)),
         )
+
+
+def unsettled(plant: Plant, q: Vector, base: Vector, p: Vector) -> float:
+    """How far the springs are from holding the machine with the numbers p at q (n_q,), relative to its weight.
+
+    0 at a static equilibrium, to `NEARLY_SETTLED`; 1 at one that it falls from; infinite where q is no number.
+    """
+    if not np.all(np.isfinite(q)):
+        return np.inf
+    m, stiffness = plant.n_passive, plant.stiffness(p).full()
+    weight = plant.gravity(q, base, p).full().ravel()[:m]
+    rest = plant.rest(base, q[m:], p).full().ravel()
+    left = float(np.abs(stiffness[:m, :m] @ (q - rest)[:m] + weight).max()) / (1 + float(np.abs(weight).max()))
+    if not left <= NEARLY_SETTLED:
+        return left
+    tangent = stiffness[:m, :m] + plant.gravity_stiffness(q, base, p).full()
+    return float(np.linalg.eigvalsh(tangent)[0] <= 0)
 
 
 def check_held(plant: Plant, q: Vector, base: Vector) -> Vector:

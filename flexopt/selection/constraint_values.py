@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from flexopt.foundation.rounding import without_rounding
 from flexopt.model.constraints import Constraints
 from flexopt.selection.constraints import KINDS
+from flexopt.selection.constraints.corners import WHERE
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,17 @@ def by_kind(names: Iterable[str]) -> dict[str, list[str]]:
     for name in names:
         kinds.setdefault(re.split(" of | from |, ", name)[0], []).append(name)
     return kinds
+
+
+def resting_told(names: Sequence[str]) -> list[str]:
+    """Names of what a configuration rests on, one for all corners of `constraints.within` at which it does."""
+    told = list[str]()
+    kinds = [name.partition(WHERE)[0] for name in names]
+    for kind in dict.fromkeys(kinds):
+        of_kind = [name for name, own in zip(names, kinds, strict=True) if own == kind]
+        corners = len([name for name in of_kind if WHERE in name])
+        told.append(of_kind[0] if len(of_kind) == 1 else f"{kind} (at {corners} corners of within)")
+    return told
 
 
 def nearest_told(asked: Constraints, places: Sequence[dict[str, ConstraintValue]]) -> str:

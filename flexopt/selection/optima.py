@@ -57,7 +57,7 @@ BELOW = 1e-4
 TAKEN_UP = 2
 
 # What to do where there are feasible points, none of which can be proved the best about.
-ADVICE = "more starts, or another objective, such as one w_i alone, may lead to an optimum that can be verified"
+ADVICE = "more starts, or another objective{}, may lead to an optimum that can be verified"
 
 # IPOPT's word for a point from which only rounding is left to be stepped.
 NO_STEP = "Search_Direction_Becomes_Too_Small"
@@ -231,7 +231,7 @@ def _below(problem: SelectionProblem, best: float, point: Vector, starts: int) -
     short = value_at(problem, point) - best
     return NoSolutionFound(
         f"the best optimum of {problem.objective.name} from {starts} starts, {best:.6g}, is below {best + short:.6g} "
-        f"of a configuration that was seen ({where}) and leads to no verified optimum; {ADVICE}",
+        f"of a configuration that was seen ({where}) and leads to no verified optimum; {_advice(problem)}",
         violations={"below what was seen": short},
         iterate=iterate,
     )
@@ -473,13 +473,19 @@ def _no_solution(
     sizes = "; ".join(f"{name} by {size:.3g} {units.get(name, '')}".rstrip() for name, size in proof.violations.items())
     iterate = _named(problem, z)
     where = ", ".join(f"{name} = {value:.6g}" for name, value in iterate.items())
-    advice = "" if infeasible(single(problem), z) else f"; {ADVICE}"
+    advice = "" if infeasible(single(problem), z) else f"; {_advice(problem)}"
     missed = kept_by_none(problem)
     return NoSolutionFound(
         f"{heading}; the best iterate ({where}) violates {sizes}{missed}{in_the_way(problem.assumed)}{advice}",
         violations=proof.violations,
         iterate=iterate,
     )
+
+
+def _advice(problem: SelectionProblem) -> str:
+    """What may help where nothing could be verified."""
+    one_alone = np.count_nonzero(problem.objective.alpha) == 1 and not problem.objective.has_kinks
+    return ADVICE.format("" if one_alone else ", such as one w_i alone")
 
 
 def _severity(problem: SelectionProblem, proof: Proof) -> tuple[float, float]:

@@ -19,12 +19,15 @@ from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.model.constraints import Constraints as ConstraintsAsked
+from flexopt.plant.statics import unsettled
 from flexopt.robustness.measures import Measures
 from flexopt.selection.assumed import Assumption
 from flexopt.selection.cones import split_factors
+from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.constraints import ConstraintSet
+from flexopt.selection.constraints.corners import WHERE, all_corners
 from flexopt.selection.constraints.ground import NAME as GROUND
-from flexopt.selection.constraints.kind import ScaledConstraint
+from flexopt.selection.constraints.kind import SAGS, ScaledConstraint
 from flexopt.selection.nlp.assembly import build_solver
 from flexopt.selection.nlp.configuration import Configuration, build_configuration
 from flexopt.selection.nlp.coupling import Coupling, alone
@@ -466,6 +469,22 @@ def reached(problem: SelectionProblem, z: Vector) -> Vector:
 UNASKED = re.compile(f"^limits of |^singularity margin$| {re.escape(GROUND)}$")
 
 
+def falls_within(problem: SelectionProblem, z: Vector) -> dict[str, float]:
+    """Where in `constraints.within` rows are of no static equilibrium, as it falls over there; see `unsettled`."""
+    if not problem.gravity or not problem.asked.within:
+        return {}
+    plant, found = problem.measures.plant, dict[str, float]()
+    for where, p in all_corners(problem.machine, problem.asked.within):
+        base, posture = held_with(problem, z, p)
+        passive = plant.rest(base, posture, p)[: plant.n_passive]
+        for _ in range(SAGS):
+            passive = plant.static_step(passive, base, posture, p)
+        off = unsettled(plant, np.append(passive.full().ravel(), posture), base, p)
+        if off > 0:
+            found[f"static equilibrium{WHERE}{where}"] = off
+    return found
+
+
 def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
     """Which limits and constraints a configuration breaks, the target aside, the worst first; empty where none.
 
@@ -486,12 +505,14 @@ def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p
     """
     outside: Vector = np.maximum(problem.lower - z, z - problem.upper) / problem.scale
     rows = np.abs(beyond_bounds(problem, z, p))[problem.target.size :]
-    away = np.concatenate([outside, rows, beyond_own(problem, z, p)])
+    falls = falls_within(problem, z) if p is None else {}
+    away = np.concatenate([outside, rows, beyond_own(problem, z, p), [*falls.values()]])
     names = [f"limits of {variable.name}" for variable in problem.variables]
     names += [row.name for row in problem.constraints[problem.target.size :]]
-    names += [row.name for row in problem.own_constraints]
+    names += [*(row.name for row in problem.own_constraints), *falls]
     order: list[int] = np.argsort(-away, kind="stable").tolist()
-    return [names[k] for k in order if away[k] > BROKEN and not (asked and UNASKED.search(names[k]))]
+    unasked = [asked and UNASKED.search(name.partition(WHERE)[0]) for name in names]
+    return [names[k] for k in order if away[k] > BROKEN and not unasked[k]]
 
 
 def resting(problem: SelectionProblem, z: Vector) -> list[str]:
@@ -530,7 +551,8 @@ def held_with(problem: SelectionProblem, z: Vector, p: Any) -> tuple[Vector, Vec
     if p is None or not problem.gravity or ca.DM(p).full().tolist() == nominal.full().tolist():
         return base, posture
     plant = problem.measures.plant
-    there = plant.end_point(np.append(plant.deflected(base, posture, nominal), posture), base, nominal)
+    sagged = np.append(plant.deflected(base, posture, nominal).full(), posture)
+    there = plant.end_point(sagged, base, nominal)
     return base, plant.held(base, posture, p, there).full().ravel()
 
 
@@ -540,6 +562,18 @@ def own_with(problem: SelectionProblem, z: Vector, p: Any) -> Vector:
     terms = [OwnTerm(constraint.function) for constraint in problem.asked.own or ()]
     found = [problem.quantities.of_own(term, base, posture, p).ravel() for term in terms]
     return np.concatenate([np.zeros(0), *found])
+
+
+def value_with(problem: SelectionProblem, z: Vector, p: Vector, name: str) -> ConstraintValue:
+    """Of a constraint, of a machine with the numbers p (n_par,), the value that is nearest to a bound or beyond it."""
+    rows = (*problem.constraints, *problem.own_constraints)
+    values = np.append(rows_with(problem, z, p), own_with(problem, z, p)).tolist()
+    found = (
+        ConstraintValue(x, row.lower, row.upper, row.unit)
+        for row, x in zip(rows, values, strict=True)
+        if row.name == name
+    )
+    return min(found, key=lambda value: value.room)
 
 
 def beyond_bounds(problem: SelectionProblem, z: Vector, p: Vector | None = None) -> Vector:

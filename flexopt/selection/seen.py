@@ -12,7 +12,7 @@ from flexopt.algebra.feasible import shortest_steps
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.nlp.program import row_gradients
 from flexopt.selection.objective import Objective
-from flexopt.selection.problem import SelectionProblem, beyond_bounds, value_at
+from flexopt.selection.problem import SelectionProblem, beyond_bounds, falls_within, value_at
 from flexopt.selection.scan import peaks
 
 # By how much, of the objective's scale, a point counts as better: far above what a converged solve leaves.
@@ -84,7 +84,7 @@ def better_than(problem: SelectionProblem, value: float, values: Vector) -> Vect
 def _keeps(problem: SelectionProblem, z: Vector) -> bool:
     earlier = problem.objectives[: len(problem.kept)]
     values = [value_at(problem, z, objective) for objective in earlier]
-    return all(value >= kept for value, kept in zip(values, problem.kept, strict=True))
+    return not falls_within(problem, z) and all(value >= kept for value, kept in zip(values, problem.kept, strict=True))
 
 
 def settled(problem: SelectionProblem, z: Vector) -> Vector | None:

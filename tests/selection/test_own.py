@@ -325,6 +325,7 @@ def test_every_quantity_is_what_is_computed_elsewhere() -> None:
     z = np.array([0.3, -0.2, 0.4, 0.3, 0.1, -1.2, -0.5])
     base, posture, p = z[:3], z[3:], plant.parameter_values
     told, rest = flexopt.evaluate(machine, posture, base=base), plant.rest(base, posture, p)
+    sagged = np.append(plant.deflected(base, posture, p).full(), posture)
     jacobian = plant.rigid_jacobian(rest, base, p).full()
     wanted = {
         "base": base,
@@ -344,8 +345,16 @@ def test_every_quantity_is_what_is_computed_elsewhere() -> None:
         "sag": sag_of(machine, base, posture),
         "cylinder_forces": flexopt.build_hydraulics(machine).forces(posture, gravity_of(machine, z), p).full(),
     }
+    held = plant.gravity(sagged, base, p).full().ravel()[plant.n_passive :]
+    under_weight = {
+        "end_point": plant.end_point(sagged, base, p).full(),
+        "centre_of_mass": plant.centre_of_mass(sagged, base, p).full(),
+        "torques": held,
+        "cylinder_forces": flexopt.build_hydraulics(machine).forces(posture, held, p).full(),
+    }
     for gravity in (False, True):
         assert set(wanted) == set(known_quantities(machine))
+        wanted |= under_weight if gravity else {}
         for name, symbol in symbols(machine).items():
             own = check_function(function("one", symbol, **{name: symbol}))
             graphs = OwnGraphs(flexopt.build_measures(machine, gravity=gravity), own)
@@ -364,7 +373,7 @@ def test_the_worked_example_and_the_table_of_the_page() -> None:
     choice, said = names["choice"], float(re.findall(r"sag_length\"\].value  # ([0-9.]+) m", block)[0])
     assert choice.best.constraints["sag_length"].value == pytest.approx(said, rel=2e-3)
     listed = set(re.findall(r"`(\w+)`", text[text.index("| input | what it is |") : text.index("An unknown name")]))
-    assert set(known_quantities(SLEWING)) - {f"w{i}" for i in range(3, 7)} == listed - {"Machine"}
+    assert set(known_quantities(SLEWING)) - {f"w{i}" for i in range(3, 7)} == listed - {"Machine", "gravity"}
 
 
 # What is wrong with them.

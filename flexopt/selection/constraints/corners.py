@@ -71,6 +71,12 @@ def corner_groups(
     return found
 
 
+def all_corners(machine: AnyMachine, within: Sequence[Uncertainty]) -> list[tuple[str, Vector]]:
+    """The machine's numbers (n_par,) with every combination of the intervals' ends, and in words; its own left out."""
+    found = [_with_ends(machine, within, ends) for ends in product((0, 1), repeat=len(within))]
+    return [(where, p) for p in found if (where := told_numbers(machine, p.tolist()))]
+
+
 def at_corner(scene: Scene, entries: Sequence[int], numbers: ca.SX) -> Scene:
     """The scene with these numbers in place of the entries of p."""
     p = ca.SX(scene.p)

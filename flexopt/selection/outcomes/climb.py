@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.outcomes.branches import Branches
 from flexopt.selection.outcomes.program import MEETING, OutcomeProgram, ProgramPoint
+from flexopt.selection.problem import falls_within
 from flexopt.selection.proof.nonnegative import nonnegative_least_squares
 from flexopt.selection.scan import FEASIBLE
 
@@ -57,10 +58,16 @@ class Climbed:
 
 
 def climbed(program: OutcomeProgram, start: Vector) -> Climbed | None:
-    """The local optimum that a start leads to; None where it leads off the rows.
+    """The local optimum that a start leads to; None where it leads off the rows, or to where the machine falls over.
 
     Where the search stops at none, two motions may meet there; else steps that never lead down go on.
     """
+    found = _climbed(program, start)
+    falls = found is not None and any(falls_within(part.problem, part.z(y)) for part, y in program.parts(found.y))
+    return None if falls else found
+
+
+def _climbed(program: OutcomeProgram, start: Vector) -> Climbed | None:
     found = _searched(program, start)
     if found is None or found.holds:
         return found

@@ -20,6 +20,7 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.robustness import Evaluation
+from flexopt.selection.constraint_values import resting_told
 from flexopt.selection.outcomes.asked import Asked, broken_told, documents_of
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.program import OutcomeProgram, with_slowest
@@ -226,7 +227,7 @@ class OutcomeSelection(ChosenByLoop, Selection):
         for rank, (candidate, radius, gains) in enumerate(each, start=1):
             e = candidate.evaluation
             numbers = " ".join(f"{x:z9.4f}" for x in (*e.base, *e.posture))
-            active = f"   rests on {', '.join(candidate.active)}" if candidate.active else ""
+            active = f"   rests on {', '.join(resting_told(candidate.active))}" if candidate.active else ""
             chosen = "".join(f" {gain:10.4g}" for gain in gains.values())
             lines.append(f"  {rank:4d} {numbers} {candidate.objective:16.6g} {radius:7.3g}{chosen}{active}")
         lines.append(

@@ -57,9 +57,14 @@ class Sight:
         return [self.plant.operating_point(base, posture, p, self.static).q, base, p]
 
     @property
+    def standing(self) -> list[ca.SX]:
+        """The same as flexopt's constraints count it: at rest, or with the gravity option under the weight."""
+        return self.deflected if self.measures.gravity else self.rest
+
+    @property
     def torques(self) -> ca.SX:
         """What holds the arm, (n,)."""
-        return self.plant.gravity(*self.rest)[self.plant.n_passive :]
+        return self.plant.gravity(*self.standing)[self.plant.n_passive :]
 
     @property
     def cylinder_forces(self) -> ca.SX:
@@ -69,7 +74,7 @@ class Sight:
     @property
     def manipulability(self) -> ca.SX:
         """Yoshikawa's."""
-        return ca.sqrt(squared_manipulability(self.plant.rigid_jacobian(*self.rest)))
+        return ca.sqrt(squared_manipulability(self.plant.rigid_jacobian(*self.standing)))
 
     @property
     def deflection(self) -> ca.SX:
@@ -119,7 +124,7 @@ def known_quantities(machine: AnyMachine) -> Mapping[str, KnownQuantity]:
     m, n, dimension = plant.n_passive, plant.n_actuated, plant.frames.dimension
     joints, passive = _units(machine.joint_units), _units(machine.coordinate_units[: plant.n_passive])
     efforts = _units(tuple({"rad": "N m", "m": "N"}[unit] for unit in machine.joint_units))
-    places, rest = ", ".join(machine.base_coordinates) or "none", "the passive coordinates at rest"
+    places, rest = ", ".join(machine.base_coordinates) or "none", "at rest, with gravity as the machine sags"
     found = [
         KnownQuantity("base", _units(machine.base_units), plant.n_base, f"placement ({places})", lambda s: s.at[0]),
         KnownQuantity("posture", joints, n, f"actuated joints ({', '.join(machine.joints)})", lambda s: s.at[1]),
@@ -136,9 +141,9 @@ def known_quantities(machine: AnyMachine) -> Mapping[str, KnownQuantity]:
                  "κ_i = 4 ζ_i ω_i / |w_i|: the largest velocity gain, whatever its directions, before mode i grows",
                  lambda s: s.modal.allowance, modal=True),
         KnownQuantity("end_point", "m", plant.n_task, f"end-point r, inertial frame, {rest}",
-                 lambda s: s.plant.end_point(*s.rest)),
+                 lambda s: s.plant.end_point(*s.standing)),
         KnownQuantity("centre_of_mass", "m", dimension, f"of the whole machine, inertial frame, {rest}",
-                 lambda s: s.plant.centre_of_mass(*s.rest)),
+                 lambda s: s.plant.centre_of_mass(*s.standing)),
         KnownQuantity("torques", efforts, n, f"what each actuated joint holds against the weight, {rest}",
                  lambda s: s.torques),
         KnownQuantity("manipulability", "", 1, "sqrt(det(Jv Jvᵀ)), Yoshikawa 1985", lambda s: s.manipulability),

@@ -11,7 +11,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.nlp.program import Program, margin_noise, single
-from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.problem import SelectionProblem, falls_within
 from flexopt.selection.proof.first_order import linearised, undecided
 from flexopt.selection.proof.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, certified
 from flexopt.selection.proof.second_order import CURVATURE_TOLERANCE, dimension_of, largest_curvature
@@ -115,6 +115,8 @@ def infeasible(program: Program, x: Vector, g: Vector | None = None) -> dict[str
         for number in range(each):
             row, size = constraints[k * each + number], beyond[k * each + number]
             _note(violations, row.name, size, TARGET_TOLERANCE if number < n_task else BOUND_TOLERANCE * row.scale)
+        for name, size in falls_within(problem, program.of(x, k)).items():
+            _note(violations, f"{program.prefix(k)}{name}", size, 0.0)
         for variable, value in zip(problem.variables, program.of(x, k), strict=True):
             out = max(variable.lower - value, value - variable.upper)
             _note(violations, f"{program.prefix(k)}{variable.name} range", out, BOUND_TOLERANCE)

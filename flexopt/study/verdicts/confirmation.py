@@ -164,7 +164,7 @@ def _sags(loop: UncertainLoop, u: Vector) -> str:
     plant, settings = build_plant(loop.box.machine), loop.settings
     if not loop.gravity:
         return ""
-    at = np.concatenate([np.zeros(plant.n_passive), loop.posture])
+    at = plant.rest(loop.base, loop.posture, loop.box.nominal)
     each = (plant.gravity(at, loop.base, p).full().ravel() for p in (loop.box.numbers(u)[0], loop.box.nominal))
     own, known = (weight[plant.n_passive :] for weight in each)
     more = own - known

@@ -42,7 +42,8 @@ RULE = (
     "breaks constraints that were asked for is none to stay at, and is not among the places; nor is one that breaks "
     "them at a corner of what is uncertain, where another place keeps them. Where no nonlinear runs were asked for, "
     "they need not confirm. Of several places to move to it is that with the least drive among those "
-    f"whose slowest decay is within {100 * FASTER:.0f} % of the best."
+    f"whose slowest decay is within {100 * FASTER:.0f} % of the best, and of drives within {100 * FASTER:.0f} % of "
+    "the least that with the least turn of the base."
 )  # fmt: skip
 
 
@@ -55,7 +56,7 @@ UNREACHED = "from the present placement the arm does not reach {} within its lim
 class Place(NamedTuple):
     """One configuration: name, decays (n,) on the members and the slowest that was found at all, 1/s; what it takes.
 
-    `drive` of the base, m; `otherwise`: what moves besides, in words.
+    `drive` of the base, m; `otherwise`: what moves besides, in words; `turn` of the base, rad.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Place(NamedTuple):
     slowest: float
     drive: float
     otherwise: str = ""
+    turn: float = 0.0
 
     @property
     def holds(self) -> bool:
@@ -247,8 +249,10 @@ def _slowest_alike(places: Sequence[Place]) -> list[Place]:
 
 
 def _near(places: Sequence[Place]) -> Place:
-    """That with the least drive."""
-    return min(places, key=lambda place: place.drive)
+    """That with the least drive; of drives that are one to `FASTER`, with the least turn of the base."""
+    least = min(place.drive for place in places)
+    near = [place for place in places if place.drive <= (1 + FASTER) * least]
+    return min(near, key=lambda place: (place.turn, place.drive))
 
 
 def _best(moves: Sequence[Place]) -> Place | None:

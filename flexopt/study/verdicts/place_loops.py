@@ -23,12 +23,21 @@ from flexopt.loop.uncertain import CORNERED, UncertainLoop, UncertaintyBox
 from flexopt.model.uncertainty import told_numbers
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
+from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.continua import unwound, way_to
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
 from flexopt.selection.outcomes.result import ChosenByLoop, OutcomeSelection
-from flexopt.selection.problem import broken, broken_names, own_with, resting, rows_with, value_at
+from flexopt.selection.problem import (
+    broken,
+    broken_names,
+    own_with,
+    resting,
+    rows_with,
+    value_at,
+    value_with,
+)
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import held_by_loop
@@ -137,7 +146,7 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
 
     Choices keep those of statics, as of what joints hold, and the user's own, with the file's payload.
     """
-    found = dict[str, dict[str, list[int]]]()
+    found = dict[str, dict[str, dict[int, ConstraintValue]]]()
     for k, (problem, at) in enumerate(zip(problems_of(chosen), stand, strict=True), start=1):
         z, seen = np.concatenate(at), set[str]()
         if broken_names(problem, z, asked=True):
@@ -148,16 +157,18 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
                 name, _, corner = row.partition(WHERE)
                 if name not in seen:
                     seen.add(name)
-                    where = told_numbers(box.machine, _least_of(problem, z, box, p, row).tolist())
-                    where = " and ".join(filter(None, (corner, where)))
-                    found.setdefault(where, {}).setdefault(name, []).append(k)
+                    least = _least_of(problem, z, box, p, row)
+                    where = " and ".join(filter(None, (corner, told_numbers(box.machine, least.tolist()))))
+                    found.setdefault(where, {}).setdefault(name, {})[k] = value_with(problem, z, least, row)
     told = list[str]()
     for where, names in found.items():
         each = [
-            name if len(stand) == 1 or len(at) == len(stand) else f"{name} at target {listed(map(str, at))}"
+            name
+            + (f" at target {listed(map(str, at))}" if 1 < len(stand) > len(at) else "")
+            + f", {min(at.values(), key=lambda value: value.room)}"
             for name, at in names.items()
         ]
-        told.append(f"breaks {', '.join(each)}{WHERE}{where}")
+        told.append(f"breaks {'; '.join(each)},{WHERE}{where}")
     return "; ".join(told)
 
 

@@ -22,6 +22,7 @@ from flexopt.loop.settings import LoopSettings, in_calls
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
+from flexopt.selection.constraint_values import resting_told
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import broken, elsewhere, reached
 from flexopt.selection.result import unverified_told
@@ -121,7 +122,7 @@ class PlaceVerdict(Result):
         """On which bounds and constraints it rests, a sentence; empty where on none."""
         count, at = len(self.rests_on), dict[str, list[int]]()
         for k, names in enumerate(self.rests_on, start=1):
-            for name in names:
+            for name in resting_told(names):
                 at.setdefault(name, []).append(k)
         told = [
             name if len(where) == count else f"{name} at target {listed(map(str, where))}" for name, where in at.items()

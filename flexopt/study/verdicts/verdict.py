@@ -186,7 +186,7 @@ def verdict(
     absent = f"the present place {now_breaks or within[STAY]}" if STAY in stands else unreached(chosen)
     known = {
         name: Place(name, decays[name], slowest[name].decay, drives[name][0],
-                    besides_driving(solved, drives[name][1], stands[name]))
+                    besides_driving(solved, drives[name][1], stands[name]), drives[name][1])
         for name in told if name in fit
     }  # fmt: skip
     stay, rest = known.get(STAY), [place for name, place in known.items() if name != STAY]
@@ -399,7 +399,7 @@ def _changed(
             best = best_gains(loops[name], asked, few)
             decays = best.decays(points)
             worst = best.slowest(points, decays)
-            tried.append((Place(name, decays.min(axis=0), worst.decay, place.drive), best))
+            tried.append((Place(name, decays.min(axis=0), worst.decay, place.drive, turn=place.turn), best))
             # With other gains another member may be the slowest: then gains are sought for it, too.
             expected = float(best.decays(few).min())
             if worst.decay >= expected - FASTER * abs(expected):
