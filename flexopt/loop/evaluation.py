@@ -195,7 +195,7 @@ class Outcome(Result):
             )
         fails = self.first_order_fails
         if fed := _modes((self.lag_reserve < 0) & (self.first_order_decay > 0) & ~fails):
-            lines.append(f"  {fed}, reserve below 0: {self.despite_reserve}")
+            lines.append(f"  {fed}, decaying with a reserve below 0: {self.despite_reserve}")
         if still := _modes(np.isnan(self.frequencies_hz)):
             lines.append(f"  {still}, –: no oscillation is left of it")
         if off := _modes(fails):

@@ -34,6 +34,8 @@ AROUND = 0.5
 # Names that lie within such a share of the picture of each other are one; within such shares across, below and above a
 # target, whose own name stands there, they stand so many points farther from it.
 TOGETHER, BESIDE, UNDER, OVER, ASIDE = 0.03, 0.08, 0.05, 0.09, 16.0
+# What is seen no higher than a name, by this share of the picture, has it beside it.
+FLAT = 0.05
 # By such a share of the picture the name of a half-plane moves along its border.
 ALONG = 0.15
 # Shares of lengths and areas that come of rounding.
@@ -56,11 +58,12 @@ def draw_scenery(
     for obstacle in _obstacles(constraints):
         _draw_obstacle(axes, view, obstacle, crosses, limits)
     whole = float(np.ptp(limits, axis=1).max())
-    for text, middle in _names(view, constraints, limits):
+    for text, middle, height_seen in _names(view, constraints, limits):
         across, up = middle[:, None] - crosses
         near = (np.abs(across) < BESIDE * whole) & (-UNDER * whole < up) & (up < OVER * whole)
         over = near.any() and float(up[near].min()) > UNDER / 2 * whole
-        away = (0.0, ASIDE if over else -ASIDE) if near.any() else (0.0, 0.0)
+        beside = near.any() or height_seen < FLAT * whole
+        away = (0.0, ASIDE if over else -ASIDE) if beside else (0.0, 0.0)
         _name(axes, text, middle, xytext=away, textcoords="offset points")
     for areas, color, label in (
         (constraints.region, inks.allowed, MAY[holds]),
@@ -86,7 +89,7 @@ def scenery_points(view: View, constraints: Constraints, others: Points) -> Poin
 
 def named_points(view: View, constraints: Constraints | None, limits: Points) -> Points:
     """Points (2, K) on which names of obstacles are written in a picture with corners (2, 2)."""
-    found = [] if constraints is None else [middle for _, middle in _names(view, constraints, limits)]
+    found = [] if constraints is None else [middle for _, middle, _ in _names(view, constraints, limits)]
     return np.array(found).reshape(-1, 2).T
 
 
@@ -102,9 +105,9 @@ def _points(view: View, obstacle: Obstacle) -> Points:
     return view.of(_corners(obstacle)) if isinstance(obstacle, Box) else np.zeros((2, 0))
 
 
-def _names(view: View, constraints: Constraints, limits: Points) -> list[tuple[str, Points]]:
-    """Names of obstacles, each in the middle of what is seen of it: of those that lie together, one."""
-    found = list[tuple[str, Points]]()
+def _names(view: View, constraints: Constraints, limits: Points) -> list[tuple[str, Points, float]]:
+    """Names of obstacles, each with middle and height of what is seen of it: of those that lie together, one."""
+    found = list[tuple[str, Points, float]]()
     low, high = limits.min(axis=1, keepdims=True), limits.max(axis=1, keepdims=True)
     for obstacle in _obstacles(constraints):
         points = _points(view, obstacle)
@@ -114,12 +117,12 @@ def _names(view: View, constraints: Constraints, limits: Points) -> list[tuple[s
             continue
         seen, text = np.clip(points, low, high), mathtext(obstacle.name)
         middle = (seen.min(axis=1) + seen.max(axis=1)) / 2
-        for k, (other, there) in enumerate(found):
+        for k, (other, there, high_seen) in enumerate(found):
             if np.hypot(*(middle - there)) < TOGETHER * float((high - low).max()):
-                found[k] = f"{other}, {text}", there
+                found[k] = f"{other}, {text}", there, high_seen
                 break
         else:
-            found.append((text, middle))
+            found.append((text, middle, float(np.ptp(seen[1]))))
     return found
 
 

@@ -32,6 +32,8 @@ LASTING = 0.1
 BOTH, BEAT = 3.0, 0.5 / math.sqrt(2)
 # A run grows as the self-motion drifts, to this factor.
 DRAWN = 3.0
+# By which share an arm's self-motion must grow within a run to be told of.
+CREEPS = 0.01
 NO_REST = "near its end the loop rests nowhere"
 
 
@@ -137,7 +139,8 @@ def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> 
     verb = {"grows": "grows", "converges": "decays", "undecided": "neither grows nor decays"}[eigenvalues]
     why = alternating(linear, ended)
     other = f"the linear loop {verb} (decay {-rate:+z.4g}/s at {linear.frequency_hz:.4g} Hz{why})"
-    other += "".join(f", the arm's self-motion drifts (decay {-own:+.3g}/s)" for own in linear.drift[:1] if own > 0)
+    creeps = [own for own in linear.drift[:1] if own * run.duration > CREEPS]
+    other += "".join(f", the arm's self-motion drifts (decay {-own:+.3g}/s)" for own in creeps)
     if run.short and not (run.ended < run.duration and eigenvalues == "grows"):
         needed = f"four periods of the slowest mode, {run.slowest_hz:.4g} Hz, undisturbed"
         return Judgement("undecided", f"{said}, too short to tell: it takes {needed}; {other}")

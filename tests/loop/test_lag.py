@@ -119,8 +119,8 @@ def test_lag_and_reserve():
 
 @pytest.mark.parametrize(
     ("gains", "told"),
-    [({"kp": 1e2, "kv": 10.0}, "mode 1, reserve below 0: the feedback takes away less damping than the mode has of its own"),
-     ({"kp": [1e2, 1e3], "kv": [10.0, 20.0]}, "mode 1, reserve below 0: equal gains would take damping away; what the mode has of its own, "),
+    [({"kp": 1e2, "kv": 10.0}, "mode 1, decaying with a reserve below 0: the feedback takes away less damping than the mode has of its own"),
+     ({"kp": [1e2, 1e3], "kv": [10.0, 20.0]}, "mode 1, decaying with a reserve below 0: equal gains would take damping away; what the mode has of its own, "),
      ({"kp": 1e4, "kv": 1e3}, None)],
 )  # fmt: skip
 def test_a_mode_that_decays_without_a_reserve_is_explained(gains, told):

@@ -39,6 +39,11 @@ SAGS = (
     "; the controller carries the load of the machine's file, and a heavier or lighter one draws the arm off: an "
     "integral part takes it to the target (loop.feedback pid with ki)"
 )
+# With an integral part and drives that yield to a load.
+UNTIL = (
+    "; another load than the machine's file has draws the arm until the integral part has caught up: a larger "
+    "loop.servo_gain, or ki, keeps it nearer"
+)
 # Of the weight, what is none.
 ROUNDING = 1e-9
 # What runs may show; of several the first that one of them shows.
@@ -137,7 +142,7 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                 verdicts[row], nearer[row] = own.verdict, bool(end <= peak / 2 and end <= start)
                 # That a load draws the arm away tells more than what becomes of the base meanwhile.
                 confirms = own.verdict == "converges"
-                whys = [] if confirms else [own.reason]
+                whys = [] if confirms else [f"{own.verdict}: {own.reason}"]
                 if not nearer[row] if confirms else end > start and decays[row] > 0:
                     short = _short(float(decays[row]) * duration, AT_REST / least)
                     sags = _sags(loop, members[row])
@@ -171,7 +176,8 @@ def _sags(loop: UncertainLoop, u: Vector) -> str:
     if np.abs(more).max() <= ROUNDING * np.abs(known).max():
         return ""
     integrates = settings.feedback == "pid" and bool(np.all(settings.ki[settings.kp > 0] > 0))
-    return _full_levers(loop, more) or ("" if integrates else SAGS)
+    until = UNTIL if settings.drive == "velocity" else ""
+    return _full_levers(loop, more) or (until if integrates else SAGS)
 
 
 def _full_levers(loop: UncertainLoop, more: Vector) -> str:

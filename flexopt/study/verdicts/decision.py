@@ -210,11 +210,13 @@ def _doubted(names: Sequence[str], unconfirmed: Mapping[str, str]) -> str:
     whys = {unconfirmed[name] for name in names}
     if len(whys) == 1:
         return listed(map(spoken, names)) + _because(whys.pop())
-    heads, helps = zip(*(unconfirmed[name].partition(BETWEEN)[::2] for name in names), strict=True)
-    if len(set(helps)) > 1 or not helps[0]:
-        heads, helps = [unconfirmed[name] for name in names], [""]
+    parts = [unconfirmed[name].split(BETWEEN) for name in names]
+    least, common = min(map(len, parts)), 0
+    while common < least - 1 and len({each[-1 - common] for each in parts}) == 1:
+        common += 1
+    heads = [BETWEEN.join(each[: len(each) - common]) for each in parts]
     each = listed(f"{spoken(name)}{_because(head)}" for name, head in zip(names, heads, strict=True))
-    return f"{each}{BETWEEN}{helps[0]}" if helps[0] else each
+    return BETWEEN.join([each, *parts[0][len(parts[0]) - common :]])
 
 
 def _why_not(rival: Place, share: float, unconfirmed: Mapping[str, str]) -> str:

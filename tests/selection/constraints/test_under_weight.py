@@ -15,6 +15,7 @@ from flexopt.model.constraints import read_constraints
 from flexopt.plant import build_plant
 from flexopt.plotting.shape import shape_at
 from flexopt.selection.constraints import build_constraints
+from flexopt.selection.problem import broken_names
 from tests.selection.constraints.test_corners import SHIPPED, supported, values, with_numbers
 
 
@@ -166,3 +167,58 @@ def test_what_is_chosen_keeps_its_distance_as_it_sags() -> None:
         assert told >= 0.05 - 1e-6
         assert e.end_point == pytest.approx(target, abs=1e-8)
     assert all(one.objective >= other.objective for one, other in pairwise(chosen.candidates))
+
+
+def soft(rotation: float) -> Any:
+    """The article's excavator with volumes and a load, on a rotational spring of so many N m/rad."""
+    data = flexopt.load("excavator").to_dict() | {"payload": {"mass": 200.0}, "support": {"span": [-1.5, 1.5]}}
+    data["base"]["stiffness"]["rotation"] = rotation
+    data["capsules"] = [
+        {"body": "boom", "start": [0.0, 0.0], "end": [1.918, 0.0], "radius": 0.15},
+        {"body": "stick", "start": [0.0, 0.0], "end": [1.0, 0.0], "radius": 0.12},
+    ]
+    return flexopt.machine_from_dict(data)
+
+
+def test_a_machine_that_sags_far_is_looked_at_where_it_reaches_the_target() -> None:
+    """Postures that reach the target with unloaded springs break the clearance; those that reach it sagged keep it."""
+    machine = soft(1.0e5)
+    table = {"kind": "box", "name": "table", "center": [2.28475, 0.950797], "size": [0.642082, 0.439056]}
+    constraints = {"tip_over_margin": 0.05, "clearance": {"distance": 0.05, "obstacles": [table]}}
+    asked: dict[str, Any] = {"base_range": (1.2523218, 1.5023218), "objective": "w2", "gravity": True}
+    target = (2.46847248, 1.40682062)
+    chosen = flexopt.select(machine, target, base=1.2523218, constraints=constraints, **asked)
+    e = chosen.best.evaluation
+    assert np.abs(e.static_deflection).max() > 0.2
+    # By Newton's method with differences, at the near end of the range.
+    base, p = np.array([1.2523218]), build_plant(machine).parameter_values.full().ravel()
+
+    def off(posture: np.ndarray) -> np.ndarray:
+        q = sagged(machine, base, posture, p)
+        return build_plant(machine).end_point(q, base, p).full().ravel() - np.array(target)
+
+    there: Any = root(off, np.array([0.43, -2.4]), tol=1e-12)
+    assert np.abs(there.fun).max() < 1e-10
+    known = flexopt.evaluate(machine, there.x, base=1.2523218, gravity=True)
+    assert chosen.best.objective >= known.w[1] * (1 + 1e-6)
+
+
+def test_no_place_is_chosen_where_the_machine_falls_over_at_a_corner() -> None:
+    """At a tenth of the stiffness it falls in some postures: there rows would be numbers of nothing."""
+    machine = soft(2.5e5)
+    constraints = {"tip_over_margin": 0.05, "within": [{"of": "stiffness", "factor": [0.1, 1.0]}]}
+    with pytest.raises(flexopt.NoSolutionFound, match=r"static equilibrium where stiffness is 0\.1 of the file's"):
+        flexopt.select(machine, (2.0, 1.2), base=0.0, gravity=True, constraints=constraints, starts=4)
+    enough = constraints | {"within": [{"of": "stiffness", "factor": [0.8, 1.0]}]}
+    chosen = flexopt.select(machine, (2.0, 1.2), base=0.0, gravity=True, constraints=enough, starts=4)
+    assert any("where stiffness is 0.8 of the file's" in name for name in chosen.best.constraints)
+
+
+def test_an_assumed_ground_is_asked_for_by_nobody_at_corners_either() -> None:
+    machine = soft(2.5e5)
+    kept = {"tip_over_margin": 0.05, "within": [{"of": "payload.mass", "value": [100.0, 300.0]}]}
+    problem = flexopt.build_selection(machine, (2.0, 0.4), base=0.0, gravity=True, constraints=kept)
+    z = np.array([0.0, -1.6, 1.5])
+    below = [name for name in broken_names(problem, z) if "the assumed ground where payload.mass" in name]
+    assert below
+    assert not set(below) & set(broken_names(problem, z, asked=True))
