@@ -1,9 +1,9 @@
 """The same rows with other numbers of the machine: at the corners of what is uncertain.
 
 A row g(base, posture, p, c) that depends on a number known as an interval is kept as g(base, posture, p', c), too, with
-every combination p' of the intervals' ends. What is linear in each of these numbers by itself, or a quotient of such,
-as the moments and the centre of mass are in every mass, is largest and least at corners; so is, to first order in the
-sag, what moves as the machine sags.
+every combination p' of the intervals' ends; where the machine sags, the arm is held on its target. What is linear in
+each of these numbers by itself, or a quotient of such, as the moments and the centre of mass are in every mass, is
+largest and least at corners; so is, to first order in the sag, what moves as the machine sags.
 """
 
 from __future__ import annotations
