@@ -90,7 +90,7 @@ def _keeps(problem: SelectionProblem, z: Vector) -> bool:
 def settled(problem: SelectionProblem, z: Vector) -> Vector | None:
     """A point near z on the rows, to rounding, by the shortest steps; None where they do not lead there.
 
-    A scan's points are feasible to its own tolerance, and with the passive joints at rest.
+    A scan's points are feasible to its own tolerance.
     """
     lower, upper, scale = problem.row_bounds
     freed = np.where(problem.lower == problem.upper, 0.0, problem.scale)

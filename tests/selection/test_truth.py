@@ -127,7 +127,10 @@ def test_an_end_that_could_not_be_verified_is_told(machine, monkeypatch):
 def test_points_are_moved_onto_the_rows_under_gravity(machine):
     problem = flexopt.build_selection(machine, TARGET, gravity=True)
     z = np.append(problem.scan.base[:, 100], problem.scan.posture[:, 100])
-    assert np.abs(problem.rows(z)[:2] - problem.target).max() > 1e-6
+    # A scan's points reach the target as the machine sags, to the rounds in which the arm is held.
+    assert np.abs(problem.rows(z)[:2] - problem.target).max() < 1e-6
+    z[1:] += 0.01
+    assert np.abs(problem.rows(z)[:2] - problem.target).max() > 1e-3
     there = settled(problem, z)
     assert np.abs(problem.rows(there)[:2] - problem.target).max() < 1e-8
 
