@@ -180,7 +180,8 @@ class Ensemble(Pictured, Tabled):
 def judged_beside(ensemble: Ensemble, loops: Iterable[SampledLoop | str]) -> list[Judgement]:
     """Of each member its run beside the eigenvalues of a linear loop; a sentence where there is none."""
     shown = (share.shown(k) for share in ensemble.measures for k in range(len(share.grows)))
-    return [judge(run, loop) for run, loop in zip(shown, loops, strict=True)]
+    rests = ensemble.ends is not None
+    return [judge(run, loop, rests=rests) for run, loop in zip(shown, loops, strict=True)]
 
 
 def _vary(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> dict[str, Vector]:

@@ -125,8 +125,11 @@ def about(bare: Scenario, x: Vector, e: Vector, parts: Mapping[str, Any] | None 
         return str(error)
 
 
-def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> Judgement:
-    """The verdict; with `ended` the reason can name an integrator that hides what the loop does."""
+def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None, *, rests: bool = False) -> Judgement:
+    """The verdict; with `ended` the reason can name an integrator that hides what the loop does.
+
+    `rests`: whether the loop is that about where the run comes to rest, which another load may draw away.
+    """
     run = replace(run, error=math.hypot(run.error, beating(linear, run.duration)))
     said = f"the run of {run.duration:g} s {_words(run)}"
     if isinstance(linear, str):
@@ -138,7 +141,8 @@ def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None) -> 
     eigenvalues: LoopVerdict = ("grows" if rate > 0 else "converges") if known else "undecided"
     verb = {"grows": "grows", "converges": "decays", "undecided": "neither grows nor decays"}[eigenvalues]
     why = alternating(linear, ended)
-    other = f"the linear loop {verb} (decay {-rate:+z.4g}/s at {linear.frequency_hz:.4g} Hz{why})"
+    there = " about the rest that it comes to" if rests or (ended is not None and ended.x is not None) else ""
+    other = f"the linear loop{there} {verb} (decay {-rate:+z.4g}/s at {linear.frequency_hz:.4g} Hz{why})"
     creeps = [own for own in linear.drift[:1] if own * run.duration > CREEPS]
     other += "".join(f", the arm's self-motion drifts (decay {-own:+.3g}/s)" for own in creeps)
     if run.short and not (run.ended < run.duration and eigenvalues == "grows"):

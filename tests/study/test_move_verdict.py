@@ -920,7 +920,9 @@ def test_a_load_that_the_controller_does_not_know_is_named_where_the_arm_stays_o
     # Rounded up, of the slowest member: the first that is told of may be a faster one.
     short = flexopt.verdict(chosen, loop=loop | {"feedback": "pid", "ki": 0.2}, duration=10.0, **asked)
     assert short.word == "cannot tell"
-    told = re.findall(r"the run is short, (.+?) time constants of the slowest motion \((.+?) s last 5\)", short.reason)
+    told = re.findall(
+        r"the run is short, (.+?) time constants of the slowest motion \(5 of them take (.+?) s\)", short.reason
+    )
     assert told
     for constants, seconds in told:
         assert 10.0 * 5 / float(constants) <= 1.05 * float(seconds) < 1.3 * 10.0 * 5 / float(constants)

@@ -138,14 +138,16 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
             ]
             judgements = judged_beside(ensemble, beside)
             errors = zip(*(data[f"{name}_error"] for name in ("start", "peak", "end")), strict=True)
-            for row, own, (start, peak, end) in zip(some, judgements, errors, strict=True):
+            for row, own, linear, (start, peak, end) in zip(some, judgements, beside, errors, strict=True):
                 verdicts[row], nearer[row] = own.verdict, bool(end <= peak / 2 and end <= start)
                 # That a load draws the arm away tells more than what becomes of the base meanwhile.
                 confirms = own.verdict == "converges"
                 whys = [] if confirms else [f"{own.verdict}: {own.reason}"]
                 if not nearer[row] if confirms else end > start and decays[row] > 0:
                     short = _short(float(decays[row]) * duration, AT_REST / least)
-                    sags = _sags(loop, members[row])
+                    # What swings for longer than a load is being taken up is none of its doing.
+                    swings = isinstance(linear, str) or linear.frequency_hz > 0
+                    sags = _sags(loop, members[row], UNTIL * (not swings))
                     # What a full lever does not bear no longer run shows.
                     whys.append(f"{OFF} {end:.3g} m off{sags if sags.startswith(',') else short + sags}")
                 reasons[row] = "; ".join(whys)
@@ -157,14 +159,15 @@ def _short(over: float, needed: float) -> str:
     if not 0 < over < AT_REST * (1 - ALIKE):
         return ""
     step = 10.0 ** (math.floor(math.log10(needed)) - 1)
-    long = f" ({math.ceil(needed / step - ALIKE) * step:g} s last {AT_REST:g})" if needed < DURATIONS else ""
+    long = f" ({AT_REST:g} of them take {math.ceil(needed / step - ALIKE) * step:g} s)" if needed < DURATIONS else ""
     return f"; the run is short, {over:.2g} time constants of the slowest motion{long}"
 
 
-def _sags(loop: UncertainLoop, u: Vector) -> str:
+def _sags(loop: UncertainLoop, u: Vector, until: str) -> str:
     """That the controller carries another weight than the member has, and what helps; empty where it has the right one.
 
     Full levers may not bear the difference, and without an integral part the arm hangs where its feedback does.
+    `until`: what is told of drives with one.
     """
     plant, settings = build_plant(loop.box.machine), loop.settings
     if not loop.gravity:
@@ -176,7 +179,7 @@ def _sags(loop: UncertainLoop, u: Vector) -> str:
     if np.abs(more).max() <= ROUNDING * np.abs(known).max():
         return ""
     integrates = settings.feedback == "pid" and bool(np.all(settings.ki[settings.kp > 0] > 0))
-    until = UNTIL if settings.drive == "velocity" else ""
+    until = until if settings.drive == "velocity" else ""
     return _full_levers(loop, more) or (until if integrates else SAGS)
 
 
