@@ -21,8 +21,8 @@ from flexopt.plant.mass_centre import centre_of_mass
 
 # Newton iterations for the static deflection; it converges quadratically from rest, in 4 or 5 for real machines.
 STATIC_ITERATIONS = 12
-# Rounds in which a posture is turned until the end-point is where it is held.
-HELD = 6
+# Steps before, and rounds in which, a posture is turned until the end-point is where it is held.
+SETTLES, HELD = 2, 6
 # Parameters that a message names.
 NAMED = 4
 
@@ -295,9 +295,11 @@ class Plant:
         it. Inputs base, posture, p, target.
         """
         g, target = self.graph, ca.SX.sym("target", self.n_task)
-        rest, posture = self.rest(g.base, g.posture, g.p), g.posture
-        inverse = apply_pseudo_inverse(self.rigid_jacobian(rest, g.base, g.p), ca.SX.eye(self.n_task))
-        q_p = rest[: self.n_passive]
+        q_p, posture = self.rest(g.base, g.posture, g.p)[: self.n_passive], g.posture
+        for _ in range(SETTLES):
+            q_p = self._newton_step(q_p, g.base, posture, g.p)
+        sagged = self.rigid_jacobian(ca.vertcat(q_p, posture), g.base, g.p)
+        inverse = apply_pseudo_inverse(sagged, ca.SX.eye(self.n_task))
         for _ in range(HELD):
             q_p = self._newton_step(q_p, g.base, posture, g.p)
             posture = posture + inverse @ (target - self.end_point(ca.vertcat(q_p, posture), g.base, g.p))

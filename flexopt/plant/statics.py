@@ -12,7 +12,7 @@ from flexopt.plant.plant import Plant
 # Of what the static deflection may leave over, relative to the weight.
 STATIC_TOLERANCE = 1e-8
 # The same of few steps, whose machine hangs where it does to rounding of what is told of it.
-NEARLY_SETTLED = 1e-6
+NEARLY_SETTLED = 1e-4
 
 
 def left_over(plant: Plant, q: ca.SX, residual: ca.SX) -> ca.SX:

@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+from flexopt.foundation.plain import counted
 from flexopt.foundation.rounding import without_rounding
 from flexopt.model.constraints import Constraints
 from flexopt.selection.constraints import KINDS
@@ -72,7 +73,9 @@ def resting_told(names: Sequence[str]) -> list[str]:
     for kind in dict.fromkeys(kinds):
         of_kind = [name for name, own in zip(names, kinds, strict=True) if own == kind]
         corners = len([name for name in of_kind if WHERE in name])
-        told.append(of_kind[0] if len(of_kind) == 1 else f"{kind} (at {corners} corners of within)")
+        also = "at" if corners == len(of_kind) else "also at"
+        many = f"{kind} ({also} {counted(corners, 'corner')} of within)"
+        told.append(of_kind[0] if len(of_kind) == 1 else many)
     return told
 
 

@@ -465,24 +465,41 @@ def reached(problem: SelectionProblem, z: Vector) -> Vector:
     return problem.rows(z)[: problem.target.size]
 
 
+# That the machine stands with other numbers, and that its end-point is held then: to so many m.
+EQUILIBRIUM, ON_TARGET, HELD_OFF = "static equilibrium", "hold of the target", 1e-5
 # Names of what holds unasked: limits, the margin that every program has, what lies above the assumed ground.
 UNASKED = re.compile(f"^limits of |^singularity margin$| {re.escape(GROUND)}$")
 
 
+def not_standing(problem: SelectionProblem, z: Vector, p: Vector) -> dict[str, float]:
+    """Whether rows with the numbers p are of no static equilibrium, as it falls over, or of none on the target.
+
+    By how much each is missed: see `unsettled`, and m.
+    """
+    if not problem.gravity:
+        return {}
+    plant, nominal = problem.measures.plant, problem.measures.plant.parameter_values
+    base, posture = held_with(problem, z, p)
+    passive = plant.rest(base, posture, p)[: plant.n_passive]
+    for _ in range(SAGS):
+        passive = plant.static_step(passive, base, posture, p)
+    q = np.append(passive.full().ravel(), posture)
+    own = problem.quantities.at(z)[1]
+    there = plant.end_point(np.append(plant.deflected(base, own, nominal).full(), own), base, nominal)
+    away = float(np.abs((plant.end_point(q, base, p) - there).full()).max())
+    found = {EQUILIBRIUM: unsettled(plant, q, base, p), ON_TARGET: away if not away <= HELD_OFF else 0.0}
+    return {name: off for name, off in found.items() if off != 0}
+
+
 def falls_within(problem: SelectionProblem, z: Vector) -> dict[str, float]:
-    """Where in `constraints.within` rows are of no static equilibrium, as it falls over there; see `unsettled`."""
+    """Where in `constraints.within` that is so, by name."""
     if not problem.gravity or not problem.asked.within:
         return {}
-    plant, found = problem.measures.plant, dict[str, float]()
-    for where, p in all_corners(problem.machine, problem.asked.within):
-        base, posture = held_with(problem, z, p)
-        passive = plant.rest(base, posture, p)[: plant.n_passive]
-        for _ in range(SAGS):
-            passive = plant.static_step(passive, base, posture, p)
-        off = unsettled(plant, np.append(passive.full().ravel(), posture), base, p)
-        if off > 0:
-            found[f"static equilibrium{WHERE}{where}"] = off
-    return found
+    return {
+        f"{name}{WHERE}{where}": off
+        for where, p in all_corners(problem.machine, problem.asked.within)
+        for name, off in not_standing(problem, z, p).items()
+    }
 
 
 def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
@@ -505,14 +522,18 @@ def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p
     """
     outside: Vector = np.maximum(problem.lower - z, z - problem.upper) / problem.scale
     rows = np.abs(beyond_bounds(problem, z, p))[problem.target.size :]
-    falls = falls_within(problem, z) if p is None else {}
+    falls = falls_within(problem, z) if p is None else not_standing(problem, z, p)
+    if falls and p is not None:
+        # What else it would break is no number.
+        return [*falls]
     away = np.concatenate([outside, rows, beyond_own(problem, z, p), [*falls.values()]])
     names = [f"limits of {variable.name}" for variable in problem.variables]
     names += [row.name for row in problem.constraints[problem.target.size :]]
     names += [*(row.name for row in problem.own_constraints), *falls]
     order: list[int] = np.argsort(-away, kind="stable").tolist()
     unasked = [asked and UNASKED.search(name.partition(WHERE)[0]) for name in names]
-    return [names[k] for k in order if away[k] > BROKEN and not unasked[k]]
+    # Several rows may be one constraint.
+    return list(dict.fromkeys(names[k] for k in order if away[k] > BROKEN and not unasked[k]))
 
 
 def resting(problem: SelectionProblem, z: Vector) -> list[str]:
@@ -564,8 +585,11 @@ def own_with(problem: SelectionProblem, z: Vector, p: Any) -> Vector:
     return np.concatenate([np.zeros(0), *found])
 
 
-def value_with(problem: SelectionProblem, z: Vector, p: Vector, name: str) -> ConstraintValue:
-    """Of a constraint, of a machine with the numbers p (n_par,), the value that is nearest to a bound or beyond it."""
+def value_with(problem: SelectionProblem, z: Vector, p: Vector, name: str) -> ConstraintValue | None:
+    """Of a constraint, of a machine with the numbers p (n_par,), the value that is nearest to a bound or beyond it.
+
+    None of what is no constraint, as that the machine stands.
+    """
     rows = (*problem.constraints, *problem.own_constraints)
     values = np.append(rows_with(problem, z, p), own_with(problem, z, p)).tolist()
     found = (
@@ -573,7 +597,7 @@ def value_with(problem: SelectionProblem, z: Vector, p: Vector, name: str) -> Co
         for row, x in zip(rows, values, strict=True)
         if row.name == name
     )
-    return min(found, key=lambda value: value.room)
+    return min(found, key=lambda value: value.room, default=None)
 
 
 def beyond_bounds(problem: SelectionProblem, z: Vector, p: Vector | None = None) -> Vector:

@@ -855,7 +855,7 @@ def test_runs_of_slow_machines_last_ten_periods(softer: float) -> None:
     assert stay.runs.growing == 1
     assert [place.unconfirmed for place in (stay, first)] == ["", ""]
     # What the sentence tells stands once.
-    assert "candidate 1 (the run of 3 s" in cut.sentence
+    assert "candidate 1 (undecided: the run of 3 s" in cut.sentence
     assert repr(cut).count("the run of 3 s") == 1
     assert "too short to tell" in cut.places[1].unconfirmed
 

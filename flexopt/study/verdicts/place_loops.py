@@ -146,7 +146,7 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
 
     Choices keep those of statics, as of what joints hold, and the user's own, with the file's payload.
     """
-    found = dict[str, dict[str, dict[int, ConstraintValue]]]()
+    found = dict[str, dict[str, dict[int, ConstraintValue | None]]]()
     for k, (problem, at) in enumerate(zip(problems_of(chosen), stand, strict=True), start=1):
         z, seen = np.concatenate(at), set[str]()
         if broken_names(problem, z, asked=True):
@@ -165,7 +165,7 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
         each = [
             name
             + (f" at target {listed(map(str, at))}" if 1 < len(stand) > len(at) else "")
-            + f", {min(at.values(), key=lambda value: value.room)}"
+            + "".join(f", {value}" for value in sorted(filter(None, at.values()), key=lambda x: x.room)[:1])
             for name, at in names.items()
         ]
         told.append(f"breaks {'; '.join(each)},{WHERE}{where}")

@@ -50,8 +50,8 @@ def held(machine: Any, base: np.ndarray, posture: np.ndarray, numbers: np.ndarra
     def end_point(q: np.ndarray) -> np.ndarray:
         return plant.end_point(q, base, own).full().ravel()
 
-    at, rest, step = sagged(machine, base, posture, own), plant.rest(base, posture, own).full().ravel(), 1e-6
-    slopes = [(end_point(rest + step * e) - end_point(rest - step * e)) / (2 * step) for e in np.eye(at.size)[m:]]
+    at, there, step = sagged(machine, base, posture, own), sagged(machine, base, posture, numbers), 1e-6
+    slopes = [(end_point(there + step * e) - end_point(there - step * e)) / (2 * step) for e in np.eye(at.size)[m:]]
     found: Any = root(
         lambda x: end_point(sagged(machine, base, posture + np.array(slopes) @ x, numbers)) - end_point(at),
         np.zeros(plant.n_task),
