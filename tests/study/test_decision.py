@@ -257,6 +257,12 @@ def test_what_tells_growing_from_stable_grounds_is_to_be_measured() -> None:
     assert np.all(np.diff(values) > 0)
     assert values.min() < 0 < values.max()
     assert np.array_equal(values > 0, faster(other.decays, slower.decays))
+    # Where a move gains a third on soft grounds, little else, and a load orders that little, the ground tells.
+    soft, heavy, alike_everywhere = np.arange(64) < 16, np.tile([0.0, 1.0], 32), np.ones(64)
+    near, there = place("near", np.where(soft, 1.3, 1.0 - 1e-4 * heavy)), place("stay", alike_everywhere)
+    _, values = deciding(Decision("cannot tell", "near", ""), {"stay": there, "near": near}, there)
+    assert np.unique(values).size == 2
+    assert np.array_equal(values > 0, soft)
     # Whatever decays is better than what does not.
     still, rival = place("stay", np.where(load < 0.5, 0.0, 1.0)), place("near", 0.5 + load)
     _, values = deciding(Decision("cannot tell", "near", ""), {"stay": still, "near": rival}, still)

@@ -189,7 +189,7 @@ class Verdict(Pictured, Printed, Result):
         present_breaks: which constraints that were asked for staying does not keep, "breaks …"; empty where it keeps
             them.
         excluded: names of candidates to which the word does not send, for they break constraints on some ground, and
-            another place does not.
+            another place does not;  exclusions: by name, what each of them breaks, and where, "breaks …".
         assumes_ground: whether nobody said what is uncertain, so that `uncertainty` is the usual one of springs.
 
     Example:
@@ -211,12 +211,13 @@ class Verdict(Pictured, Printed, Result):
     provenance: Document = field(repr=False)
     present_breaks: str = ""
     excluded: tuple[str, ...] = ()
+    exclusions: dict[str, str] = field(default_factory=dict[str, str])
     assumes_ground: bool = False
 
     DOCUMENT = """
     word sentence place reason drawbacks measure gains rule targets[m] present_end_point[m] present_off[m]
     present_breaks places assumed
-    settings uncertainty=_uncertainty members judged excluded proven provenance
+    settings uncertainty=_uncertainty members judged excluded exclusions proven provenance
     """
 
     @property
@@ -349,7 +350,10 @@ class Verdict(Pictured, Printed, Result):
         if self.excluded and kept:
             keep = "those that keep the constraints on every ground"
             shown = keep if kept <= TOLD else f"of {keep} {shown}"
-        return f"{self.judged}{of_all} candidates were judged; shown are {shown}{''.join(more)}"
+        breaks = [f"{name} {self.exclusions[name]}" for name in self.excluded if name not in names]
+        told = "".join(f"; {each}" for each in breaks[:TOLD])
+        told += f"; and {len(breaks) - TOLD} more break some" if len(breaks) > TOLD else ""
+        return f"{self.judged}{of_all} candidates were judged; shown are {shown}{''.join(more)}{told}"
 
     @property
     def sought_by(self) -> str:

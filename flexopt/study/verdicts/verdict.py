@@ -224,7 +224,8 @@ def verdict(
         provenance=provenance(
             machine, members=members, runs=runs, duration=duration, selection=chosen.provenance["options"]
         ),
-        excluded=tuple(name for name in stands if name not in fit and name != STAY),
+        excluded=tuple(excluded := {name: within[name] for name in stands if name not in fit and name != STAY}),
+        exclusions=excluded,
         present_breaks=now_breaks,
     )
 
