@@ -478,15 +478,13 @@ def not_standing(problem: SelectionProblem, z: Vector, p: Vector) -> dict[str, f
     """
     if not problem.gravity:
         return {}
-    plant, nominal = problem.measures.plant, problem.measures.plant.parameter_values
+    plant = problem.measures.plant
     base, posture = held_with(problem, z, p)
     passive = plant.rest(base, posture, p)[: plant.n_passive]
     for _ in range(SAGS):
         passive = plant.static_step(passive, base, posture, p)
     q = np.append(passive.full().ravel(), posture)
-    own = problem.quantities.at(z)[1]
-    there = plant.end_point(np.append(plant.deflected(base, own, nominal).full(), own), base, nominal)
-    away = float(np.abs((plant.end_point(q, base, p) - there).full()).max())
+    away = float(np.abs(plant.end_point.call([q, base, p])[0].full().ravel() - _held_point(problem, z)).max())
     found = {EQUILIBRIUM: unsettled(plant, q, base, p), ON_TARGET: away if not away <= HELD_OFF else 0.0}
     return {name: off for name, off in found.items() if off != 0}
 
@@ -571,10 +569,16 @@ def held_with(problem: SelectionProblem, z: Vector, p: Any) -> tuple[Vector, Vec
     nominal = problem.measures.plant.parameter_values
     if p is None or not problem.gravity or ca.DM(p).full().tolist() == nominal.full().tolist():
         return base, posture
-    plant = problem.measures.plant
-    sagged = np.append(plant.deflected(base, posture, nominal).full(), posture)
-    there = plant.end_point(sagged, base, nominal)
-    return base, plant.held(base, posture, p, there).full().ravel()
+    held = problem.measures.plant.held.call([base, posture, p, _held_point(problem, z)])[0]
+    return base, held.full().ravel()
+
+
+def _held_point(problem: SelectionProblem, z: Vector) -> Vector:
+    """Where the end-point is as the machine sags with the file's numbers, (n_task,)."""
+    plant, nominal = problem.measures.plant, problem.measures.plant.parameter_values
+    base, posture = problem.quantities.at(z)[:2]
+    sagged = np.append(plant.deflected.call([base, posture, nominal])[0].full(), posture)
+    return plant.end_point.call([sagged, base, nominal])[0].full().ravel()
 
 
 def own_with(problem: SelectionProblem, z: Vector, p: Any) -> Vector:

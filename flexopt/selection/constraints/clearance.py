@@ -203,12 +203,12 @@ def _from_sphere(ends: list[ca.SX], length: float, c: ca.SX) -> list[ca.SX]:
 def _from_box(ends: list[ca.SX], length: float, c: ca.SX) -> list[ca.SX]:
     """Of a capsule the distance twice, for there are two rows."""
     own, half = _in_box(ends, c)
-    return [from_box(*own, length, half)] * 2 if len(own) == 2 else [point_from_box(own[0], half)]
+    return [from_box(own[0], own[1], length, half)] * 2 if len(own) == 2 else [point_from_box(own[0], half)]
 
 
 def _beside_box(ends: list[ca.SX], length: float, c: ca.SX) -> list[ca.SX]:
     own, half = _in_box(ends, c)
-    return rows_from_box(*own, length, half) if len(own) == 2 else [point_from_box(own[0], half)]
+    return rows_from_box(own[0], own[1], length, half) if len(own) == 2 else [point_from_box(own[0], half)]
 
 
 def _in_box(ends: list[ca.SX], c: ca.SX) -> tuple[list[ca.SX], ca.SX]:
