@@ -25,16 +25,22 @@ def check_settled(plant: Plant, q: Vector, base: Vector) -> None:
     """Raise `NoSolutionFound` where a configuration (n_q,) is no static equilibrium; `base`: placement (n_b,)."""
     if not np.all(np.isfinite(q)):
         raise NoSolutionFound("the static deflection under gravity diverged", violations={}, iterate={})
-    p, m = plant.parameter_values, plant.n_passive
-    weight = plant.gravity(q, base, p).full().ravel()[:m]
-    rest = plant.rest(base, q[m:], p).full().ravel()
-    left = float(np.abs(plant.stiffness(p).full()[:m, :m] @ (q - rest)[:m] + weight).max())
-    if not left <= STATIC_TOLERANCE * (1 + float(np.abs(weight).max())):
+    left, weight = _left(plant, q, base, plant.parameter_values)
+    if not left <= STATIC_TOLERANCE * (1 + weight):
         raise NoSolutionFound(
             f"the static deflection under gravity did not converge: {left:.3g} N or N m left over",
             violations={"static equilibrium": left},
             iterate=dict(zip(plant.coordinates, q.tolist(), strict=True)),
         )
+
+
+def _left(plant: Plant, q: Vector, base: Vector, p: ca.DM | Vector) -> tuple[float, float]:
+    """The largest force that springs and weight leave over at q (n_q,), N or N m, and that of the weight."""
+    m = plant.n_passive
+    weight = plant.gravity.call([q, base, p])[0].full().ravel()[:m]
+    rest = plant.rest.call([base, q[m:], p])[0].full().ravel()
+    left = plant.stiffness.call([p])[0].full()[:m, :m] @ (q - rest)[:m] + weight
+    return float(np.abs(left).max()), float(np.abs(weight).max())
 
 
 def unsettled(plant: Plant, q: Vector, base: Vector, p: Vector) -> float:
@@ -44,13 +50,11 @@ def unsettled(plant: Plant, q: Vector, base: Vector, p: Vector) -> float:
     """
     if not np.all(np.isfinite(q)):
         return np.inf
-    m, stiffness = plant.n_passive, plant.stiffness(p).full()
-    weight = plant.gravity(q, base, p).full().ravel()[:m]
-    rest = plant.rest(base, q[m:], p).full().ravel()
-    left = float(np.abs(stiffness[:m, :m] @ (q - rest)[:m] + weight).max()) / (1 + float(np.abs(weight).max()))
-    if not left <= NEARLY_SETTLED:
-        return left
-    tangent = stiffness[:m, :m] + plant.gravity_stiffness(q, base, p).full()
+    left, weight = _left(plant, q, base, p)
+    if not left <= NEARLY_SETTLED * (1 + weight):
+        return left / (1 + weight)
+    m = plant.n_passive
+    tangent = plant.stiffness(p).full()[:m, :m] + plant.gravity_stiffness(q, base, p).full()
     return float(np.linalg.eigvalsh(tangent)[0] <= 0)
 
 
