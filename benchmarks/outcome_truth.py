@@ -33,8 +33,8 @@ from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model import Machine
 from flexopt.model.choices import OUTCOMES
 from flexopt.model.loop import Loop
+from flexopt.selection.broken import beyond_bounds
 from flexopt.selection.outcomes.measures import MEASURES
-from flexopt.selection.problem import beyond_bounds
 
 BEST, EVALUATIONS = 3, 300
 # By how much of its size a selection may be worse: Nelder and Mead end at it, and so do the climbs.

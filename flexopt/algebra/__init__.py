@@ -10,6 +10,7 @@ from flexopt.algebra.dense import apply_pseudo_inverse_transposed as apply_pseud
 from flexopt.algebra.dense import determinant as determinant
 from flexopt.algebra.dense import diagonal as diagonal
 from flexopt.algebra.dense import safe_norm as safe_norm
+from flexopt.algebra.dense import same_distance as same_distance
 from flexopt.algebra.dense import solve_spd as solve_spd
 from flexopt.algebra.eigen import called_eigen as called_eigen
 from flexopt.algebra.eigen import called_eigen_near as called_eigen_near

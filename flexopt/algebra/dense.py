@@ -8,6 +8,8 @@ import casadi as ca
 
 # Keeps derivatives of norms finite at zero; far below the square of any quantity in SI units.
 TINY = 1e-300
+# What rounding leaves of a distance, of the coordinates.
+SAME = 1e-12
 
 
 def solve_spd(matrix: ca.SX, right: ca.SX) -> ca.SX:
@@ -70,6 +72,11 @@ def _damped_factors(jacobian: ca.SX, damping: ca.SX) -> tuple[ca.SX, ca.SX]:
 def safe_norm(vector: ca.SX) -> ca.SX:
     """Euclidean norm whose derivatives are finite at zero."""
     return ca.sqrt(ca.dot(vector, vector) + TINY)
+
+
+def same_distance(one: ca.SX, other: ca.SX, size: ca.SX) -> ca.SX:
+    """Whether two distances are one, but for the rounding of the coordinates, up to `size`, that they are made of."""
+    return ca.fabs(one - other) <= SAME * size
 
 
 def diagonal(vector: ca.SX) -> ca.SX:

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.selection.problem import AT_END, SelectionProblem, beyond_bounds, value_at
+from flexopt.selection.broken import AT_END, beyond_bounds
+from flexopt.selection.problem import SelectionProblem, value_at
 from flexopt.selection.starts import idle_joints, violated
 
 # Joints that differ by less, in scaled variables, are the same posture.

@@ -18,10 +18,11 @@ from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
 from flexopt.selection.ascent.steps import CUT_SHORT
 from flexopt.selection.assumed import in_the_way
+from flexopt.selection.broken import beyond_bounds
 from flexopt.selection.continua import past_stops
 from flexopt.selection.exchanged import kept_apart
 from flexopt.selection.nlp.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, Program, single
-from flexopt.selection.problem import SelectionProblem, beyond_bounds, value_at
+from flexopt.selection.problem import SelectionProblem, value_at
 from flexopt.selection.proof.check import FIRST_ORDER, Proof, infeasible, prove, prove_program
 from flexopt.selection.proof.newton import polished
 from flexopt.selection.result import SAME_VALUE, Attempt, Kept, missed_chance

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -19,15 +18,12 @@ from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.model.constraints import Constraints as ConstraintsAsked
-from flexopt.plant.statics import unsettled
 from flexopt.robustness.measures import Measures
 from flexopt.selection.assumed import Assumption
 from flexopt.selection.cones import split_factors
-from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.constraints import ConstraintSet
-from flexopt.selection.constraints.corners import WHERE, all_corners
-from flexopt.selection.constraints.ground import NAME as GROUND
-from flexopt.selection.constraints.kind import SAGS, ScaledConstraint
+from flexopt.selection.constraints.kind import ScaledConstraint
+from flexopt.selection.held import held_with
 from flexopt.selection.nlp.assembly import build_solver
 from flexopt.selection.nlp.configuration import Configuration, build_configuration
 from flexopt.selection.nlp.coupling import Coupling, alone
@@ -75,10 +71,6 @@ def _sizes(of: Any) -> dict[str, int]:
 
 # How far from its target an end-point may be and count as there, m.
 THERE = 0.01
-# How near to a bound a configuration rests on it, of its scale.
-AT_END = 1e-6
-# Share of a variable's or constraint's scale beyond which a bound is broken; how many are named.
-BROKEN, NAMED = 1e-6, 3
 _OBJECTIVE = instance(Objective, "one of the problem's `objectives`")
 # One configuration or many.
 _MANY = array_of(("n_z",), ("N", "n_z"), ("K", "N", "n_z"), finite=False)
@@ -465,158 +457,21 @@ def reached(problem: SelectionProblem, z: Vector) -> Vector:
     return problem.rows(z)[: problem.target.size]
 
 
-# That the machine stands with other numbers, and that its end-point is held then: to so many m.
-EQUILIBRIUM, ON_TARGET, HELD_OFF = "static equilibrium", "hold of the target", 1e-5
-# Names of what holds unasked: limits, the margin that every program has, what lies above the assumed ground.
-UNASKED = re.compile(f"^limits of |^singularity margin$| {re.escape(GROUND)}$")
-
-
-def not_standing(problem: SelectionProblem, z: Vector, p: Vector) -> dict[str, float]:
-    """Whether rows with the numbers p are of no static equilibrium, as it falls over, or of none on the target.
-
-    By how much each is missed: see `unsettled`, and m.
-    """
-    if not problem.gravity:
-        return {}
-    plant = problem.measures.plant
-    base, posture = held_with(problem, z, p)
-    passive = plant.rest(base, posture, p)[: plant.n_passive]
-    for _ in range(SAGS):
-        passive = plant.static_step(passive, base, posture, p)
-    q = np.append(passive.full().ravel(), posture)
-    away = float(np.abs(plant.end_point.call([q, base, p])[0].full().ravel() - _held_point(problem, z)).max())
-    found = {EQUILIBRIUM: unsettled(plant, q, base, p), ON_TARGET: away if not away <= HELD_OFF else 0.0}
-    return {name: off for name, off in found.items() if off != 0}
-
-
-def falls_within(problem: SelectionProblem, z: Vector) -> dict[str, float]:
-    """Where in `constraints.within` that is so, by name."""
-    if not problem.gravity or not problem.asked.within:
-        return {}
-    return {
-        f"{name}{WHERE}{where}": off
-        for where, p in all_corners(problem.machine, problem.asked.within)
-        for name, off in not_standing(problem, z, p).items()
-    }
-
-
-def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
-    """Which limits and constraints a configuration breaks, the target aside, the worst first; empty where none.
-
-    `asked`: as of `broken_names`.
-    """
-    worst = broken_names(problem, z, asked=asked)
-    if not worst:
-        return ""
-    more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
-    return f"breaks {', '.join(worst[:NAMED])}{more}"
-
-
-def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p: Vector | None = None) -> list[str]:
-    """Names of the limits and constraints that a configuration breaks, the target aside, the worst first.
-
-    `asked`: of those alone that somebody asked for: no limits, no margin from singular postures, no assumed ground.
-    `p`: the machine's numbers, where they may be others.
-    """
-    outside: Vector = np.maximum(problem.lower - z, z - problem.upper) / problem.scale
-    rows = np.abs(beyond_bounds(problem, z, p))[problem.target.size :]
-    falls = falls_within(problem, z) if p is None else not_standing(problem, z, p)
-    if falls and p is not None:
-        # What else it would break is no number.
-        return [*falls]
-    away = np.concatenate([outside, rows, beyond_own(problem, z, p), [*falls.values()]])
-    names = [f"limits of {variable.name}" for variable in problem.variables]
-    names += [row.name for row in problem.constraints[problem.target.size :]]
-    names += [*(row.name for row in problem.own_constraints), *falls]
-    order: list[int] = np.argsort(-away, kind="stable").tolist()
-    unasked = [asked and UNASKED.search(name.partition(WHERE)[0]) for name in names]
-    # Several rows may be one constraint.
-    return list(dict.fromkeys(names[k] for k in order if away[k] > BROKEN and not unasked[k]))
-
-
-def resting(problem: SelectionProblem, z: Vector) -> list[str]:
-    """Which bounds and constraints hold with equality in a configuration, the target aside."""
-    drive = next((each.value for each in problem.assumed if each.name == "reach"), math.nan)
-    now = np.zeros(z.size) if problem.present_base is None else np.append(problem.present_base, z)
-    found = [
-        # A bound of a placement that nobody gave is no border of the site.
-        f"{variable.name} {side} bound{' (assumed: reach)' if abs(abs(x - here) - drive) <= near else ''}"
-        for variable, x, here in zip(problem.variables, z.tolist(), now.tolist(), strict=False)
-        for side, end in (("lower", variable.lower), ("upper", variable.upper))
-        if variable.lower < variable.upper and abs(x - end) <= (near := AT_END * variable.scale)
-    ]
-    rows, (lower, upper, scale) = problem.rows(z), problem.row_bounds
-    held = (lower < upper) & (np.minimum(np.abs(rows - lower), np.abs(rows - upper)) <= AT_END * scale)
-    # Several rows of one name, corners that touch a forbidden area say, are one.
-    return [
-        *found,
-        *dict.fromkeys(row.name for row, holds in zip(problem.constraints, held.tolist(), strict=True) if holds),
-    ]
-
-
 def rows_with(problem: SelectionProblem, z: Vector, p: Any) -> Vector:
     """Values of all constraints, (n_rows,), of a machine with the numbers p (n_par,), held as `held_with` does."""
-    at = [*held_with(problem, z, p), p]
+    at = [*held_with(problem.quantities, z, p), p]
     parts = [problem.measures.w.call(at)[2], problem.measures.plant.singularity_sine_squared.call(at)[0]]
     if problem.constraint_set is not None:
         parts += problem.constraint_set.function.call([*at, problem.constraint_set.constants])
     return np.concatenate([part.full().ravel() for part in parts])
 
 
-def held_with(problem: SelectionProblem, z: Vector, p: Any) -> tuple[Vector, Vector]:
-    """Base and posture of z; of a machine that sags with other numbers than the file's, the posture that holds it."""
-    base, posture = problem.quantities.at(z)[:2]
-    nominal = problem.measures.plant.parameter_values
-    if p is None or not problem.gravity or ca.DM(p).full().tolist() == nominal.full().tolist():
-        return base, posture
-    held = problem.measures.plant.held.call([base, posture, p, _held_point(problem, z)])[0]
-    return base, held.full().ravel()
-
-
-def _held_point(problem: SelectionProblem, z: Vector) -> Vector:
-    """Where the end-point is as the machine sags with the file's numbers, (n_task,)."""
-    plant, nominal = problem.measures.plant, problem.measures.plant.parameter_values
-    base, posture = problem.quantities.at(z)[:2]
-    sagged = np.append(plant.deflected.call([base, posture, nominal])[0].full(), posture)
-    return plant.end_point.call([sagged, base, nominal])[0].full().ravel()
-
-
 def own_with(problem: SelectionProblem, z: Vector, p: Any) -> Vector:
     """The values of the user's own constraints at z, of a machine with the numbers p (n_par,); None: with its own."""
-    base, posture = held_with(problem, z, p)
+    base, posture = held_with(problem.quantities, z, p)
     terms = [OwnTerm(constraint.function) for constraint in problem.asked.own or ()]
     found = [problem.quantities.of_own(term, base, posture, p).ravel() for term in terms]
     return np.concatenate([np.zeros(0), *found])
-
-
-def value_with(problem: SelectionProblem, z: Vector, p: Vector, name: str) -> ConstraintValue | None:
-    """Of a constraint, of a machine with the numbers p (n_par,), the value that is nearest to a bound or beyond it.
-
-    None of what is no constraint, as that the machine stands.
-    """
-    rows = (*problem.constraints, *problem.own_constraints)
-    values = np.append(rows_with(problem, z, p), own_with(problem, z, p)).tolist()
-    found = (
-        ConstraintValue(x, row.lower, row.upper, row.unit)
-        for row, x in zip(rows, values, strict=True)
-        if row.name == name
-    )
-    return min(found, key=lambda value: value.room, default=None)
-
-
-def beyond_bounds(problem: SelectionProblem, z: Vector, p: Vector | None = None) -> Vector:
-    """By how much each constraint is above (> 0) or below its bounds at z, (n_rows,), in units of the scales."""
-    rows = problem.rows(z) if p is None else rows_with(problem, z, p)
-    lower, upper, scale = problem.row_bounds
-    return (np.minimum(rows - lower, 0.0) + np.maximum(rows - upper, 0.0)) / scale
-
-
-def beyond_own(problem: SelectionProblem, z: Vector, p: Any = None) -> Vector:
-    """By how much each entry of the user's own constraints is outside its bounds, in units of its scale."""
-    rows = problem.own_constraints
-    low, high, scale = (np.array([getattr(row, name) for row in rows]) for name in ("lower", "upper", "scale"))
-    values = own_with(problem, z, p)
-    return np.maximum(np.maximum(low - values, values - high), 0.0) / scale
 
 
 def packed_parameters(

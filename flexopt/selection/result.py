@@ -23,10 +23,11 @@ from flexopt.foundation.rounding import way, without_rounding
 from flexopt.foundation.turns import TURN
 from flexopt.robustness.evaluation import Evaluation, unreached
 from flexopt.robustness.residues import residue_unit, unit_in_words
+from flexopt.selection.broken import beyond_bounds, beyond_own, broken
 from flexopt.selection.constraint_values import ConstraintValue, nearest_told, resting_told
 from flexopt.selection.continua import way_to
 from flexopt.selection.exchanged import at_edge
-from flexopt.selection.problem import SelectionProblem, beyond_bounds, beyond_own, broken, elsewhere, value_at
+from flexopt.selection.problem import SelectionProblem, elsewhere, value_at
 
 SHOWN = 12
 # Below this share of what others have an ε_max that nobody asked for is told of.

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from flexopt.algebra.feasible import shortest_steps
 from flexopt.foundation.arrays import Vector
+from flexopt.selection.broken import beyond_bounds, falls_within
 from flexopt.selection.nlp.program import row_gradients
 from flexopt.selection.objective import Objective
-from flexopt.selection.problem import SelectionProblem, beyond_bounds, falls_within, value_at
+from flexopt.selection.problem import SelectionProblem, value_at
 from flexopt.selection.scan import peaks
 
 # By how much, of the objective's scale, a point counts as better: far above what a converged solve leaves.

@@ -13,7 +13,7 @@ from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
 from flexopt.plant.inverse_kinematics import REACHED, solve_postures
 from flexopt.robustness.measures import build_measures
-from flexopt.selection.problem import resting
+from flexopt.selection.broken import resting
 from flexopt.selection.proof.check import prove
 from tests.oracles.spatial import grounded, pinocchio_tree, random_tree
 

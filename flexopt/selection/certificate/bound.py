@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from flexopt.compiled.taylor import FloatArray
 from flexopt.foundation.arrays import Vector
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch
+from flexopt.selection.broken import beyond_bounds
 from flexopt.selection.certificate.curve import CellBounds, RedundancyCurve
-from flexopt.selection.problem import beyond_bounds
 
 # Cells that each elbow begins with, parts of one that is split, cells looked at in one go and in all at most.
 FIRST, PARTS, AT_ONCE, MOST = 48, 3, 1024, 60_000

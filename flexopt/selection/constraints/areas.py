@@ -20,6 +20,7 @@ from typing import Any, cast
 
 import casadi as ca
 
+from flexopt.algebra import same_distance
 from flexopt.errors import Fault
 from flexopt.model.constraints import Area, Constraints
 from flexopt.model.polygons import Corners
@@ -39,8 +40,6 @@ ValueAndRows = tuple[ca.SX, list[ca.SX]]
 INSIDE = "distance inside region"
 # Rows of what has many parts, the least of all: a placement's three coordinates are held by three, and one may tie.
 FEW = 4
-# Up to which share of the coordinates they are computed from distances are the same, of another edge or corner.
-SAME = 1e-12
 
 
 def _faults(plant: Plant, field: str, areas: Sequence[Area] | None) -> list[Fault]:
@@ -126,7 +125,7 @@ def _gaps(scene: Scene, c: ca.SX) -> list[ca.SX]:
             high = ca.if_else(along[i] < edge[4], off_piece[i][j], off_own[(j + 1) % m][i])
             meet = ca.logic_and(ca.fmax(along[k], 0) < ca.fmin(along[i], edge[4]), against > facing)
             size = far + ca.fabs(low) + ca.fabs(high)
-            meet = ca.logic_and(meet, ca.fabs(ca.fmin(low, high) - gap) <= SAME * size)
+            meet = ca.logic_and(meet, same_distance(ca.fmin(low, high), gap, size))
             first, last = ca.if_else(meet, low, first), ca.if_else(meet, high, last)
             facing = ca.if_else(meet, against, facing)
     return [first, last]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from flexopt.algebra import safe_norm
+from flexopt.algebra import safe_norm, same_distance
 
 # A direction that changes by less than this share of the segment's length counts as not changing; the distance is then
 # wrong by no more than that share.
@@ -27,8 +27,6 @@ SLIVER = 1e-12
 SINE_SQUARED = 1e-12
 # Pieces of a segment shorter than this share of it are none.
 NO_PIECE = 1e-9
-# Up to which share of the coordinates they are computed from distances are the same.
-SAME = 1e-12
 
 
 def from_sphere(ends: list[ca.SX], length: float, center: ca.SX, radius: ca.SX) -> ca.SX:
@@ -80,7 +78,7 @@ def _box_distance(dimension: int) -> ca.Function:
     distance = ca.if_else(separation > 0, outside, separation)
     ends = _ends_beside(start, along, length, half, nearest)
     size = ca.norm_1(start) + ca.norm_1(end) + ca.norm_1(half)
-    tells = ca.logic_and(separation > 0, ca.fabs(ca.fmin(*ends) - distance) <= SAME * size)
+    tells = ca.logic_and(separation > 0, same_distance(ca.fmin(*ends), distance, size))
     rows = [ca.if_else(tells, row, distance) for row in ends]
     return ca.Function("box_distance", [start, end, length, half], [distance, *rows])
 

@@ -24,6 +24,7 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertaintyBox
 from flexopt.model.uncertainty import GROUND
 from flexopt.robustness import Evaluation
+from flexopt.selection.broken import broken
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.continua import grouped, nearest, travel
 from flexopt.selection.optima import SAME_POINT
@@ -33,7 +34,7 @@ from flexopt.selection.outcomes.climb import Climbed, climbed, first_order
 from flexopt.selection.outcomes.program import OutcomeProgram, least_over, worst_of
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import ALIKE, Seed, lifted, separation, starting_points
-from flexopt.selection.problem import SelectionProblem, broken, reached
+from flexopt.selection.problem import SelectionProblem, reached
 from flexopt.selection.result import Attempt, Candidate, Kept
 from flexopt.selection.solve import constraint_values
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
+from flexopt.selection.broken import falls_within
 from flexopt.selection.outcomes.branches import Branches
 from flexopt.selection.outcomes.program import MEETING, OutcomeProgram, ProgramPoint
-from flexopt.selection.problem import falls_within
 from flexopt.selection.proof.nonnegative import nonnegative_least_squares
 from flexopt.selection.scan import FEASIBLE
 

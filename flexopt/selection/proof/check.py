@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.selection.broken import falls_within
 from flexopt.selection.nlp.program import Program, margin_noise, single
-from flexopt.selection.problem import SelectionProblem, falls_within
+from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.proof.first_order import linearised, undecided
 from flexopt.selection.proof.multipliers import STATIONARITY_TOLERANCE, FirstOrderModel, certified
 from flexopt.selection.proof.second_order import CURVATURE_TOLERANCE, dimension_of, largest_curvature

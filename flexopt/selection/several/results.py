@@ -19,8 +19,9 @@ from flexopt.foundation.results import Tabled
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import EXCITES, Evaluation, excites_rigid
 from flexopt.robustness.residues import residue_unit, unit_in_words
+from flexopt.selection.broken import resting
 from flexopt.selection.constraint_values import ConstraintValue, nearest_told
-from flexopt.selection.problem import SelectionProblem, resting
+from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import (
     NOTHING,
     THIN,

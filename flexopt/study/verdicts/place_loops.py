@@ -23,21 +23,14 @@ from flexopt.loop.uncertain import CORNERED, UncertainLoop, UncertaintyBox
 from flexopt.model.uncertainty import told_numbers
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
+from flexopt.selection.broken import broken, broken_names, resting, value_with
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.continua import unwound, way_to
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
 from flexopt.selection.outcomes.result import ChosenByLoop, OutcomeSelection
-from flexopt.selection.problem import (
-    broken,
-    broken_names,
-    own_with,
-    resting,
-    rows_with,
-    value_at,
-    value_with,
-)
+from flexopt.selection.problem import own_with, rows_with, value_at
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import held_by_loop

@@ -22,9 +22,10 @@ from flexopt.loop.settings import LoopSettings, in_calls
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
+from flexopt.selection.broken import broken
 from flexopt.selection.constraint_values import resting_told
 from flexopt.selection.outcomes.result import ChosenByLoop
-from flexopt.selection.problem import broken, elsewhere, reached
+from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.result import unverified_told
 from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import BETWEEN, FASTER, RULE, Word, gains_in_words, spoken

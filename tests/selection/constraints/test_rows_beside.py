@@ -8,7 +8,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from flexopt.selection.constraints.segment_distance import SAME, rows_from_box, rows_from_segment
+from flexopt.algebra.dense import SAME
+from flexopt.selection.constraints.segment_distance import rows_from_box, rows_from_segment
 from tests.selection.constraints.derivatives import all_finite, with_derivatives
 from tests.selection.constraints.test_segment_distance import box_distance, numbers, oracle, pair_oracle
 

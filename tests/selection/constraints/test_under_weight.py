@@ -14,8 +14,8 @@ import flexopt
 from flexopt.model.constraints import read_constraints
 from flexopt.plant import build_plant
 from flexopt.plotting.shape import shape_at
+from flexopt.selection.broken import broken_names
 from flexopt.selection.constraints import build_constraints
-from flexopt.selection.problem import broken_names
 from tests.selection.constraints.test_corners import SHIPPED, supported, values, with_numbers
 
 

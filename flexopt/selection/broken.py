@@ -1,0 +1,118 @@
+"""Which bounds and constraints a configuration breaks, and which it rests on."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.selection.constraint_values import ConstraintValue
+from flexopt.selection.constraints.corners import WHERE, all_corners
+from flexopt.selection.constraints.ground import NAME as GROUND
+from flexopt.selection.held import not_standing
+from flexopt.selection.problem import SelectionProblem, own_with, rows_with
+
+# How near to a bound a configuration rests on it, of its scale.
+AT_END = 1e-6
+# Share of a variable's or constraint's scale beyond which a bound is broken; how many are named.
+BROKEN, NAMED = 1e-6, 3
+# Names of what holds unasked: limits, the margin that every program has, what lies above the assumed ground.
+UNASKED = re.compile(f"^limits of |^singularity margin$| {re.escape(GROUND)}$")
+
+
+def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
+    """Which limits and constraints a configuration breaks, the target aside, the worst first; empty where none.
+
+    `asked`: as of `broken_names`.
+    """
+    worst = broken_names(problem, z, asked=asked)
+    if not worst:
+        return ""
+    more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
+    return f"breaks {', '.join(worst[:NAMED])}{more}"
+
+
+def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p: Vector | None = None) -> list[str]:
+    """Names of the limits and constraints that a configuration breaks, the target aside, the worst first.
+
+    `asked`: of those alone that somebody asked for: no limits, no margin from singular postures, no assumed ground.
+    `p`: the machine's numbers, where they may be others.
+    """
+    outside: Vector = np.maximum(problem.lower - z, z - problem.upper) / problem.scale
+    rows = np.abs(beyond_bounds(problem, z, p))[problem.target.size :]
+    falls = falls_within(problem, z) if p is None else not_standing(problem.quantities, z, p)
+    if falls and p is not None:
+        # What else it would break is no number.
+        return [*falls]
+    away = np.concatenate([outside, rows, beyond_own(problem, z, p), [*falls.values()]])
+    names = [f"limits of {variable.name}" for variable in problem.variables]
+    names += [row.name for row in problem.constraints[problem.target.size :]]
+    names += [*(row.name for row in problem.own_constraints), *falls]
+    order: list[int] = np.argsort(-away, kind="stable").tolist()
+    unasked = [asked and UNASKED.search(name.partition(WHERE)[0]) for name in names]
+    # Several rows may be one constraint.
+    return list(dict.fromkeys(names[k] for k in order if away[k] > BROKEN and not unasked[k]))
+
+
+def falls_within(problem: SelectionProblem, z: Vector) -> dict[str, float]:
+    """Where in `constraints.within` that is so, by name."""
+    if not problem.gravity or not problem.asked.within:
+        return {}
+    return {
+        f"{name}{WHERE}{where}": off
+        for where, p in all_corners(problem.machine, problem.asked.within)
+        for name, off in not_standing(problem.quantities, z, p).items()
+    }
+
+
+def resting(problem: SelectionProblem, z: Vector) -> list[str]:
+    """Which bounds and constraints hold with equality in a configuration, the target aside."""
+    drive = next((each.value for each in problem.assumed if each.name == "reach"), math.nan)
+    now = np.zeros(z.size) if problem.present_base is None else np.append(problem.present_base, z)
+    found = [
+        # A bound of a placement that nobody gave is no border of the site.
+        f"{variable.name} {side} bound{' (assumed: reach)' if abs(abs(x - here) - drive) <= near else ''}"
+        for variable, x, here in zip(problem.variables, z.tolist(), now.tolist(), strict=False)
+        for side, end in (("lower", variable.lower), ("upper", variable.upper))
+        if variable.lower < variable.upper and abs(x - end) <= (near := AT_END * variable.scale)
+    ]
+    rows, (lower, upper, scale) = problem.rows(z), problem.row_bounds
+    held = (lower < upper) & (np.minimum(np.abs(rows - lower), np.abs(rows - upper)) <= AT_END * scale)
+    # Several rows of one name, corners that touch a forbidden area say, are one.
+    return [
+        *found,
+        *dict.fromkeys(row.name for row, holds in zip(problem.constraints, held.tolist(), strict=True) if holds),
+    ]
+
+
+def value_with(problem: SelectionProblem, z: Vector, p: Vector, name: str) -> ConstraintValue | None:
+    """Of a constraint, of a machine with the numbers p (n_par,), the value that is nearest to a bound or beyond it.
+
+    None of what is no constraint, as that the machine stands.
+    """
+    rows = (*problem.constraints, *problem.own_constraints)
+    values = np.append(rows_with(problem, z, p), own_with(problem, z, p)).tolist()
+    found = (
+        ConstraintValue(x, row.lower, row.upper, row.unit)
+        for row, x in zip(rows, values, strict=True)
+        if row.name == name
+    )
+    return min(found, key=lambda value: value.room, default=None)
+
+
+def beyond_bounds(problem: SelectionProblem, z: Vector, p: Vector | None = None) -> Vector:
+    """By how much each constraint is above (> 0) or below its bounds at z, (n_rows,), in units of the scales."""
+    rows = problem.rows(z) if p is None else rows_with(problem, z, p)
+    lower, upper, scale = problem.row_bounds
+    return (np.minimum(rows - lower, 0.0) + np.maximum(rows - upper, 0.0)) / scale
+
+
+def beyond_own(problem: SelectionProblem, z: Vector, p: Any = None) -> Vector:
+    """By how much each entry of the user's own constraints is outside its bounds, in units of its scale."""
+    rows = problem.own_constraints
+    low, high, scale = (np.array([getattr(row, name) for row in rows]) for name in ("lower", "upper", "scale"))
+    values = own_with(problem, z, p)
+    return np.maximum(np.maximum(low - values, values - high), 0.0) / scale

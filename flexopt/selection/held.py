@@ -1,0 +1,55 @@
+"""How a machine with other numbers than the file's stands, and is held on its target (theory: `Plant.held`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.plant.statics import unsettled
+from flexopt.selection.constraints.kind import SAGS
+from flexopt.selection.objective import Quantities
+
+# That the machine stands with other numbers, and that its end-point is held then: to so many m.
+EQUILIBRIUM, ON_TARGET, HELD_OFF = "static equilibrium", "hold of the target", 1e-5
+
+
+def held_with(quantities: Quantities, z: Vector, p: Any) -> tuple[Vector, Vector]:
+    """Base and posture of z; of a machine that sags with other numbers than the file's, the posture that holds it."""
+    base, posture = quantities.at(z)[:2]
+    plant = quantities.measures.plant
+    if (
+        p is None
+        or not quantities.measures.gravity
+        or ca.DM(p).full().tolist() == plant.parameter_values.full().tolist()
+    ):
+        return base, posture
+    return base, plant.held.call([base, posture, p, _held_point(quantities, z)])[0].full().ravel()
+
+
+def not_standing(quantities: Quantities, z: Vector, p: Vector) -> dict[str, float]:
+    """Whether a machine with the numbers p is in no static equilibrium, as it falls over, or in none on the target.
+
+    By how much each is missed: see `unsettled`, and m.
+    """
+    if not quantities.measures.gravity:
+        return {}
+    plant = quantities.measures.plant
+    base, posture = held_with(quantities, z, p)
+    passive = plant.rest(base, posture, p)[: plant.n_passive]
+    for _ in range(SAGS):
+        passive = plant.static_step(passive, base, posture, p)
+    q = np.append(passive.full().ravel(), posture)
+    away = float(np.abs(plant.end_point.call([q, base, p])[0].full().ravel() - _held_point(quantities, z)).max())
+    found = {EQUILIBRIUM: unsettled(plant, q, base, p), ON_TARGET: away if not away <= HELD_OFF else 0.0}
+    return {name: off for name, off in found.items() if off != 0}
+
+
+def _held_point(quantities: Quantities, z: Vector) -> Vector:
+    """Where the end-point is as the machine sags with the file's numbers, (n_task,)."""
+    plant, nominal = quantities.measures.plant, quantities.measures.plant.parameter_values
+    base, posture = quantities.at(z)[:2]
+    sagged = np.append(plant.deflected.call([base, posture, nominal])[0].full(), posture)
+    return plant.end_point.call([sagged, base, nominal])[0].full().ravel()
