@@ -26,6 +26,8 @@ from flexopt.study.maps.workspace_map import WorkspaceMap
 PRINTED_MAXIMUM = 0.3827
 # Below this w_1 counts as 0: the machine's residues are of order 1e-4.
 ROBUST = 1e-9
+# What printed statements are called that the numbers, or others of the article, speak against or seem to.
+DOUBTED = "Claims that the article itself or the numbers seem to contradict"
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from flexopt.article.findings import DOUBTED
 from flexopt.article.tables import DEVIATION
 from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.study.gains import BorderRow
@@ -46,6 +47,7 @@ def report_html(result: Reproduction) -> str:
         title="The article, computed again",
         provenance=result.to_dict()["provenance"],
         result=result,
+        doubted=DOUBTED,
         pictures={
             name: each._replace(caption=CAPTIONS[name])
             for name, each in pictures(lambda theme: result.figures(theme=theme)).items()

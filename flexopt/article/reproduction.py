@@ -15,7 +15,7 @@ import numpy as np
 from flexopt.article import findings, loop_findings
 from flexopt.article.closed_loops import ClosedLoops, article_stands, close_loops
 from flexopt.article.curves import Curve, curve
-from flexopt.article.findings import ArticleFinding
+from flexopt.article.findings import DOUBTED, ArticleFinding
 from flexopt.article.gaps import GapSweep, sweep_gaps
 from flexopt.article.tables import (
     PRINTED_WORKSPACE,
@@ -188,7 +188,7 @@ class Reproduction(Result):
         for name, values in self.frequencies.means.items():
             off = ", ".join(f"{100 * d:+.2f} %" for d in self.frequencies.deviation[name])
             lines.append(f"  {name}: {_row(values)}  ({off})")
-        for title, group in (("Contradictions", self.contradictions), ("Claims in words", self.claims)):
+        for title, group in ((DOUBTED, self.contradictions), ("Other claims in words", self.claims)):
             lines += ["", title]
             lines += [f"  {'holds' if f.holds else 'fails'}: “{f.quote}” ({f.where}). {f.sentence}" for f in group]
         lines += ["", "Closed loops", f"  {self.loops.sentence}", f"  {self.gains.sentence}"]

@@ -203,7 +203,8 @@ class Clearance(FileModel):
     Attributes:
         distance: least one of the capsules from ground and obstacles.
         bodies: that keep it, or labels of capsules that do; all that have capsules by default.
-        ground: its height; no ground is kept from where left out.
+        ground: its height; what no actuated joint moves stands on it and keeps no distance from it; no ground is kept
+            from where left out.
         obstacles: spheres, boxes and half-planes.
     """
 

@@ -24,13 +24,15 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.model.choices import assumes
-from flexopt.model.constraints import Constraints
+from flexopt.model.constraints import Clearance, Constraints
 from flexopt.plant import Plant
 from flexopt.plant.reach import outer_reach
-from flexopt.selection.constraints.ground import above_ground, kept_above
+from flexopt.selection.constraints.ground import above_ground, kept_above, lowest
 from flexopt.selection.constraints.holding import without_effort
 from flexopt.selection.constraints.self_clearance import meeting_pairs, overlapping_pairs, overlapping_told
 
+# A capsule that is below the ground by more than this, m, is by no rounding.
+SUNK = 0.01
 # What is in nobody's way.
 ALWAYS = ("limits", "clearance", "holding", "self_clearance", "capsules")
 
@@ -40,8 +42,8 @@ class Assumption:
     """One of `flexopt.model.choices.ASSUMPTIONS` that was made; or what no word switches off.
 
     That is `holding` of joints without an effort, where it is asked for; and of bodies in each other's way: `clearance`
-    of some without a volume, where it is asked for, `capsules` of all without one, `self_clearance` where nobody asks
-    for it, or of pairs that overlap in every posture.
+    of some without a volume, or that stand on the ground, where it is asked for, `capsules` of all without one,
+    `self_clearance` where nobody asks for it, or of pairs that overlap in every posture.
 
     Attributes:
         name: the word that switches it;  sentence: what was assumed.
@@ -138,10 +140,27 @@ def left_out(machine: AnyMachine, constraints: Constraints) -> Iterator[Assumpti
         if bare and filled:
             sentence = f"kept clear is what has [[capsules]] alone, so nothing of {', '.join(bare)}"
             yield Assumption("clearance", sentence, float(len(bare)), "bodies")
+    near = {} if constraints.clearance is None else _near_ground(machine, constraints.clearance)
+    if near:
+        told = ", ".join(f"{name} ({height:+.3g} m)" for name, height in near.items())
+        sentence = f"what no joint moves stands on the ground and keeps no distance from it, so not {told}"
+        yield Assumption("clearance", sentence, float(len(near)), "bodies")
     free = without_effort(machine)
     if constraints.holding is not None and 0 < len(free) < len(machine.joints):
         sentence = f"held is what has an effort, or a cylinder with a force, alone, so not {', '.join(free)}"
         yield Assumption("holding", sentence, float(len(free)), "joints")
+
+
+def _near_ground(machine: AnyMachine, asked: Clearance) -> dict[str, float]:
+    """How high above the ground asked for stands what nobody expects there: below it, or named to keep clear, m."""
+    if asked.ground is None:
+        return {}
+    found = dict[str, float]()
+    for capsule, low in lowest(machine):
+        above, named = low - asked.ground, not {capsule.called, capsule.body}.isdisjoint(asked.bodies or ())
+        if above < (asked.distance if named else -SUNK):
+            found[capsule.called] = min(above, found.get(capsule.called, math.inf))
+    return found
 
 
 def standing(plant: Plant, given: Vector | None) -> Vector | None:

@@ -88,19 +88,14 @@ def resting(problem: SelectionProblem, z: Vector) -> list[str]:
     ]
 
 
-def value_with(problem: SelectionProblem, z: Vector, p: Vector, name: str) -> ConstraintValue | None:
-    """Of a constraint, of a machine with the numbers p (n_par,), the value that is nearest to a bound or beyond it.
-
-    None of what is no constraint, as that the machine stands.
-    """
+def values_with(problem: SelectionProblem, z: Vector, p: Vector) -> dict[str, ConstraintValue]:
+    """Of every constraint, of a machine with the numbers p (n_par,), the value with the least room."""
     rows = (*problem.constraints, *problem.own_constraints)
-    values = np.append(rows_with(problem, z, p), own_with(problem, z, p)).tolist()
-    found = (
-        ConstraintValue(x, row.lower, row.upper, row.unit)
-        for row, x in zip(rows, values, strict=True)
-        if row.name == name
-    )
-    return min(found, key=lambda value: value.room, default=None)
+    found = dict[str, ConstraintValue]()
+    for row, x in zip(rows, np.append(rows_with(problem, z, p), own_with(problem, z, p)).tolist(), strict=True):
+        value = ConstraintValue(x, row.lower, row.upper, row.unit)
+        found[row.name] = min(found.get(row.name, value), value, key=lambda each: each.room)
+    return found
 
 
 def beyond_bounds(problem: SelectionProblem, z: Vector, p: Vector | None = None) -> Vector:

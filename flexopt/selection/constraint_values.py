@@ -16,6 +16,9 @@ from flexopt.model.constraints import Constraints
 from flexopt.selection.constraints import KINDS
 from flexopt.selection.constraints.corners import WHERE
 
+# Beyond its bound by more than this share of it, or of one unit, is no rounding.
+BEYOND = 1e-6
+
 
 @dataclass(frozen=True)
 class ConstraintValue:
@@ -29,8 +32,7 @@ class ConstraintValue:
     @property
     def shown(self) -> float:
         """The value in texts: 0 where it is rounding, of its bounds or of one unit."""
-        bounds = [abs(bound) for bound in (self.lower, self.upper) if math.isfinite(bound)]
-        return float(without_rounding(self.value, max([1.0, *bounds])))
+        return float(without_rounding(self.value, self._size))
 
     @property
     def room(self) -> float:
@@ -55,7 +57,18 @@ class ConstraintValue:
         return f"at {'least' if low else 'most'} {number(self.lower if low else self.upper)} {unit}".rstrip()
 
     def __str__(self) -> str:
-        return f"{f'{self.shown:z.4g} {self.unit}'.rstrip()} ({self.allowed('{:z.4g}'.format, self.unit)})"
+        digits = 4
+        if -self.room > BEYOND * self._size:
+            # What breaks a bound is not told as the bound itself.
+            bounds = self.lower, self.upper
+            digits = next(n for n in range(4, 18) if f"{self.shown:z.{n}g}" not in [f"{x:z.{n}g}" for x in bounds])
+        number = f"{{:z.{digits}g}}".format
+        return f"{f'{number(self.shown)} {self.unit}'.rstrip()} ({self.allowed(number, self.unit)})"
+
+    @property
+    def _size(self) -> float:
+        """The greatest of its bounds and one unit."""
+        return max([1.0, *(abs(bound) for bound in (self.lower, self.upper) if math.isfinite(bound))])
 
 
 def by_kind(names: Iterable[str]) -> dict[str, list[str]]:

@@ -279,8 +279,8 @@ def test_text(result):
     for word in (
         "Table 2",
         "Mean frequencies",
-        "Contradictions",
-        "Claims in words",
+        "Claims that the article itself or the numbers seem to contradict",
+        "Other claims in words",
         "Closed loops",
         "The gap metric",
         "kr = 4.971e+05 N m gives",

@@ -160,6 +160,24 @@ def test_bodies_without_a_volume_are_named_where_a_clearance_is_asked_for():
         assert "clearance" not in [each.name for each in found.named]
 
 
+def test_what_stands_below_the_ground_is_named_where_a_clearance_from_it_is_asked_for():
+    """What no joint moves keeps none: it is named where its capsule is below the ground, or where it was asked for."""
+
+    def named(machine, **asked):
+        found = of(machine, [(7.0, 1.0, 2.5)], constraints=Constraints(clearance={"distance": 0.2, **asked})).named
+        return [each.sentence for each in found if each.name == "clearance"]
+
+    whole = flexopt.load("slewing-excavator")
+    assert named(whole, ground=0.0) == []
+    (asked,) = named(whole, ground=0.0, bodies=["undercarriage", "stick"])
+    assert asked.endswith("so not undercarriage (+0 m)")
+    (below,) = named(whole, ground=0.18)
+    assert below.endswith("so not undercarriage (-0.18 m)")
+    assert named(whole, ground=-0.3, bodies=["undercarriage", "stick"]) == []
+    tank = {"name": "tank", "kind": "sphere", "center": [3.5, 4.5, 1.5], "radius": 1.5}
+    assert named(whole, obstacles=[tank], bodies=["undercarriage"]) == []
+
+
 @pytest.mark.parametrize("without", [(), ("stick",), ("boom", "bucket"), ("boom", "stick", "bucket")])
 def test_joints_that_nothing_is_known_to_hold_are_named_where_holding_is_asked_for(without):
     """All joints that have no row, where some have one; a cylinder's force holds, too."""

@@ -50,6 +50,21 @@ def test_rounding_is_told_as_zero(value: float, bounds: tuple[float, float], uni
     assert str(ConstraintValue(value, *bounds, unit)) == text
 
 
+@pytest.mark.parametrize(
+    ("value", "bounds", "text"),
+    [
+        (-1.30004, (-1.8, -1.30003), "-1.3 rad (-1.8 to -1.3 rad)"),
+        (-1.29999, (-1.8, -1.3), "-1.29999 rad (-1.8 to -1.3 rad)"),
+        (1.3, (1.30004, np.inf), "1.3 rad (at least 1.30004 rad)"),
+        (0.2 - 3e-5, (0.2, np.inf), "0.19997 rad (at least 0.2 rad)"),
+        (0.2 - 3e-8, (0.2, np.inf), "0.2 rad (at least 0.2 rad)"),
+        (0.1984, (0.2, np.inf), "0.1984 rad (at least 0.2 rad)"),
+    ],
+)
+def test_what_breaks_a_bound_is_not_told_as_that_bound(value: float, bounds: tuple[float, float], text: str) -> None:
+    assert str(ConstraintValue(value, *bounds, "rad")) == text
+
+
 def test_nothing_is_told_where_nothing_was_asked() -> None:
     places = [{"singularity margin": ConstraintValue(0.5, 0.03, np.inf, "sin²")}]
     for asked in ({}, {"travel": {"cost": 0.1}}):

@@ -797,6 +797,56 @@ def test_own_constraints_are_looked_at_with_other_loads_too() -> None:
         assert not place.breaks or float(told[2]) == pytest.approx(torque, rel=1e-3)
     assert found.excluded == ("candidate 1",)
     assert found.place == "candidate 2"
+    shown = {place.name: place.breaks for place in found.places}
+    assert found.exclusions == {"candidate 1": shown["candidate 1"]}
+    assert found.to_dict()["exclusions"] == found.exclusions
+
+
+@pytest.mark.parametrize(
+    ("count", "end"), [(1, ""), (3, ""), (4, "; and 1 more breaks some"), (6, "; and 3 more break some")]
+)
+def test_what_is_left_out_says_what_it_breaks(count: int, end: str) -> None:
+    """Three of them in full."""
+    chosen = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), base=0.0, starts=4)
+    answer = flexopt.verdict(chosen, loop={"kp": 1e4, "kv": 1e3}, members=4, runs=0)
+    kept = len([place for place in answer.places if place.name != "stay"])
+    exclusions = {f"candidate {40 + k}": f"breaks holding of joint {k}" for k in range(count)}
+    found = replace(answer, exclusions=exclusions, judged=kept + count)
+    assert found.excluded == tuple(exclusions)
+    told = found.left_out.partition("candidates were judged; ")[2]
+    each = [f"; {name} {breaks}" for name, breaks in exclusions.items()]
+    assert told.endswith("".join(each[:3]) + end)
+    assert not any(part in told for part in each[3:])
+
+
+def test_a_broken_constraint_is_told_where_it_is_broken_most() -> None:
+    """By the weight's torque at every corner: of loads that break either bound, and of a bucket never the file's."""
+    machine = flexopt.load("boom-stick-bucket")
+    x = ca.MX.sym("torques", 3)
+    torque = ca.Function("boom_torque", [x], [x[0]], ["torques"], ["o"])
+    own = flexopt.Constraint(torque, lower=1.854e5, upper=2.056e5)
+    chosen = flexopt.select(machine, (6.0, 2.0), base=0.0, constraints=[own], starts=5)
+    ranges = {"payload.mass": (790.0, 3000.0), "bucket.mass": (1200.0, 1500.0)}
+    found = flexopt.verdict(chosen, loop="default", ranges=ranges, members=4, runs=0)
+    names = [parameter.name for parameter in machine.parameters]
+    plant = flexopt.build_plant(machine)
+
+    def at(place: flexopt.PlaceVerdict, payload: float, bucket: float) -> float:
+        p = plant.parameter_values.full().ravel()
+        p[[names.index("payload.mass"), names.index("bucket.mass")]] = payload, bucket
+        q = plant.rest(place.base, place.posture, p)
+        return float(plant.gravity(q, place.base, p)[plant.n_passive])
+
+    for place in found.places:
+        told = re.fullmatch(r"breaks boom_torque, (\S+) \(1.854e\+05 to 2.056e\+05\), where (.*)", place.breaks)
+        if place.name == "stay" and told is None:
+            continue
+        assert told is not None
+        values = {ends: at(place, *ends) for ends in product((790.0, 3000.0), (1200.0, 1500.0))}
+        off = {ends: max(1.854e5 - value, value - 2.056e5) for ends, value in values.items()}
+        worst = max(off, key=lambda ends: off[ends])
+        assert float(told[1]) == pytest.approx(values[worst], rel=5e-4)
+        assert told[2] == f"bucket.mass is {worst[1]:g} kg and payload.mass is {worst[0]:g} kg"
 
 
 def test_staying_where_every_place_breaks_constraints_is_told() -> None:

@@ -543,6 +543,7 @@ def test_verdict_command_writes_the_page(capsys: Any, tmp_path: Path, monkeypatc
     page = Parsed((tmp_path / "verdict.html").read_text(encoding="utf-8"))
     ((_, text),) = page.all("section")
     assert outcome.document["place"] in text
+    assert "Verdict: article (excavator), end-point at" in page.all("title")[0][1]
     places = {place["name"]: place for place in outcome.document["places"]}
     told = {float(number["value"] or "") for number, _ in page.all("data", "dl")}
     assert places[outcome.document["place"]]["decay"]["least"] in told

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from flexopt.model import AnyMachine
+from flexopt.model import AnyMachine, Capsule
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant, build_plant
 from flexopt.selection.constraints import clearance
@@ -56,20 +56,22 @@ def _joints(plant: Plant, carried: Sequence[str]) -> list[str]:
 
 def above_ground(plant: Plant) -> float:
     """How low the capsules of bodies that no actuated joint moves reach, m, the machine at rest; ∞ without any."""
-    return _lowest(plant.machine)
+    return min((height for _, height in lowest(plant.machine)), default=math.inf)
 
 
 @lru_cache(maxsize=32)
-def _lowest(machine: AnyMachine) -> float:
+def lowest(machine: AnyMachine) -> tuple[tuple[Capsule, float], ...]:
+    """Capsules of bodies that no actuated joint moves, and how low each reaches, m, the machine at rest."""
     plant = build_plant(machine)
     still = [capsule for capsule in machine.capsules if not clearance.is_moved(plant, capsule.body)]
     if not still:
-        return math.inf
+        return ()
     g, base = plant.graph, np.zeros(plant.n_base)
     scene = Scene(plant, g.base, g.posture, g.p)
-    ends = [scene.point(c.body, at)[-1] - c.radius for c in still for at in (c.start, c.end)]
-    lowest = ca.Function("lowest", [g.base, g.posture, g.p], [ca.mmin(ca.vertcat(*ends))])
-    return float(lowest(base, np.zeros(plant.n_actuated), plant.parameter_values))
+    ends = [ca.fmin(*(scene.point(c.body, at)[-1] for at in (c.start, c.end))) - c.radius for c in still]
+    heights = ca.Function("lowest", [g.base, g.posture, g.p], [ca.vertcat(*ends)])
+    found = heights(base, np.zeros(plant.n_actuated), plant.parameter_values).full().ravel()
+    return tuple(zip(still, found.tolist(), strict=True))
 
 
 @lru_cache(maxsize=32)

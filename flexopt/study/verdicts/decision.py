@@ -21,8 +21,6 @@ from flexopt.study.verdicts.places import STAY
 Word = Literal["move", "stay", "change gains", "cannot tell"]
 # By which share of its decay one is faster than the other, and in which share of the members it must be.
 FASTER, MOST = 0.1, 0.95
-# A share gained that is less is none.
-HARDLY = FASTER / 5
 # Members of either sign that tell grounds apart.
 SEVERAL = 3
 # Of a decay, by which two are one: mirrored places differ by rounding.
@@ -198,10 +196,12 @@ def deciding(decision: Decision, known: Mapping[str, Place], stay: Place | None)
         return f"whether {spoken(place.name)} is stable", np.where(place.decays > 0, 1.0, -1.0)
     if stay is None or place.name == stay.name:
         return f"the decay at {spoken(place.name)}", place.decays
-    # As a share, by which one is better, and beyond what makes it so: of one sign everywhere, no ground decides. Else
-    # the order of many grounds on which hardly anything is gained would outvote those that decide.
+    better = faster(place.decays, stay.decays)
+    if min(np.count_nonzero(better), np.count_nonzero(~better)) >= SEVERAL:
+        # By how much orders the many grounds on which little is gained or lost, too, which would outvote the others.
+        return f"whether {place.name} {BETTER}", np.where(better, 1.0, -1.0)
     gained = (place.decays - stay.decays) / np.maximum(np.abs(stay.decays), np.finfo(np.float64).tiny)
-    return f"the share gained by moving to {place.name}", np.where(np.abs(gained) < HARDLY, 0.0, gained) - FASTER
+    return f"the share gained by moving to {place.name}", np.maximum(gained, 0.0) - FASTER
 
 
 def _because(why: str) -> str:

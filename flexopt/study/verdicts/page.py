@@ -121,7 +121,9 @@ def verdict_html(verdict: Verdict) -> str:
     """The page of a verdict alone."""
     problems = verdict.problems
     where = target_of(problems[0]) if len(problems) == 1 else f"{len(problems)} targets"
-    title = f"Verdict: {problems[0].machine.name}, end-point at {where}"
+    machine = problems[0].machine.name
+    name = f"{verdict.name} ({machine})" if verdict.name not in ("", machine) else machine
+    title = f"Verdict: {name}, end-point at {where}"
     # A report tells both beside its choice.
     told = judged(verdict) | {"assumed": [sentence(assumption) for assumption in verdict.assumed]}
     told |= {"unverified": sentence(verdict.unverified)}

@@ -23,7 +23,7 @@ from flexopt.loop.uncertain import CORNERED, UncertainLoop, UncertaintyBox
 from flexopt.model.uncertainty import told_numbers
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
-from flexopt.selection.broken import broken, broken_names, resting, value_with
+from flexopt.selection.broken import broken, broken_names, resting, values_with
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.continua import unwound, way_to
@@ -49,6 +49,8 @@ LOOKED = 12
 LEAST_TOLD = 1e-3
 # So many times the usual number of postures is looked at where a placement is given.
 FINER = 6
+# A constraint is broken by about as much where by this share.
+AS_MUCH = 0.99
 # What moves constraints by less, of their scale, does not matter to them.
 MOVED = 1e-9
 # From so many of these the objective is climbed.
@@ -137,22 +139,24 @@ def broken_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:
 def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: UncertaintyBox) -> str:
     """Which constraints that were asked for a place keeps with the file's numbers and breaks at a corner of the box.
 
-    Choices keep those of statics, as of what joints hold, and the user's own, with the file's payload.
+    Each at the corner at which it is broken most. Choices keep those of statics, as of what joints hold, and the
+    user's own, with the file's payload.
     """
     found = dict[str, dict[str, dict[int, ConstraintValue | None]]]()
     for k, (problem, at) in enumerate(zip(problems_of(chosen), stand, strict=True), start=1):
-        z, seen = np.concatenate(at), set[str]()
+        z, worst = np.concatenate(at), dict[str, _Broken]()
         if broken_names(problem, z, asked=True):
             continue
         for p in _corners(problem, z, box):
-            for row in broken_names(problem, z, asked=True, p=p):
-                # Of rows at corners of `constraints.within` that which is broken most, with its numbers.
-                name, _, corner = row.partition(WHERE)
-                if name not in seen:
-                    seen.add(name)
-                    least = _least_of(problem, z, box, p, row)
-                    where = " and ".join(filter(None, (corner, told_numbers(box.machine, least.tolist()))))
-                    found.setdefault(where, {}).setdefault(name, {})[k] = value_with(problem, z, least, row)
+            for each in _broken_with(problem, z, p):
+                # Rows at corners of `constraints.within` are of one constraint.
+                name = each.row.partition(WHERE)[0]
+                worst[name] = max(worst.get(name, each), each, key=lambda one: one.off)
+        for name, most in worst.items():
+            plain = _plainest(problem, z, box, most)
+            corner, numbers = most.row.partition(WHERE)[2], told_numbers(box.machine, plain.p.tolist())
+            where = " and ".join(filter(None, (corner, numbers)))
+            found.setdefault(where, {}).setdefault(name, {})[k] = plain.value
     told = list[str]()
     for where, names in found.items():
         each = [
@@ -165,12 +169,39 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
     return "; ".join(told)
 
 
-def _least_of(problem: SelectionProblem, z: Vector, box: UncertaintyBox, p: Vector, name: str) -> Vector:
-    """The numbers p with as many of the file's own as leave the constraint broken."""
-    for entries in box.entries:
-        without = p.copy()
-        without[entries] = box.nominal[entries]
-        p = without if name in broken_names(problem, z, asked=True, p=without) else p
+class _Broken(NamedTuple):
+    """A row that is broken with the numbers p, and its value; none of what is no constraint, as that it stands."""
+
+    row: str
+    p: Vector
+    value: ConstraintValue | None
+
+    @property
+    def off(self) -> float:
+        return math.inf if self.value is None else -self.value.room
+
+
+def _broken_with(problem: SelectionProblem, z: Vector, p: Vector) -> list[_Broken]:
+    names = broken_names(problem, z, asked=True, p=p)
+    values = values_with(problem, z, p) if names else {}
+    return [_Broken(name, p, values.get(name)) for name in names]
+
+
+def _plainest(problem: SelectionProblem, z: Vector, box: UncertaintyBox, most: _Broken) -> _Broken:
+    """As many numbers as near the file's own as the box has them that leave the row broken by about as much."""
+    for k, entries in enumerate(box.entries):
+        ends = [_with_end(box, box.nominal, k, end)[entries] for end in (0.0, 1.0)]
+        p = most.p.copy()
+        p[entries] = np.clip(box.nominal[entries], np.minimum(*ends), np.maximum(*ends))
+        of_row = (each for each in _broken_with(problem, z, p) if each.row == most.row)
+        most = next((each for each in of_row if each.off >= AS_MUCH * most.off), most)
+    return most
+
+
+def _with_end(box: UncertaintyBox, p: Vector, k: int, end: float) -> Vector:
+    """The numbers p with those of one interval at an end, 0 or 1."""
+    p, entries = p.copy(), box.entries[k]
+    p[entries] = box.numbers(np.where(np.arange(len(box.uncertainty)) == k, end, 0.5))[0][entries]
     return p
 
 
@@ -179,22 +210,20 @@ def _corners(problem: SelectionProblem, z: Vector, box: UncertaintyBox) -> Itera
     count = len(box.uncertainty)
     scale = np.append(problem.row_bounds[2], [row.scale for row in problem.own_constraints])
 
-    def with_end(i: int, end: float) -> Vector:
-        p = box.nominal.copy()
-        p[box.entries[i]] = box.numbers(np.where(np.arange(count) == i, end, 0.5))[0][box.entries[i]]
-        return p
-
     def values(p: Vector) -> Vector:
         return np.append(rows_with(problem, z, p), own_with(problem, z, p)) / scale
 
     nominal = values(box.nominal)
-    moved = [max(float(np.abs(values(with_end(i, end)) - nominal).max()) for end in (0.0, 1.0)) for i in range(count)]
+    moved = [
+        max(float(np.abs(values(_with_end(box, box.nominal, i, end)) - nominal).max()) for end in (0.0, 1.0))
+        for i in range(count)
+    ]
     most = sorted(range(count), key=lambda i: -moved[i])[:CORNERED]
     chosen = [i for i in most if moved[i] > MOVED]
     for ends in product((0.0, 1.0), repeat=len(chosen)):
         p = box.nominal.copy()
         for i, end in zip(chosen, ends, strict=True):
-            p[box.entries[i]] = with_end(i, end)[box.entries[i]]
+            p = _with_end(box, p, i, end)
         yield p
 
 

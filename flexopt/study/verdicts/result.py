@@ -189,9 +189,10 @@ class Verdict(Pictured, Printed, Result):
             is more than a centimetre off is told in words, too, and the numbers of staying are those beside the target.
         present_breaks: which constraints that were asked for staying does not keep, "breaks …"; empty where it keeps
             them.
-        excluded: names of candidates to which the word does not send, for they break constraints on some ground, and
-            another place does not;  exclusions: by name, what each of them breaks, and where, "breaks …".
+        exclusions: by name of candidates to which the word does not send, for they break constraints on some ground
+            and another place does not: what each of them breaks, by how much at most, and where, "breaks …".
         assumes_ground: whether nobody said what is uncertain, so that `uncertainty` is the usual one of springs.
+        name: of the problem's file, or empty.
 
     Example:
         >>> len(answer.places) == len(answer.table)
@@ -211,9 +212,9 @@ class Verdict(Pictured, Printed, Result):
     selection: Chosen = field(repr=False)
     provenance: Document = field(repr=False)
     present_breaks: str = ""
-    excluded: tuple[str, ...] = ()
     exclusions: dict[str, str] = field(default_factory=dict[str, str])
     assumes_ground: bool = False
+    name: str = ""
 
     DOCUMENT = """
     word sentence place reason drawbacks measure gains rule targets[m] present_end_point[m] present_off[m]
@@ -336,6 +337,11 @@ class Verdict(Pictured, Printed, Result):
         return f"uncertain: {known}; {self.members} members and a search, not a proof{several}{runs}"
 
     @property
+    def excluded(self) -> tuple[str, ...]:
+        """Names of the `exclusions`."""
+        return tuple(self.exclusions)
+
+    @property
     def left_out(self) -> str:
         """How many candidates were looked at, and which of them are told of, a sentence; empty where all are."""
         names = [place.name for place in self.places if place.name != STAY]
@@ -353,7 +359,8 @@ class Verdict(Pictured, Printed, Result):
             shown = keep if kept <= TOLD else f"of {keep} {shown}"
         breaks = [f"{name} {self.exclusions[name]}" for name in self.excluded if name not in names]
         told = "".join(f"; {each}" for each in breaks[:TOLD])
-        told += f"; and {len(breaks) - TOLD} more break some" if len(breaks) > TOLD else ""
+        more_break = f"{len(breaks) - TOLD} more break{'s' * (len(breaks) == TOLD + 1)} some"
+        told += f"; and {more_break}" if len(breaks) > TOLD else ""
         return f"{self.judged}{of_all} candidates were judged; shown are {shown}{''.join(more)}{told}"
 
     @property
@@ -399,9 +406,9 @@ class Verdict(Pictured, Printed, Result):
 
     @property
     def heading(self) -> str:
-        """The machine and the word."""
+        """The problem, or where it has no name the machine, and the word."""
         where = f" to {self.place}" if self.word == "move" else ""
-        return f"{self.problems[0].machine.name}: {self.word}{where}"
+        return f"{self.name or self.problems[0].machine.name}: {self.word}{where}"
 
     @public(path=path(".html"))
     def to_html(self, path: str | os.PathLike[str]) -> None:

@@ -224,9 +224,9 @@ def verdict(
         provenance=provenance(
             machine, members=members, runs=runs, duration=duration, selection=chosen.provenance["options"]
         ),
-        excluded=tuple(excluded := {name: within[name] for name in stands if name not in fit and name != STAY}),
-        exclusions=excluded,
+        exclusions={name: within[name] for name in stands if name not in fit and name != STAY},
         present_breaks=now_breaks,
+        name=problem.name if isinstance(problem, Problem) else "",
     )
 
 
