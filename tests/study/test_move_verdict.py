@@ -505,6 +505,32 @@ def test_the_worst_of_margins_is_met_at_whatever_corner_it_is() -> None:
     assert best.swing.greatest >= (1 - 1e-9) * 0.1 * max(each.swing for each in outcomes)
 
 
+def test_why_it_is_no_nearer_place_is_told() -> None:
+    found = judged("article", loop=ARTICLE, members=2, runs=0)
+    (stay, there, other), rest = (found.places[0], found.places[1], found.places[2]), found.places[3:]
+    assert (found.word, found.place) == ("move", there.name)
+
+    def told_of(drive: float, **own: Any) -> str:
+        near = replace(other, drive=drive * there.drive, **own)
+        far = [replace(place, drive=2 * there.drive) for place in rest]
+        return replace(found, places=(stay, there, near, *far)).passed_over
+
+    def decay(least: float) -> Any:
+        return replace(other.decay, least=least)
+
+    begun = f"nearer is {other.name}, by a drive of {0.5 * there.drive:.3g} m: "
+    best = there.decay.least
+    assert told_of(0.5, better=0.94, decay=decay(best)) == (
+        f"{begun}it decays at least 10 % faster on 94 % of the grounds only"
+    )
+    assert told_of(0.5, better=1.0, decay=decay(-0.1)) == f"{begun}it is not stable on every ground"
+    assert told_of(0.5, better=1.0, decay=decay(0.5 * best)) == f"{begun}its slowest decay is {0.5 * best:.3g}/s only"
+    assert told_of(0.5, better=0.05, decay=decay(best)) == ""
+    assert told_of(0.95, better=0.94, decay=decay(best)) == ""
+    assert told_of(1.5, better=0.94, decay=decay(best)) == ""
+    assert replace(found, word="stay", place="stay").passed_over == ""
+
+
 def test_what_is_worse_where_it_moves_is_told() -> None:
     """The word goes by the decay; what else is worse stands beside it, on the page and in the document, too."""
     found = judged("article", loop=ARTICLE, members=2, runs=0)

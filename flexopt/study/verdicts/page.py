@@ -88,6 +88,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "sends": verdict.word in ("move", "change gains"),
         "reason": sentence(verdict.reason),
         "drawbacks": sentence(verdict.drawbacks),
+        "passed_over": sentence(verdict.passed_over),
         "measure": sentence(verdict.measure),
         "stand": _stand(verdict),
         "numbers": _numbers(verdict),

@@ -28,7 +28,7 @@ from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.result import unverified_told
 from flexopt.study.verdicts.confirmation import Runs
-from flexopt.study.verdicts.decision import BETWEEN, FASTER, RULE, Word, gains_in_words, spoken
+from flexopt.study.verdicts.decision import BETTER, BETWEEN, FASTER, MOST, RULE, Word, gains_in_words, spoken
 from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of
 from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD, allowed, told
 
@@ -173,6 +173,8 @@ class Verdict(Pictured, Printed, Result):
         place: which place it speaks of;  reason: why.
         drawbacks: what is worse by a tenth or more where it sends the machine than where it stands, in the worst case,
             and what it breaks as every place found does, in words: the word goes by the decay; empty where nothing is.
+        passed_over: where it sends the machine: of a nearer place that is better than the present one on some grounds,
+            why it does not send it there, a sentence; else empty.
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
         gains: those to change to.
         rule: by which the word was found.
@@ -217,7 +219,7 @@ class Verdict(Pictured, Printed, Result):
     name: str = ""
 
     DOCUMENT = """
-    word sentence place reason drawbacks measure gains rule targets[m] present_end_point[m] present_off[m]
+    word sentence place reason drawbacks passed_over measure gains rule targets[m] present_end_point[m] present_off[m]
     present_breaks places assumed
     settings uncertainty=_uncertainty members judged excluded exclusions proven provenance
     """
@@ -258,6 +260,32 @@ class Verdict(Pictured, Printed, Result):
                 found.append(f"does not settle in a minute instead of in {before:.4g} s")
         told = f"in the worst case it {', '.join(found)} there" if found else ""
         return "; ".join(filter(None, (told, no_better)))
+
+    @property
+    def passed_over(self) -> str:
+        """See the class."""
+        stay, there = self._stay, next((place for place in self.places if place.name == self.place), None)
+        if self.word != "move" or stay is None or there is None:
+            return ""
+        near = [
+            place
+            for place in self.places
+            if place.drive < (1 - FASTER) * there.drive and place.better > 1 - MOST and place.name not in self.excluded
+        ]
+        why = {place.name: self._why_not(place, there) for place in near if place is not stay}
+        first = next((place for place in sorted(near, key=lambda each: each.drive) if why.get(place.name)), None)
+        return "" if first is None else f"nearer is {first.name}, by a drive of {first.drive:.3g} m: {why[first.name]}"
+
+    def _why_not(self, place: PlaceVerdict, there: PlaceVerdict) -> str:
+        """Why the word sends the machine farther than to a place that is better than the present one somewhere."""
+        if place.decay.least <= 0:
+            return "it is not stable on every ground"
+        if place.better < MOST:
+            return f"it {BETTER} on {100 * place.better:.0f} % of the grounds only"
+        if place.runs is not None and place.runs.confirming < MOST:
+            return "nonlinear runs do not confirm it"
+        slower = place.decay.least < (1 - FASTER) * there.decay.least
+        return f"its slowest decay is {place.decay.least:.3g}/s only" if slower else ""
 
     @property
     def problems(self) -> tuple[SelectionProblem, ...]:
@@ -564,7 +592,7 @@ class Verdict(Pictured, Printed, Result):
         lines += [f"  {sentence}" for sentence in (self.unseen, self.weightless) if sentence]
         lines += [f"  {sentence}" for sentence in self.assumed]
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
-        return "\n".join([*lines, *filter(None, (self.drawbacks, self.measure))])
+        return "\n".join([*lines, *filter(None, (self.drawbacks, self.passed_over, self.measure))])
 
 
 def _interval(each: Uncertainty, machine: AnyMachine) -> str:
