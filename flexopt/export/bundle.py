@@ -100,9 +100,10 @@ class ExportReport(Result):
         judged = self.manifest["options"]["loop"]
         if judged is not None:
             verb = "decays" if judged["decay"] > 0 else "grows"
+            lines.append(f"  loop: {judged['controller']}")
             drifts = "; it does not brake the arm's self-motion, loop.nullspace_damping does" * judged["lets_drift"]
             lines.append(
-                f"  the loop {verb} at {abs(judged['decay']):.4g}/s in the posture {_listed(judged['posture'])}{drifts}"
+                f"  it {verb} at {abs(judged['decay']):.4g}/s in the posture {_listed(judged['posture'])}{drifts}"
             )
         return "\n".join([*lines, f"  {len(self.files)} files; next: make -C {self.folder} test"])
 
@@ -272,6 +273,8 @@ def judged_loop(machine: AnyMachine, loop: Loop, posture: Any, base: Any) -> dic
     told: dict[str, Any] = {name: json_ready(getattr(found, name)) for name in JUDGED}
     place = [] if base is None else np.ravel(base).tolist()
     told["lets_drift"] = found.settings.lets_drift
+    first, source = repr(found.settings).splitlines()[0], found.settings.sources.get("drive", "")
+    told["controller"] = f"{first} ({source})" if source else first
     return {"settings": found.settings.to_dict(), "posture": np.ravel(posture).tolist(), "base": place} | told
 
 

@@ -220,14 +220,17 @@ class Context:
                           design=design, turning=turning)  # fmt: skip
 
     def _counted(self, posture: Any) -> str:
-        """Which coordinates count from where the placement does, and so hold it."""
+        """Which coordinates count from where the placement does, and so hold it; and what is not 0 at rest."""
         plant, names = self.plant, self.machine.coordinates
         here, there = (
             plant.rest.call([ca.DM(base), ca.DM(posture), plant.parameter_values])[0].full().ravel()
             for base in (np.zeros(plant.n_base), np.ones(plant.n_base))
         )
         moved = [name for name, shift in zip(names, there - here, strict=False) if abs(shift) > 0.5]
-        return f"; {', '.join(moved)} in the inertial frame: at rest where the base is placed" if moved else ""
+        told = f"; {', '.join(moved)} in the inertial frame: at rest where the base is placed" if moved else ""
+        # As of a link that stands upright.
+        turned = {name: x for name, x in zip(names, here[: plant.n_passive].tolist(), strict=False) if x}
+        return told + "".join(f"; {name} at rest {x:.9g}" for name, x in turned.items() if name not in moved)
 
     @cached_property
     def arm_length(self) -> float:

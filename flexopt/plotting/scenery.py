@@ -12,9 +12,13 @@ from itertools import combinations, product
 from typing import Any, cast
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import RendererBase
 from matplotlib.colors import to_rgba
 from matplotlib.patches import Circle, Polygon
+from matplotlib.text import Annotation
+from matplotlib.transforms import Bbox
 
 from flexopt.foundation.escapes import mathtext
 from flexopt.foundation.palette import colors
@@ -38,6 +42,10 @@ TOGETHER, BESIDE, UNDER, OVER, ASIDE = 0.03, 0.08, 0.05, 0.09, 16.0
 FLAT = 0.05
 # By such a share of the picture the name of a half-plane moves along its border.
 ALONG = 0.15
+# So many lines a name moves at most.
+LINES = 4
+# What knows the names of obstacles; about a cross nothing is written, points.
+NAMED, CROSS = "_name", 5.0
 # Shares of lengths and areas that come of rounding.
 ALIKE = 1e-9
 
@@ -65,6 +73,7 @@ def draw_scenery(
         beside = near.any() or height_seen < FLAT * whole
         away = (0.0, ASIDE if over else -ASIDE) if beside else (0.0, 0.0)
         _name(axes, text, middle, xytext=away, textcoords="offset points")
+    axes.add_artist(_Apart(crosses))
     for areas, color, label in (
         (constraints.region, inks.allowed, MAY[holds]),
         (constraints.keep_out, inks.forbidden, MUST_NOT[holds]),
@@ -173,8 +182,46 @@ def _name(axes: Axes, text: str, at: Points, **placed: Any) -> None:
     inks = colors()
     axes.annotate(
         text, (float(at[0]), float(at[1])), fontsize="small", ha="center", va="center", zorder=7, annotation_clip=True,
-        bbox={"boxstyle": "round,pad=0.1", "facecolor": inks.page, "edgecolor": "none", "alpha": 0.6}, **placed,
+        bbox={"boxstyle": "round,pad=0.1", "facecolor": inks.page, "edgecolor": "none", "alpha": 0.6},
+        label=NAMED, **placed,
     )  # fmt: skip
+
+
+class _Apart(Artist):
+    """Moves names up or down until none is on another or on a cross, when it is drawn: only then their sizes are known.
+
+    What is written in the axes besides, as of targets, stays.
+    """
+
+    def __init__(self, crosses: Points) -> None:
+        """`crosses`: points (2, K) that are marked."""
+        super().__init__()
+        # Below the names.
+        self.set(zorder=6.5, in_layout=False)
+        self._crosses, self._own = crosses, dict[Annotation, tuple[float, float]]()
+
+    def draw(self, renderer: RendererBase) -> None:
+        """Move them."""
+        axes = self.axes
+        if axes is None:
+            return
+        marks = axes.transData.transform(self._crosses.T)
+        point = float(cast(Any, renderer).points_to_pixels(1.0))
+        around = CROSS * point
+        taken = [Bbox([mark - around, mark + around]) for mark in marks]
+        names = [text for text in axes.texts if isinstance(text, Annotation) and text.get_label() == NAMED]
+        taken += [text.get_window_extent(renderer) for text in axes.texts if text not in names and text.get_text()]
+        for text in names:
+            x, y = text.xyann = self._own.setdefault(text, text.xyann)
+            box = text.get_window_extent(renderer)
+            for k in sorted(range(-LINES, LINES + 1), key=abs):
+                moved = box.translated(0.0, k * box.height)
+                inside = axes.bbox.y0 <= moved.y0 and moved.y1 <= axes.bbox.y1
+                if (inside or not k) and not moved.count_overlaps(taken):
+                    text.xyann = (x, y + k * box.height / point)
+                    box = moved
+                    break
+            taken.append(box)
 
 
 def _style(*, beside: bool = False) -> dict[str, Any]:

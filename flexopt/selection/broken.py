@@ -39,7 +39,7 @@ def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p
     """Names of the limits and constraints that a configuration breaks, the target aside, the worst first.
 
     `asked`: of those alone that somebody asked for: no limits, no margin from singular postures, no assumed ground.
-    `p`: the machine's numbers, where they may be others.
+    `p`: the machine's numbers, where they may be others; corners of `constraints.within` have numbers of their own.
     """
     outside: Vector = np.maximum(problem.lower - z, z - problem.upper) / problem.scale
     rows = np.abs(beyond_bounds(problem, z, p))[problem.target.size :]
@@ -52,7 +52,9 @@ def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p
     names += [row.name for row in problem.constraints[problem.target.size :]]
     names += [*(row.name for row in problem.own_constraints), *falls]
     order: list[int] = np.argsort(-away, kind="stable").tolist()
-    unasked = [asked and UNASKED.search(name.partition(WHERE)[0]) for name in names]
+    unasked = [
+        (asked and UNASKED.search(name.partition(WHERE)[0])) or (p is not None and WHERE in name) for name in names
+    ]
     # Several rows may be one constraint.
     return list(dict.fromkeys(names[k] for k in order if away[k] > BROKEN and not unasked[k]))
 

@@ -252,6 +252,26 @@ def test_a_name_of_an_obstacle_does_not_lie_on_a_target(selection, away, aside):
         assert (name.xyann != (0.0, 0.0)) == aside
 
 
+def test_names_of_obstacles_close_together_lie_on_no_other(selection):
+    """A rack, of which several boards are seen behind each other, about a target; drawn twice, and at another size."""
+    shape = shape_of(selection.problem.machine, selection.best.evaluation)
+    at = np.array([4.0, 0.5, 2.0])
+    boards = {"left wall": (0.0, -0.7, 0.1), "right wall": (0.2, 0.7, 0.3), "back": (0.5, 0.0, 0.0),
+              "lower shelf": (0.1, 0.0, -0.6), "upper shelf": (0.1, 0.0, 0.4), "roof": (0.0, 0.1, 0.8)}  # fmt: skip
+    asked = read_constraints({"clearance": {"distance": 0.1, "obstacles": [
+        {"kind": "box", "name": name, "center": [*(at + away)], "size": [0.8, 0.6, 0.9]} for name, away in boards.items()
+    ]}})  # fmt: skip
+    for inches in ((7.0, 6.0), (12.0, 9.0)):
+        figure = Figure(figsize=inches, layout="constrained")
+        panels = figure.subplots(2)
+        for axes, view in zip(panels, views(shape), strict=True):
+            draw_scene(axes, view, [Actor(shape, "C0")], at, asked, name="target")
+        assert faults(figure) == []
+        drawn = {text.get_text(): text.xyann for axes in panels for text in axes.texts}
+        assert faults(figure) == []
+        assert drawn == {text.get_text(): text.xyann for axes in panels for text in axes.texts}
+
+
 def test_what_goes_on_far_beyond_the_machine_does_not_shrink_it(selection):
     """A wire of 200 m is cut off; names stand in the middle of what is seen, and those at one place are one."""
     shape = shape_of(selection.problem.machine, selection.best.evaluation)

@@ -301,6 +301,17 @@ def test_out_of_reach_from_here() -> None:
     assert decide(None, [place("near", -GROUNDS)]).word == "cannot tell"
 
 
+def test_of_places_as_near_the_fastest_is_moved_to() -> None:
+    """A drive that is shorter by rounding decides nothing, nor a turn; of mirrored ones the first is taken."""
+    far, near = place("candidate 1", 3.1 * GROUNDS, 4.8 + 6e-15), place("candidate 2", 3.0 * GROUNDS, 4.8)
+    assert decide(STAY, [near, far]).place == "candidate 1"
+    assert decide(STAY, [near, far._replace(turn=1e-4)]).place == "candidate 1"
+    assert decide(STAY, [near, far._replace(turn=0.5)]).place == "candidate 2"
+    assert decide(STAY, [near._replace(drive=2.0), far]).place == "candidate 2"
+    mirrored = far._replace(name="candidate 10", decays=(1 + 1e-12) * far.decays, slowest=(1 + 1e-12) * far.slowest)
+    assert decide(STAY, [mirrored, near, far]).place == "candidate 1"
+
+
 @pytest.mark.parametrize(
     ("one", "other", "is_faster"), [(1.2, 1.0, True), (1.05, 1.0, False), (-0.5, -1.0, True), (0.1, -0.1, True)]
 )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Literal, NamedTuple
 
@@ -23,6 +24,8 @@ Word = Literal["move", "stay", "change gains", "cannot tell"]
 FASTER, MOST = 0.1, 0.95
 # Members of either sign that tell grounds apart.
 SEVERAL = 3
+# A turn or a shift below it is none, rad or m.
+LEAST_TOLD = 1e-3
 # Of a decay, by which two are one: mirrored places differ by rounding.
 ALIKE = 1e-6
 # Between what a run shows and what helps, in why it does not confirm.
@@ -43,7 +46,7 @@ RULE = (
     "them at a corner of what is uncertain, where another place keeps them. Where no nonlinear runs were asked for, "
     "they need not confirm. Of several places to move to it is that with the least drive among those "
     f"whose slowest decay is within {100 * FASTER:.0f} % of the best, and of drives within {100 * FASTER:.0f} % of "
-    "the least that with the least turn of the base."
+    "the least that to which the base turns least on its way; of several alike in both the fastest."
 )  # fmt: skip
 
 
@@ -254,10 +257,12 @@ def _slowest_alike(places: Sequence[Place]) -> list[Place]:
 
 
 def _near(places: Sequence[Place]) -> Place:
-    """That with the least drive; of drives that are one to `FASTER`, with the least turn of the base."""
-    least = min(place.drive for place in places)
-    near = [place for place in places if place.drive <= (1 + FASTER) * least]
-    return min(near, key=lambda place: (place.turn, place.drive))
+    """That with the least drive; of drives that are one to `FASTER` that with the least turn; of these the fastest."""
+    for takes in (attrgetter("drive"), attrgetter("turn")):
+        most = (1 + FASTER) * min(map(takes, places)) + LEAST_TOLD
+        places = [place for place in places if not takes(place) > most]
+    # Mirrored places differ by rounding.
+    return min(_slowest_alike(places), key=lambda place: (len(place.name), place.name))
 
 
 def _best(moves: Sequence[Place]) -> Place | None:

@@ -20,7 +20,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import CORNERED, UncertainLoop, UncertaintyBox
-from flexopt.model.uncertainty import told_numbers
+from flexopt.model.uncertainty import parameters_of, told_numbers
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.broken import broken, broken_names, resting, values_with
@@ -37,7 +37,7 @@ from flexopt.selection.several.outcome_stand import held_by_loop
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.starts import apart
 from flexopt.study.verdicts.confirmation import Runs, long_enough, nonlinear_runs, of_all
-from flexopt.study.verdicts.decision import UNREACHED
+from flexopt.study.verdicts.decision import LEAST_TOLD, UNREACHED
 from flexopt.study.verdicts.places import STAY
 
 Chosen = Selection | Stand | BasePlan
@@ -45,8 +45,6 @@ Chosen = Selection | Stand | BasePlan
 Configurations = tuple[Evaluation, ...]
 # Candidates of which the best are told of.
 LOOKED = 12
-# A turn or a shift below it is none, rad or m.
-LEAST_TOLD = 1e-3
 # So many times the usual number of postures is looked at where a placement is given.
 FINER = 6
 # A constraint is broken by about as much where by this share.
@@ -147,16 +145,13 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
         z, worst = np.concatenate(at), dict[str, _Broken]()
         if broken_names(problem, z, asked=True):
             continue
-        for p in _corners(problem, z, box):
+        whole = _and_within(problem, box)
+        for p in _corners(problem, z, whole):
             for each in _broken_with(problem, z, p):
-                # Rows at corners of `constraints.within` are of one constraint.
-                name = each.row.partition(WHERE)[0]
-                worst[name] = max(worst.get(name, each), each, key=lambda one: one.off)
+                worst[each.name] = max(worst.get(each.name, each), each, key=lambda one: one.off)
         for name, most in worst.items():
-            plain = _plainest(problem, z, box, most)
-            corner, numbers = most.row.partition(WHERE)[2], told_numbers(box.machine, plain.p.tolist())
-            where = " and ".join(filter(None, (corner, numbers)))
-            found.setdefault(where, {}).setdefault(name, {})[k] = plain.value
+            plain = _plainest(problem, z, whole, most)
+            found.setdefault(told_numbers(box.machine, plain.p.tolist()), {}).setdefault(name, {})[k] = plain.value
     told = list[str]()
     for where, names in found.items():
         each = [
@@ -169,10 +164,17 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
     return "; ".join(told)
 
 
-class _Broken(NamedTuple):
-    """A row that is broken with the numbers p, and its value; none of what is no constraint, as that it stands."""
+def _and_within(problem: SelectionProblem, box: UncertaintyBox) -> UncertaintyBox:
+    """What is uncertain, and the intervals of `constraints.within` of other numbers."""
+    uncertain = {entry for entries in box.entries for entry in entries}
+    more = [each for each in problem.asked.within or () if uncertain.isdisjoint(parameters_of(each.of, box.machine))]
+    return UncertaintyBox(box.machine, (*box.uncertainty, *more), box.nominal_dead_time)
 
-    row: str
+
+class _Broken(NamedTuple):
+    """What is broken with the numbers p, and its value; none of what is no constraint, as that it stands."""
+
+    name: str
     p: Vector
     value: ConstraintValue | None
 
@@ -188,13 +190,13 @@ def _broken_with(problem: SelectionProblem, z: Vector, p: Vector) -> list[_Broke
 
 
 def _plainest(problem: SelectionProblem, z: Vector, box: UncertaintyBox, most: _Broken) -> _Broken:
-    """As many numbers as near the file's own as the box has them that leave the row broken by about as much."""
+    """As many numbers as near the file's own as the box has them that leave it broken by about as much."""
     for k, entries in enumerate(box.entries):
         ends = [_with_end(box, box.nominal, k, end)[entries] for end in (0.0, 1.0)]
         p = most.p.copy()
         p[entries] = np.clip(box.nominal[entries], np.minimum(*ends), np.maximum(*ends))
-        of_row = (each for each in _broken_with(problem, z, p) if each.row == most.row)
-        most = next((each for each in of_row if each.off >= AS_MUCH * most.off), most)
+        alike = (each for each in _broken_with(problem, z, p) if each.name == most.name)
+        most = next((each for each in alike if each.off >= AS_MUCH * most.off), most)
     return most
 
 

@@ -569,10 +569,10 @@ class Verdict(Pictured, Printed, Result):
             *self.settings.proposed,
             *([f"  {self.handed_on}"] if self.handed_on else []),
             f"  {self.over}",
-            f"  drive of the base to the place; settling, and turn of the base, of a move by {MOVE:g} m{bends};",
+            f"  drive of the base to the place; settling, and swing of the base, of a move by {MOVE:g} m{bends};",
             "  decay with the file's numbers, then the worst of everything:",
             f"  {'place':12} {'drive':>8} {'decay, slowest':>26} {'allowed Kp':>{wide}} {'delay margin':>13} "
-            f"{'settling':>10} {'turn':>11}   nonlinear runs",
+            f"{'settling':>10} {'swing':>11}   nonlinear runs",
         ]
         highest = self.settings.highest_kp
         lines += [_row(place, allowed(place.allowed_gain.least, unit, highest), wide) for place in self.places]
