@@ -15,6 +15,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from flexopt.foundation.escapes import mathtext
 from flexopt.foundation.palette import colors
 from flexopt.plotting.sheet import SettledLayout, Sheet, open_frame, picture, themed
 from flexopt.plotting.ticks import DECADES, between_powers, shown
@@ -93,7 +94,7 @@ def _draw_all(sheet: Sheet, result: Any, columns: int) -> None:
     count = math.ceil(len(result.bands) / columns)
     for k, each in enumerate(result.bands):
         _draw(sheet.only() if len(result.bands) == 1 else sheet.figure.add_subplot(count, columns, k + 1), each)
-    sheet.title(result.heading)
+    sheet.title(mathtext(result.heading))
 
 
 def _height(bands: Bands) -> float:

@@ -8,6 +8,7 @@ In: the constraints of a problem. Out: artists in a view.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import combinations, product
 from typing import Any, cast
 
@@ -18,7 +19,7 @@ from matplotlib.backend_bases import RendererBase
 from matplotlib.colors import to_rgba
 from matplotlib.patches import Circle, Polygon
 from matplotlib.text import Annotation
-from matplotlib.transforms import Bbox
+from matplotlib.transforms import Bbox, BboxBase
 
 from flexopt.foundation.escapes import mathtext
 from flexopt.foundation.palette import colors
@@ -42,8 +43,8 @@ TOGETHER, BESIDE, UNDER, OVER, ASIDE = 0.03, 0.08, 0.05, 0.09, 16.0
 FLAT = 0.05
 # By such a share of the picture the name of a half-plane moves along its border.
 ALONG = 0.15
-# So many lines a name moves at most.
-LINES = 4
+# So often names are parted, each time to so many pixels from each other.
+ROUNDS, SLACK = 200, 0.5
 # What knows the names of obstacles; about a cross nothing is written, points.
 NAMED, CROSS = "_name", 5.0
 # Shares of lengths and areas that come of rounding.
@@ -188,9 +189,9 @@ def _name(axes: Axes, text: str, at: Points, **placed: Any) -> None:
 
 
 class _Apart(Artist):
-    """Moves names up or down until none is on another or on a cross, when it is drawn: only then their sizes are known.
+    """Moves names until none is on another or on a cross, when it is drawn: only then their sizes are known.
 
-    What is written in the axes besides, as of targets, stays.
+    One that lies above or beside another stays so. What is written in the axes besides, as of targets, stays in place.
     """
 
     def __init__(self, crosses: Points) -> None:
@@ -205,23 +206,60 @@ class _Apart(Artist):
         axes = self.axes
         if axes is None:
             return
-        marks = axes.transData.transform(self._crosses.T)
         point = float(cast(Any, renderer).points_to_pixels(1.0))
-        around = CROSS * point
-        taken = [Bbox([mark - around, mark + around]) for mark in marks]
         names = [text for text in axes.texts if isinstance(text, Annotation) and text.get_label() == NAMED]
-        taken += [text.get_window_extent(renderer) for text in axes.texts if text not in names and text.get_text()]
         for text in names:
-            x, y = text.xyann = self._own.setdefault(text, text.xyann)
-            box = text.get_window_extent(renderer)
-            for k in sorted(range(-LINES, LINES + 1), key=abs):
-                moved = box.translated(0.0, k * box.height)
-                inside = axes.bbox.y0 <= moved.y0 and moved.y1 <= axes.bbox.y1
-                if (inside or not k) and not moved.count_overlaps(taken):
-                    text.xyann = (x, y + k * box.height / point)
-                    box = moved
-                    break
-            taken.append(box)
+            text.xyann = self._own.setdefault(text, text.xyann)
+        written = [text.get_window_extent(renderer) for text in axes.texts if text not in names and text.get_text()]
+        marks = axes.transData.transform(self._crosses.T)
+        written += [Bbox([mark - CROSS * point, mark + CROSS * point]) for mark in marks]
+        named = axes.transData.transform(np.reshape([text.xy for text in names], (-1, 2)))
+        moves = _moves([text.get_window_extent(renderer) for text in names], named, written, axes.bbox) / point
+        for text, (x, y) in zip(names, moves.tolist(), strict=True):
+            text.xyann = self._own[text][0] + x, self._own[text][1] + y
+
+
+def _moves(boxes: Sequence[BboxBase], named: Points, still: Sequence[BboxBase], frame: BboxBase) -> Points:
+    """By how much boxes move, (n, 2), until none is on another or on what stands still, all inside the frame.
+
+    Two that overlap part along the side on which they overlap less, each half the way, in the order of the points
+    (n, 2) that they name.
+    """
+    count = len(boxes)
+    if not count:
+        return np.zeros((0, 2))
+    every = [*boxes, *_merged(still, min(box.height for box in boxes))]
+    low, high = np.array([each.min for each in every]), np.array([each.max for each in every])
+    own, half = (low + high) / 2, (high - low) / 2
+    center, order = own.copy(), np.vstack([named, own[count:]])
+    room = np.maximum(np.array(frame.max) - np.array(frame.min) - 2 * half[:count], 0.0) / 2
+    middle = (np.array(frame.min) + np.array(frame.max)) / 2
+    inside = (np.abs(own[:count] - middle) <= room).all(axis=1)
+    for _ in range(ROUNDS):
+        met = False
+        for i, j in combinations(range(len(every)), 2):
+            over = half[i] + half[j] - np.abs(center[i] - center[j])
+            if i >= count or over.min() <= 0:
+                continue
+            met, k = True, int(over[0] < over[1]) ^ 1
+            sign = 1.0 if (order if j < count else own)[i, k] >= order[j, k] else -1.0
+            away = (half[i, k] + half[j, k] - sign * (center[i, k] - center[j, k]) + SLACK) * sign
+            center[i, k] += away if j >= count else away / 2
+            center[j, k] -= 0.0 if j >= count else away / 2
+        kept = np.clip(center[:count], middle - room, middle + room)
+        center[:count][inside] = kept[inside]
+        if not met:
+            break
+    return center[:count] - own[:count]
+
+
+def _merged(boxes: Sequence[BboxBase], gap: float) -> list[BboxBase]:
+    """Boxes between which there is no room for what is as high as the gap, as one."""
+    found = list[BboxBase]()
+    for box in boxes:
+        near = [other for other in found if other.padded(gap).overlaps(box)]
+        found = [*(other for other in found if other not in near), Bbox.union([box, *near])]
+    return found
 
 
 def _style(*, beside: bool = False) -> dict[str, Any]:

@@ -26,13 +26,21 @@ UNASKED = re.compile(f"^limits of |^singularity margin$| {re.escape(GROUND)}$")
 def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
     """Which limits and constraints a configuration breaks, the target aside, the worst first; empty where none.
 
+    What somebody asked for with its value; of a constraint at several corners of `constraints.within` the worst.
     `asked`: as of `broken_names`.
     """
-    worst = broken_names(problem, z, asked=asked)
+    worst = dict[str, str]()
+    for row in broken_names(problem, z, asked=asked):
+        worst.setdefault(row.partition(WHERE)[0], row)
     if not worst:
         return ""
+    values, told = values_with(problem, z, problem.measures.plant.parameter_values.full().ravel()), list[str]()
+    for name, row in [*worst.items()][:NAMED]:
+        value = None if UNASKED.search(name) else values.get(row)
+        where = row.removeprefix(name)
+        told.append(row if value is None else f"{name}, {value}{where and ','}{where}")
     more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
-    return f"breaks {', '.join(worst[:NAMED])}{more}"
+    return f"breaks {'; '.join(told)}{more}"
 
 
 def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p: Vector | None = None) -> list[str]:

@@ -250,7 +250,10 @@ def test_coordinates_that_hold_the_placement_say_so(machine: flexopt.Machine, tm
         before = header[: header.index("coordinates[")]
         return " ".join(before[before.rindex("/*") :].replace("\n   *", " ").split())
 
-    assert told(machine, "planar").count("; base.x in the inertial frame: at rest where the base is placed") == 1
+    planar = told(machine, "planar")
+    assert planar.count("; base.x in the inertial frame: at rest where the base is placed") == 1
+    assert planar.count("; base.rotation at rest 1.2451") == 1
     spatial = flexopt.load("mobile-manipulator")
     assert isinstance(spatial, flexopt.Tree)
     assert "inertial frame" not in told(spatial, "spatial")
+    assert "at rest" not in told(spatial, "again")

@@ -35,6 +35,9 @@ def test_c_asks_for_what_the_simulation_does(name: str, tmp_path: Path) -> None:
     machine = flexopt.load(shipped)
     report = flexopt.export_c(machine, tmp_path / "bundle", parts=["kinematics"], loop=loop, posture=posture)
     assert report.parts["loop"] == (f"{report.prefix}_loop_step",)
+    source = flexopt.outcome(machine, posture, loop=loop).settings.sources.get("drive")
+    assert f"\n  loop: {repr(flexopt.outcome(machine, posture, loop=loop).settings).splitlines()[0]}" in repr(report)
+    assert source is None or f" ({source})\n" in repr(report)
     run = flexopt.simulate(machine, posture, loop=loop, duration=0.5)
     c, settings, plant = BundleLibrary(report, tmp_path), run.loop, flexopt.build_plant(machine)
     p, rate = plant.parameter_values, []

@@ -18,4 +18,7 @@ def test_panels_of_a_wide_sheet_stand_beside_each_other(count: int, size: object
     bands = [Bands(f"measure {k}", "s", True, rows, "stay", "candidate 1") for k in range(count)]
     figure = plot_verdict(SimpleNamespace(bands=bands, heading="a machine: move"), size=size)  # type: ignore[arg-type]
     assert len(figure.axes) == count
+    # A problem has any name.
+    odd = plot_verdict(SimpleNamespace(bands=bands, heading="bay $\\frac$ 2: move"))  # type: ignore[arg-type]
+    odd.draw_without_rendering()
     assert len({round(axes.get_position().x0, 2) for axes in figure.axes}) == columns

@@ -272,6 +272,26 @@ def test_names_of_obstacles_close_together_lie_on_no_other(selection):
         assert drawn == {text.get_text(): text.xyann for axes in panels for text in axes.texts}
 
 
+@pytest.mark.parametrize("size", ["screen", "paper"])
+def test_names_along_walls_and_of_what_stands_before_them_lie_on_no_other(size):
+    """Of two walls one behind the other and two boxes before them, the higher one's name above."""
+    walls = {"left trench wall": 9.5, "right trench wall": 9.9}
+    boxes = {"a platform edge": (1.0, 2.0), "bracket of the signal": (1.6, 0.3)}
+    obstacles = [
+        {"kind": "half_plane", "name": name, "point": [x, 0.0], "normal": [-1.0, 0.0]} for name, x in walls.items()
+    ]
+    obstacles += [
+        {"kind": "box", "name": name, "center": [9.6, y], "size": [0.3, high]} for name, (y, high) in boxes.items()
+    ]
+    asked = {"clearance": {"distance": 0.05, "obstacles": obstacles}}
+    machine = flexopt.load("boom-stick-bucket")
+    selection = flexopt.select(machine, (6.0, 2.0), base=0.0, constraints=asked, starts=2)
+    figure = selection.plot(size=size)
+    assert faults(figure) == []
+    heights = {text.get_text(): text.get_window_extent().y0 for text in figure.axes[0].texts}
+    assert heights["bracket of the signal"] > heights["a platform edge"]
+
+
 def test_what_goes_on_far_beyond_the_machine_does_not_shrink_it(selection):
     """A wire of 200 m is cut off; names stand in the middle of what is seen, and those at one place are one."""
     shape = shape_of(selection.problem.machine, selection.best.evaluation)

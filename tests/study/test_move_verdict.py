@@ -505,32 +505,6 @@ def test_the_worst_of_margins_is_met_at_whatever_corner_it_is() -> None:
     assert best.swing.greatest >= (1 - 1e-9) * 0.1 * max(each.swing for each in outcomes)
 
 
-def test_why_it_is_no_nearer_place_is_told() -> None:
-    found = judged("article", loop=ARTICLE, members=2, runs=0)
-    (stay, there, other), rest = (found.places[0], found.places[1], found.places[2]), found.places[3:]
-    assert (found.word, found.place) == ("move", there.name)
-
-    def told_of(drive: float, **own: Any) -> str:
-        near = replace(other, drive=drive * there.drive, **own)
-        far = [replace(place, drive=2 * there.drive) for place in rest]
-        return replace(found, places=(stay, there, near, *far)).passed_over
-
-    def decay(least: float) -> Any:
-        return replace(other.decay, least=least)
-
-    begun = f"nearer is {other.name}, by a drive of {0.5 * there.drive:.3g} m: "
-    best = there.decay.least
-    assert told_of(0.5, better=0.94, decay=decay(best)) == (
-        f"{begun}it decays at least 10 % faster on 94 % of the grounds only"
-    )
-    assert told_of(0.5, better=1.0, decay=decay(-0.1)) == f"{begun}it is not stable on every ground"
-    assert told_of(0.5, better=1.0, decay=decay(0.5 * best)) == f"{begun}its slowest decay is {0.5 * best:.3g}/s only"
-    assert told_of(0.5, better=0.05, decay=decay(best)) == ""
-    assert told_of(0.95, better=0.94, decay=decay(best)) == ""
-    assert told_of(1.5, better=0.94, decay=decay(best)) == ""
-    assert replace(found, word="stay", place="stay").passed_over == ""
-
-
 def test_what_is_worse_where_it_moves_is_told() -> None:
     """The word goes by the decay; what else is worse stands beside it, on the page and in the document, too."""
     found = judged("article", loop=ARTICLE, members=2, runs=0)
@@ -726,10 +700,15 @@ def test_a_place_that_cannot_hold_a_heavier_load_is_told() -> None:
             assert place.breaks.endswith(" where payload.mass is 4e+04 kg")
 
 
-def overloaded(place: PlaceVerdict, heaviest: float) -> list[set[str]]:
-    """At each target the joints whose cylinders bear less than what they hold of this load, by `evaluate` alone."""
+def overloaded(place: PlaceVerdict, heaviest: float, times: float = 1.0) -> list[set[str]]:
+    """At each target the joints whose cylinders bear less than what they hold of this load, by `evaluate` alone.
+
+    `times`: of all other masses.
+    """
     data = flexopt.load("boom-stick-bucket").to_dict()
     data["payload"]["mass"] = heaviest
+    for body in (data["base"], *data["links"]):
+        body["mass"] *= times
     heavy = flexopt.machine_from_dict(data)
     pushes, pulls = ({each["name"]: each["force"][k] for each in data["cylinders"]} for k in (1, 0))
     found = list[set[str]]()
@@ -873,6 +852,28 @@ def test_a_broken_constraint_is_told_where_it_is_broken_most() -> None:
         worst = max(off, key=lambda ends: off[ends])
         assert float(told[1]) == pytest.approx(values[worst], rel=5e-4)
         assert told[2] == f"bucket.mass is {worst[1]:g} kg and payload.mass is {worst[0]:g} kg"
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_factors_of_one_number_multiply_where_constraints_are_looked_at(turned: bool) -> None:
+    """Masses known to a tenth, and the payload besides: the heaviest payload is told, whichever comes first."""
+    machine = flexopt.load("boom-stick-bucket")
+    of = [
+        flexopt.Uncertainty(of="payload.mass", factor=(0.5, 4.0)),
+        flexopt.Uncertainty(of="*.mass", factor=(0.9, 1.2)),
+    ]
+    ranges = of[::-1] if turned else of
+    chosen = flexopt.select(machine, (6.0, 2.0), base=0.0, constraints={"holding": 0.9}, starts=4)
+    found = flexopt.verdict(chosen, loop="default", ranges=ranges, members=4, runs=0)
+    load = flexopt.load("boom-stick-bucket").to_dict()["payload"]["mass"]
+    corners = [(factor * times * load, times) for factor, times in product((0.5, 4.0), (0.9, 1.2))]
+    breaking = {
+        place.name: [k for k, at in enumerate(corners) if any(overloaded(place, *at))] for place in found.places
+    }
+    assert any(breaking.values())
+    for place in found.places:
+        assert bool(place.breaks) == bool(breaking[place.name])
+        assert not place.breaks or f"payload.mass is {4.8 * load:g} kg" in place.breaks
 
 
 @pytest.mark.long

@@ -5,6 +5,7 @@ In: decays of the present configuration and of others, on the same members of wh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -46,7 +47,7 @@ RULE = (
     "them at a corner of what is uncertain, where another place keeps them. Where no nonlinear runs were asked for, "
     "they need not confirm. Of several places to move to it is that with the least drive among those "
     f"whose slowest decay is within {100 * FASTER:.0f} % of the best, and of drives within {100 * FASTER:.0f} % of "
-    "the least that to which the base turns least on its way; of several alike in both the fastest."
+    f"the least, and turns of the base on its way within {100 * FASTER:.0f} % of the least of these, the fastest."
 )  # fmt: skip
 
 
@@ -81,11 +82,12 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class Decision:
-    """The word, the place that it speaks of, and the reason in a sentence."""
+    """The word, the place that it speaks of, and the reason in a sentence; and why no nearer one."""
 
     word: Word
     place: str
     reason: str
+    passed_over: str = ""
 
 
 def faster(one: Vector, other: Vector) -> NDArray[np.bool_]:
@@ -145,7 +147,7 @@ def decide(
                 reason = "stable on every ground, which the present place is not"
             reason += f"; slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
         takes = ", ".join(filter(None, [f"a drive of {way(best.drive):.3g} m", best.otherwise]))
-        return Decision("move", best.name, f"{reason}, for {takes}")
+        return Decision("move", best.name, f"{reason}, for {takes}", _passed_over(best, stay, others, unconfirmed))
     if stay is not None and stay.holds and stay.name not in unconfirmed:
         share, rival = _rival(stay, others)
         if share <= 1 - MOST:
@@ -199,12 +201,8 @@ def deciding(decision: Decision, known: Mapping[str, Place], stay: Place | None)
         return f"whether {spoken(place.name)} is stable", np.where(place.decays > 0, 1.0, -1.0)
     if stay is None or place.name == stay.name:
         return f"the decay at {spoken(place.name)}", place.decays
-    better = faster(place.decays, stay.decays)
-    if min(np.count_nonzero(better), np.count_nonzero(~better)) >= SEVERAL:
-        # By how much orders the many grounds on which little is gained or lost, too, which would outvote the others.
-        return f"whether {place.name} {BETTER}", np.where(better, 1.0, -1.0)
-    gained = (place.decays - stay.decays) / np.maximum(np.abs(stay.decays), np.finfo(np.float64).tiny)
-    return f"the share gained by moving to {place.name}", np.maximum(gained, 0.0) - FASTER
+    # By how much orders the many grounds on which little is gained or lost, too, which would outvote the others.
+    return f"whether {place.name} {BETTER}", np.where(faster(place.decays, stay.decays), 1.0, -1.0)
 
 
 def _because(why: str) -> str:
@@ -227,12 +225,37 @@ def _doubted(names: Sequence[str], unconfirmed: Mapping[str, str]) -> str:
 
 def _why_not(rival: Place, share: float, unconfirmed: Mapping[str, str]) -> str:
     """Why a place that is better on many grounds is none to move to."""
-    reason = f"{rival.name} {BETTER} on {100 * share:.0f} % of the grounds"
+    reason = f"{rival.name} {BETTER} on {_percent(share)} of the grounds"
     if not rival.holds:
         return f"{reason}, but not stable on every one"
     if rival.name in unconfirmed:
         return f"{reason}, but nonlinear runs do not confirm it{_because(unconfirmed[rival.name])}"
     return f"{reason}, but not in its worst case" if share >= MOST else f"{reason} only"
+
+
+def _passed_over(best: Place, stay: Place | None, others: Sequence[Place], unconfirmed: Mapping[str, str]) -> str:
+    """Of the nearest place with less to drive that is better than staying on some grounds, why it is not moved to."""
+    near = [place for place in others if place.drive < (1 - FASTER) * best.drive - LEAST_TOLD]
+    some = [place for place in near if stay is None or place.better_than(stay) > 1 - MOST]
+    place = min(some, key=attrgetter("drive"), default=None)
+    if place is None:
+        return ""
+    if not place.holds:
+        why = "is not stable on every ground"
+    elif stay is not None and place.better_than(stay) < MOST:
+        why = f"{BETTER} on {_percent(place.better_than(stay))} of the grounds only"
+    elif place.name in unconfirmed:
+        why = f"nonlinear runs do not confirm it{_because(unconfirmed[place.name])}"
+    elif stay is not None and not _pays(place, stay):
+        why = "not in its worst case"
+    else:
+        why = f"its slowest decay is {place.slowest:.3g}/s only"
+    return f"{place.name} is nearer, {way(place.drive):.3g} m away, but {why}"
+
+
+def _percent(share: float) -> str:
+    """A share; one that is below `MOST` is told as below it."""
+    return f"{math.floor(100 * share + ALIKE) if share < MOST else round(100 * share)} %"
 
 
 def _pays(place: Place, stay: Place) -> bool:

@@ -20,7 +20,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import CORNERED, UncertainLoop, UncertaintyBox
-from flexopt.model.uncertainty import parameters_of, told_numbers
+from flexopt.model.uncertainty import Uncertainty, parameters_of, told_numbers
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.broken import broken, broken_names, resting, values_with
@@ -146,12 +146,13 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
         if broken_names(problem, z, asked=True):
             continue
         whole = _and_within(problem, box)
-        for p in _corners(problem, z, whole):
-            for each in _broken_with(problem, z, p):
+        for theta in _corners(problem, z, whole):
+            for each in _broken_at(problem, z, whole, theta):
                 worst[each.name] = max(worst.get(each.name, each), each, key=lambda one: one.off)
         for name, most in worst.items():
             plain = _plainest(problem, z, whole, most)
-            found.setdefault(told_numbers(box.machine, plain.p.tolist()), {}).setdefault(name, {})[k] = plain.value
+            where = told_numbers(box.machine, whole.numbers_at(plain.theta)[0].tolist())
+            found.setdefault(where, {}).setdefault(name, {})[k] = plain.value
     told = list[str]()
     for where, names in found.items():
         each = [
@@ -165,17 +166,19 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
 
 
 def _and_within(problem: SelectionProblem, box: UncertaintyBox) -> UncertaintyBox:
-    """What is uncertain, and the intervals of `constraints.within` of other numbers."""
-    uncertain = {entry for entries in box.entries for entry in entries}
-    more = [each for each in problem.asked.within or () if uncertain.isdisjoint(parameters_of(each.of, box.machine))]
+    """What is uncertain, and what the intervals of `constraints.within` have of other numbers."""
+    uncertain, more = {entry for entries in box.entries for entry in entries}, list[Uncertainty]()
+    for each in problem.asked.within or ():
+        names = [box.machine.parameters[k].name for k in parameters_of(each.of, box.machine) if k not in uncertain]
+        more += [each.model_copy(update={"of": tuple(names)})] if names else []
     return UncertaintyBox(box.machine, (*box.uncertainty, *more), box.nominal_dead_time)
 
 
 class _Broken(NamedTuple):
-    """What is broken with the numbers p, and its value; none of what is no constraint, as that it stands."""
+    """What is broken at factors and values θ, and its value; none of what is no constraint, as that it stands."""
 
     name: str
-    p: Vector
+    theta: Vector
     value: ConstraintValue | None
 
     @property
@@ -183,50 +186,49 @@ class _Broken(NamedTuple):
         return math.inf if self.value is None else -self.value.room
 
 
-def _broken_with(problem: SelectionProblem, z: Vector, p: Vector) -> list[_Broken]:
+def _broken_at(problem: SelectionProblem, z: Vector, box: UncertaintyBox, theta: Vector) -> list[_Broken]:
+    p = box.numbers_at(theta)[0]
     names = broken_names(problem, z, asked=True, p=p)
     values = values_with(problem, z, p) if names else {}
-    return [_Broken(name, p, values.get(name)) for name in names]
+    return [_Broken(name, theta, values.get(name)) for name in names]
 
 
 def _plainest(problem: SelectionProblem, z: Vector, box: UncertaintyBox, most: _Broken) -> _Broken:
     """As many numbers as near the file's own as the box has them that leave it broken by about as much."""
-    for k, entries in enumerate(box.entries):
-        ends = [_with_end(box, box.nominal, k, end)[entries] for end in (0.0, 1.0)]
-        p = most.p.copy()
-        p[entries] = np.clip(box.nominal[entries], np.minimum(*ends), np.maximum(*ends))
-        alike = (each for each in _broken_with(problem, z, p) if each.name == most.name)
+    for k, own in enumerate(_nearest(box)):
+        theta = most.theta.copy()
+        theta[k] = own
+        alike = (each for each in _broken_at(problem, z, box, theta) if each.name == most.name)
         most = next((each for each in alike if each.off >= AS_MUCH * most.off), most)
     return most
 
 
-def _with_end(box: UncertaintyBox, p: Vector, k: int, end: float) -> Vector:
-    """The numbers p with those of one interval at an end, 0 or 1."""
-    p, entries = p.copy(), box.entries[k]
-    p[entries] = box.numbers(np.where(np.arange(len(box.uncertainty)) == k, end, 0.5))[0][entries]
-    return p
+def _nearest(box: UncertaintyBox) -> Vector:
+    """Factors and values (k,) as near the file's own numbers as the box has them."""
+    own = [1.0 if each.value is None else float(box.nominal[[*entries]].mean()) if entries else box.nominal_dead_time
+           for each, entries in zip(box.uncertainty, box.entries, strict=True)]  # fmt: skip
+    return np.clip(own, *np.array([each.value or each.factor for each in box.uncertainty]).T)
 
 
 def _corners(problem: SelectionProblem, z: Vector, box: UncertaintyBox) -> Iterator[Vector]:
-    """The machine's numbers (n_par,) at corners of the intervals that constraints depend on, the first few of them."""
-    count = len(box.uncertainty)
+    """Factors and values (k,) at corners of the intervals that constraints depend on, the first few of them."""
     scale = np.append(problem.row_bounds[2], [row.scale for row in problem.own_constraints])
+    ends, near = [each.value or each.factor or () for each in box.uncertainty], _nearest(box)
 
-    def values(p: Vector) -> Vector:
+    def values(theta: Vector) -> Vector:
+        p = box.numbers_at(theta)[0]
         return np.append(rows_with(problem, z, p), own_with(problem, z, p)) / scale
 
-    nominal = values(box.nominal)
-    moved = [
-        max(float(np.abs(values(_with_end(box, box.nominal, i, end)) - nominal).max()) for end in (0.0, 1.0))
-        for i in range(count)
-    ]
-    most = sorted(range(count), key=lambda i: -moved[i])[:CORNERED]
+    def at(chosen: Sequence[int], numbers: Sequence[float]) -> Vector:
+        theta = near.copy()
+        theta[[*chosen]] = numbers
+        return theta
+
+    middle = values(near)
+    moved = [max(float(np.abs(values(at([i], [end])) - middle).max()) for end in pair) for i, pair in enumerate(ends)]
+    most = sorted(range(len(ends)), key=lambda i: -moved[i])[:CORNERED]
     chosen = [i for i in most if moved[i] > MOVED]
-    for ends in product((0.0, 1.0), repeat=len(chosen)):
-        p = box.nominal.copy()
-        for i, end in zip(chosen, ends, strict=True):
-            p = _with_end(box, p, i, end)
-        yield p
+    yield from (at(chosen, numbers) for numbers in product(*(ends[i] for i in chosen)))
 
 
 def resting_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> list[tuple[str, ...]]:

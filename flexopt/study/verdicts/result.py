@@ -28,7 +28,7 @@ from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.result import unverified_told
 from flexopt.study.verdicts.confirmation import Runs
-from flexopt.study.verdicts.decision import BETTER, BETWEEN, FASTER, MOST, RULE, Word, gains_in_words, spoken
+from flexopt.study.verdicts.decision import BETWEEN, FASTER, LEAST_TOLD, RULE, Word, gains_in_words, spoken
 from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of
 from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD, allowed, told
 
@@ -172,9 +172,9 @@ class Verdict(Pictured, Printed, Result):
         word: `"move"`, `"stay"`, `"change gains"` or `"cannot tell"`;  sentence: it, with where to and why.
         place: which place it speaks of;  reason: why.
         drawbacks: what is worse by a tenth or more where it sends the machine than where it stands, in the worst case,
-            and what it breaks as every place found does, in words: the word goes by the decay; empty where nothing is.
-        passed_over: where it sends the machine: of a nearer place that is better than the present one on some grounds,
-            why it does not send it there, a sentence; else empty.
+            and what it breaks as every place found does, in words; empty where nothing is.
+        passed_over: where it sends the machine: of the nearest place with less to drive that is better than staying on
+            some grounds, or where there is no staying of any, why it does not send it there; else empty.
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
         gains: those to change to.
         rule: by which the word was found.
@@ -216,6 +216,7 @@ class Verdict(Pictured, Printed, Result):
     present_breaks: str = ""
     exclusions: dict[str, str] = field(default_factory=dict[str, str])
     assumes_ground: bool = False
+    passed_over: str = ""
     name: str = ""
 
     DOCUMENT = """
@@ -242,6 +243,7 @@ class Verdict(Pictured, Printed, Result):
             return no_better
         highest = f"above {self.settings.highest_kp:.4g}"
         compared = (
+            ("decays at {}", "decay", "least", 1.0, "1/s", ""),
             ("settles in {}", "settling", "greatest", 1.0, "s", ""),
             (f"moves the base by {{}} in a move of {MOVE:g} m", "swing", "greatest", 1e3, f"m{there.swing_unit}", ""),
             ("bears Kp up to {}", "allowed_gain", "least", 1.0, self.settings.gain_units[0], highest),
@@ -260,32 +262,6 @@ class Verdict(Pictured, Printed, Result):
                 found.append(f"does not settle in a minute instead of in {before:.4g} s")
         told = f"in the worst case it {', '.join(found)} there" if found else ""
         return "; ".join(filter(None, (told, no_better)))
-
-    @property
-    def passed_over(self) -> str:
-        """See the class."""
-        stay, there = self._stay, next((place for place in self.places if place.name == self.place), None)
-        if self.word != "move" or stay is None or there is None:
-            return ""
-        near = [
-            place
-            for place in self.places
-            if place.drive < (1 - FASTER) * there.drive and place.better > 1 - MOST and place.name not in self.excluded
-        ]
-        why = {place.name: self._why_not(place, there) for place in near if place is not stay}
-        first = next((place for place in sorted(near, key=lambda each: each.drive) if why.get(place.name)), None)
-        return "" if first is None else f"nearer is {first.name}, by a drive of {first.drive:.3g} m: {why[first.name]}"
-
-    def _why_not(self, place: PlaceVerdict, there: PlaceVerdict) -> str:
-        """Why the word sends the machine farther than to a place that is better than the present one somewhere."""
-        if place.decay.least <= 0:
-            return "it is not stable on every ground"
-        if place.better < MOST:
-            return f"it {BETTER} on {100 * place.better:.0f} % of the grounds only"
-        if place.runs is not None and place.runs.confirming < MOST:
-            return "nonlinear runs do not confirm it"
-        slower = place.decay.least < (1 - FASTER) * there.decay.least
-        return f"its slowest decay is {place.decay.least:.3g}/s only" if slower else ""
 
     @property
     def problems(self) -> tuple[SelectionProblem, ...]:
@@ -468,7 +444,13 @@ class Verdict(Pictured, Printed, Result):
             # No one posture is how the arm is held.
             why = "the one that was given is not used" if given else "how the arm is held was not given"
             return f"the postures that are best by {self.selection.objective} at each target: {why}"
-        return "" if given else "a posture that reaches the target: how the arm is held was not given"
+        if given:
+            return ""
+        now = getattr(self.selection, "initial", None)
+        other = now is not None and np.abs(now.posture - self._stay.posture).max() > LEAST_TOLD
+        # See `held_now`.
+        why = ", another than the choice's present one, which breaks constraints" if other else ""
+        return f"a posture that reaches the target{why}: how the arm is held was not given"
 
     @property
     def _stay(self) -> PlaceVerdict | None:

@@ -212,6 +212,7 @@ def verdict(
         word=decision.word,
         place=decision.place,
         reason=decision.reason,
+        passed_over=decision.passed_over,
         measure=_measure(decision, box, points, known, stay) if decision.word == "cannot tell" and known else "",
         gains=gains if decision.word == "change gains" else {},
         places=tuple(bands.values()),
