@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import flexopt
 from flexopt.loop.uncertain import UncertaintyBox, matters_most
 from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, faster, ranked
-from flexopt.study.verdicts.verdict import first_places, fit_places, overlooked, shares_better
+from flexopt.study.verdicts.verdict import first_places, fit_places, overlooked, shares_better, with_barred
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
 
@@ -299,6 +301,26 @@ def test_a_number_that_orders_what_decides_nothing_is_not_to_be_measured(loss: f
 def test_out_of_reach_from_here() -> None:
     assert decide(None, [place("near", GROUNDS)]).word == "move"
     assert decide(None, [place("near", -GROUNDS)]).word == "cannot tell"
+
+
+@pytest.mark.parametrize(
+    ("word", "shares", "told"),
+    [
+        ("stay", {"candidate 1": 0.2, "candidate 2": 1.0, "candidate 3": 1.0}, "candidate 2"),
+        ("cannot tell", {"candidate 1": 0.5}, "candidate 1"),
+        ("stay", {"candidate 1": 0.05}, ""),
+        ("stay", {}, ""),
+        ("move", {"candidate 1": 1.0}, ""),
+    ],
+)
+def test_a_better_place_that_breaks_constraints_somewhere_is_told(
+    word: Any, shares: dict[str, float], told: str
+) -> None:
+    """The first of those that are better on the most grounds."""
+    found = with_barred(Decision(word, "stay", "because"), shares).reason
+    share = 100 * max(shares.values(), default=0.0)
+    better = f"; {told} decays at least 10 % faster on {share:.0f} % of the grounds, but breaks constraints on some: "
+    assert found == "because" + f"{better}constraints.within seeks places that keep them there" * bool(told)
 
 
 def test_why_it_is_no_nearer_place_is_told() -> None:

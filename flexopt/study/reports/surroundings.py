@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
@@ -115,6 +117,9 @@ def marks_in(selection: Selection | Stand | BasePlan, drawn: WorkspaceMap) -> di
                 continue
             first, second = _arm(machine, stand)
             at = dict(zip(machine.task_rows, (first + second).tolist(), strict=True))
+        elif not np.allclose(stand.base, best_of(selection).base):
+            # The map is of the arm on the chosen one's base.
+            continue
         else:
             at = {n: float(x) for n, x in zip(machine.task_rows, stand.end_point, strict=True)}
         marks[name] = at[columns], at[rows]

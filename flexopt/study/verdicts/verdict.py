@@ -38,7 +38,18 @@ from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.asked import any_problem
 from flexopt.study.verdicts.confirmation import Runs
-from flexopt.study.verdicts.decision import FASTER, MOST, Decision, Place, decide, deciding, faster, ranked, spoken
+from flexopt.study.verdicts.decision import (
+    BETTER,
+    FASTER,
+    MOST,
+    Decision,
+    Place,
+    decide,
+    deciding,
+    faster,
+    ranked,
+    spoken,
+)
 from flexopt.study.verdicts.gain_search import best_gains, tried_gains
 from flexopt.study.verdicts.place_loops import (
     Chosen,
@@ -202,7 +213,8 @@ def verdict(
         most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
         sought=_sought(chosen),
     )  # fmt: skip
-    decision = _with_present(decision, absent if stay is None else "", chosen, held.get(STAY))
+    barred = {name: shares[name] for name in others if STAY in fit and name not in fit}
+    decision = _with_present(with_barred(decision, barred), absent if stay is None else "", chosen, held.get(STAY))
     bands = _each(told, lambda name: _place(
         name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name], drives[name],
         shown.get(name), chosen, within[name],
@@ -301,6 +313,20 @@ def _with_present(
     off = float(np.linalg.norm(reached(problem, z) - problem.target))
     beside = f"staying is judged as the arm is held now, the end-point {off:.3g} m off its target"
     return replace(decision, reason=f"{decision.reason}; {beside}; without a posture it is judged at the target")
+
+
+def with_barred(decision: Decision, shares: Mapping[str, float]) -> Decision:
+    """The decision to stay, or that it cannot be told, with the best of the places that break constraints somewhere.
+
+    `shares`: of the grounds on which each of these is better than the present one.
+    """
+    name = max(shares, key=lambda each: shares[each], default="")
+    if decision.word not in ("stay", "cannot tell") or not name or shares[name] <= 1 - MOST:
+        return decision
+    barred = f"{name} {BETTER} on {100 * shares[name]:.0f} % of the grounds, but breaks constraints on some"
+    return replace(
+        decision, reason=f"{decision.reason}; {barred}: constraints.within seeks places that keep them there"
+    )
 
 
 def _refuted(changed: tuple[Place, PlaceLoops] | None, members: Vector, duration: float | None) -> str:
