@@ -100,7 +100,7 @@ def test_values_are_those_of_evaluate() -> None:
         assert place.delay_margin.nominal == pytest.approx(alone.delay_margin, nan_ok=True)
         assert place.swing.nominal == pytest.approx(0.1 * alone.swing, nan_ok=True)
         assert place.runs is None
-    assert "turn of the base, of a move by 0.1 m" in repr(found)
+    assert "swing of the base, of a move by 0.1 m" in repr(found)
 
 
 @pytest.mark.long
@@ -192,7 +192,7 @@ def test_a_place_that_is_not_allowed_is_none_to_stay_at(tmp_path: Path) -> None:
     trench = [float(best.base[0]) - 0.3, float(best.base[0]) + 0.4]
     found = flexopt.verdict(machine, target, loop=loop, constraints={"keep_out": [trench]}, **there)
     assert found.word == "move"
-    breaks = "breaks distance from keep_out[0]"
+    breaks = "breaks distance from keep_out[0], -0.3 m (at least 0 m)"
     assert found.reason.startswith(f"the present place {breaks}, for a drive of ")
     place = next(place for place in found.places if place.name == found.place)
     assert not trench[0] < place.base[0] < trench[1]
