@@ -195,8 +195,9 @@ def _broken_at(problem: SelectionProblem, z: Vector, box: UncertaintyBox, theta:
 
 def _plainest(problem: SelectionProblem, z: Vector, box: UncertaintyBox, most: _Broken) -> _Broken:
     """As many numbers as near the file's own as the box has them that leave it broken by about as much."""
-    for k, own in enumerate(_nearest(box)):
-        theta = most.theta.copy()
+    near = _nearest(box)
+    for k in np.flatnonzero(most.theta != near).tolist():
+        theta, own = most.theta.copy(), near[k]
         theta[k] = own
         alike = (each for each in _broken_at(problem, z, box, theta) if each.name == most.name)
         most = next((each for each in alike if each.off >= AS_MUCH * most.off), most)
