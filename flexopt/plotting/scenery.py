@@ -36,11 +36,10 @@ MUST_NOT = {
 TRACE = 0.05
 # Of an obstacle larger than all else, so much is seen beside that, as a share of it.
 AROUND = 0.5
-# Names that lie within such a share of the picture of each other are one; within such shares across, below and above a
-# target, whose own name stands there, they stand so many points farther from it.
-TOGETHER, BESIDE, UNDER, OVER, ASIDE = 0.03, 0.08, 0.05, 0.09, 16.0
-# What is seen no higher than a name, by this share of the picture, has it beside it.
-FLAT = 0.05
+# Names that lie within such a share of the picture of each other are one.
+TOGETHER = 0.03
+# What is seen no higher than a name, by this share of the picture, has it so many points below it.
+FLAT, BELOW = 0.05, 16.0
 # By such a share of the picture the name of a half-plane moves along its border.
 ALONG = 0.15
 # So often names are parted, each time to so many pixels from each other.
@@ -68,12 +67,8 @@ def draw_scenery(
         _draw_obstacle(axes, view, obstacle, crosses, limits)
     whole = float(np.ptp(limits, axis=1).max())
     for text, middle, height_seen in _names(view, constraints, limits):
-        across, up = middle[:, None] - crosses
-        near = (np.abs(across) < BESIDE * whole) & (-UNDER * whole < up) & (up < OVER * whole)
-        over = near.any() and float(up[near].min()) > UNDER / 2 * whole
-        beside = near.any() or height_seen < FLAT * whole
-        away = (0.0, ASIDE if over else -ASIDE) if beside else (0.0, 0.0)
-        _name(axes, text, middle, xytext=away, textcoords="offset points")
+        away = -BELOW if height_seen < FLAT * whole else 0.0
+        _name(axes, text, middle, xytext=(0.0, away), textcoords="offset points")
     axes.add_artist(_Apart(crosses))
     for areas, color, label in (
         (constraints.region, inks.allowed, MAY[holds]),

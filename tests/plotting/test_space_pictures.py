@@ -248,6 +248,8 @@ def test_a_name_of_an_obstacle_does_not_lie_on_a_target(selection, away, aside):
         axes = Figure().add_subplot()
         middle = view.of(np.array(tank["center"]))
         draw_scenery(axes, view, asked, 0.0, "footprint", np.add(middle, [away, 0.0])[:, None], LIMITS)
+        axes.set(xlim=LIMITS[0], ylim=LIMITS[1])
+        axes.figure.draw_without_rendering()
         (name,) = axes.texts
         assert (name.xyann != (0.0, 0.0)) == aside
 

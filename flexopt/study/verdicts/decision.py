@@ -46,8 +46,9 @@ RULE = (
     "breaks constraints that were asked for is none to stay at, and is not among the places; nor is one that breaks "
     "them at a corner of what is uncertain, where another place keeps them. Where no nonlinear runs were asked for, "
     "they need not confirm. Of several places to move to it is that with the least drive among those "
-    f"whose slowest decay is within {100 * FASTER:.0f} % of the best, and of drives within {100 * FASTER:.0f} % of "
-    f"the least, and turns of the base on its way within {100 * FASTER:.0f} % of the least of these, the fastest."
+    f"whose slowest decay is within {100 * FASTER:.0f} % of the best, and of drives within {100 * FASTER:.0f} % and "
+    f"{1e3 * LEAST_TOLD:.0f} mm of the least, and turns of the base on its way within {100 * FASTER:.0f} % and "
+    f"{1e3 * LEAST_TOLD:.0f} mrad of the least of these, the fastest."
 )  # fmt: skip
 
 
