@@ -8,6 +8,7 @@ In: names with their least, nominal and greatest values. Out: figures, one for e
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +16,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from flexopt.foundation.escapes import mathtext
+from flexopt.foundation.escapes import TITLE_MAX, mathtext
 from flexopt.foundation.palette import colors
 from flexopt.plotting.sheet import SettledLayout, Sheet, open_frame, picture, themed
 from flexopt.plotting.ticks import DECADES, between_powers, shown
@@ -26,6 +27,7 @@ LOG_FROM = 20.0
 WIDTH = 3.9  # inches
 # Panels of a verdict beside each other: below each other, or in rows on a sheet that is wider than high.
 COLUMNS = (1, 2, 3)
+LETTERS = 12  # of a title, on an inch
 VEIL = 0.16  # of the colour of what grows, over where it does
 
 
@@ -94,7 +96,7 @@ def _draw_all(sheet: Sheet, result: Any, columns: int) -> None:
     count = math.ceil(len(result.bands) / columns)
     for k, each in enumerate(result.bands):
         _draw(sheet.only() if len(result.bands) == 1 else sheet.figure.add_subplot(count, columns, k + 1), each)
-    sheet.title(mathtext(result.heading))
+    sheet.title(textwrap.fill(mathtext(result.heading, TITLE_MAX), int(LETTERS * sheet.size[0])))
 
 
 def _height(bands: Bands) -> float:

@@ -184,7 +184,7 @@ def _name(axes: Axes, text: str, at: Points, **placed: Any) -> None:
 
 
 class _Apart(Artist):
-    """Moves names until none is on another or on a cross, when it is drawn: only then their sizes are known.
+    """Moves names off each other and off crosses, when it is drawn: only then their sizes are known.
 
     One that lies above or beside another stays so. What is written in the axes besides, as of targets, stays in place.
     """
@@ -215,7 +215,9 @@ class _Apart(Artist):
 
 
 def _moves(boxes: Sequence[BboxBase], named: Points, still: Sequence[BboxBase], frame: BboxBase) -> Points:
-    """By how much boxes move, (n, 2), until none is on another or on what stands still, all inside the frame.
+    """By how much boxes move, (n, 2), to be on no other and on nothing that stands still, all inside the frame.
+
+    In a crowd some may still be on others after `ROUNDS`.
 
     Two that overlap part along the side on which they overlap less, each half the way, in the order of the points
     (n, 2) that they name.

@@ -30,8 +30,8 @@ def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
     `asked`: as of `broken_names`.
     """
     worst = dict[str, str]()
-    for row in broken_names(problem, z, asked=asked):
-        worst.setdefault(row.partition(WHERE)[0], row)
+    for row, corner in _broken(problem, z, asked=asked).items():
+        worst.setdefault(row.removesuffix(corner), row)
     if not worst:
         return ""
     values, told = values_with(problem, z, problem.measures.plant.parameter_values.full().ravel()), list[str]()
@@ -46,25 +46,33 @@ def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
 def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p: Vector | None = None) -> list[str]:
     """Names of the limits and constraints that a configuration breaks, the target aside, the worst first.
 
+    What is no number, as where a linkage does not close, is broken, too.
     `asked`: of those alone that somebody asked for: no limits, no margin from singular postures, no assumed ground.
     `p`: the machine's numbers, where they may be others; corners of `constraints.within` have numbers of their own.
     """
+    return [*_broken(problem, z, asked=asked, p=p)]
+
+
+def _broken(problem: SelectionProblem, z: Vector, *, asked: bool = False, p: Vector | None = None) -> dict[str, str]:
+    """`broken_names`, each with the end of it that tells at which corner of `constraints.within` it is so."""
     outside: Vector = np.maximum(problem.lower - z, z - problem.upper) / problem.scale
     rows = np.abs(beyond_bounds(problem, z, p))[problem.target.size :]
-    falls = falls_within(problem, z) if p is None else not_standing(problem.quantities, z, p)
-    if falls and p is not None:
+    falls = falls_within(problem, z) if p is None else {}
+    if p is not None and (falls := not_standing(problem.quantities, z, p)):
         # What else it would break is no number.
-        return [*falls]
-    away = np.concatenate([outside, rows, beyond_own(problem, z, p), [*falls.values()]])
-    names = [f"limits of {variable.name}" for variable in problem.variables]
-    names += [row.name for row in problem.constraints[problem.target.size :]]
-    names += [*(row.name for row in problem.own_constraints), *falls]
-    order: list[int] = np.argsort(-away, kind="stable").tolist()
+        return dict.fromkeys(falls, "")
+    found = [*outside, *rows, *beyond_own(problem, z, p), *falls.values()]
+    away = np.nan_to_num(found, nan=np.inf, posinf=np.inf)
+    names = [(f"limits of {variable.name}", "") for variable in problem.variables]
+    names += [(row.name, row.corner) for row in problem.constraints[problem.target.size :]]
+    names += [(row.name, "") for row in problem.own_constraints]
+    names += [(name, WHERE + name.partition(WHERE)[2]) for name in falls]
     unasked = [
-        (asked and UNASKED.search(name.partition(WHERE)[0])) or (p is not None and WHERE in name) for name in names
+        (asked and UNASKED.search(name.removesuffix(corner))) or (p is not None and corner) for name, corner in names
     ]
+    order: list[int] = np.argsort(-away, kind="stable").tolist()
     # Several rows may be one constraint.
-    return list(dict.fromkeys(names[k] for k in order if away[k] > BROKEN and not unasked[k]))
+    return dict(names[k] for k in order if away[k] > BROKEN and not unasked[k])
 
 
 def falls_within(problem: SelectionProblem, z: Vector) -> dict[str, float]:
@@ -104,7 +112,7 @@ def values_with(problem: SelectionProblem, z: Vector, p: Vector) -> dict[str, Co
     found = dict[str, ConstraintValue]()
     for row, x in zip(rows, np.append(rows_with(problem, z, p), own_with(problem, z, p)).tolist(), strict=True):
         value = ConstraintValue(x, row.lower, row.upper, row.unit)
-        found[row.name] = min(found.get(row.name, value), value, key=lambda each: each.room)
+        found[row.name] = min(found.get(row.name, value), value, key=lambda each: each.least_room)
     return found
 
 

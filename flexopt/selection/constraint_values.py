@@ -40,6 +40,11 @@ class ConstraintValue:
         return min(self.value - self.lower, self.upper - self.value)
 
     @property
+    def least_room(self) -> float:
+        """`room`, below all others where the value is no number."""
+        return -math.inf if math.isnan(self.value) else self.room
+
+    @property
     def nearness(self) -> float:
         """What rows of one kind are compared by: between two bounds the room as a share of them, else in `unit`.
 
@@ -57,6 +62,8 @@ class ConstraintValue:
         return f"at {'least' if low else 'most'} {number(self.lower if low else self.upper)} {unit}".rstrip()
 
     def __str__(self) -> str:
+        if math.isnan(self.value):
+            return f"no number ({self.allowed('{:z.4g}'.format, self.unit)})"
         digits = 4
         if -self.room > BEYOND * self._size:
             # What breaks a bound is not told as the bound itself.
@@ -82,14 +89,20 @@ def by_kind(names: Iterable[str]) -> dict[str, list[str]]:
 def resting_told(names: Sequence[str]) -> list[str]:
     """Names of what a configuration rests on, one for all corners of `constraints.within` at which it does."""
     told = list[str]()
-    kinds = [name.partition(WHERE)[0] for name in names]
+    kinds = list(map(_own_name, names))
     for kind in dict.fromkeys(kinds):
         of_kind = [name for name, own in zip(names, kinds, strict=True) if own == kind]
-        corners = len([name for name in of_kind if WHERE in name])
+        corners = len([name for name in of_kind if name != kind])
         also = "at" if corners == len(of_kind) else "also at"
         many = f"{kind} ({also} {counted(corners, 'corner')} of within)"
         told.append(of_kind[0] if len(of_kind) == 1 else many)
     return told
+
+
+def _own_name(name: str) -> str:
+    """A constraint's name without the corner of `constraints.within`, "… where payload.mass is 900 kg"."""
+    own, _, corner = name.rpartition(WHERE)
+    return own if own and " is " in corner else name
 
 
 def nearest_told(asked: Constraints, places: Sequence[dict[str, ConstraintValue]]) -> str:

@@ -17,6 +17,7 @@ from flexopt.plotting.workspace import plot_quantities
 from flexopt.study import page
 from flexopt.study.reports.page import _placed as placed
 from flexopt.study.reports.page import report_html
+from flexopt.study.reports.surroundings import marks_in, surroundings
 from tests.cli.command import Command
 from tests.oracles.spatial import in_space
 
@@ -119,6 +120,15 @@ def test_marks_are_where_the_machine_is(article):
     for name, stand in article.stands.items():
         joint, tip = stand.skeleton[:, 1], stand.skeleton[:, -1]
         np.testing.assert_allclose(article.marks[name], tip - joint, atol=1e-12)
+
+
+@pytest.mark.parametrize("site", [0.0, 5e5])
+def test_a_map_of_another_base_marks_no_configuration_of_this_one(site):
+    """Of an arm whose end-points are mapped as its base stands, at coordinates of a site, too."""
+    chosen = flexopt.select(flexopt.load("boom-stick-bucket"), (7.0 + site, 1.0), base=site, starts=2)
+    assert chosen.initial is not None
+    assert abs(chosen.initial.base - chosen.best.evaluation.base).max() > 0.1
+    assert [*marks_in(chosen, surroundings(chosen, 4))] == ["chosen"]
 
 
 @pytest.mark.long

@@ -65,7 +65,8 @@ def corner_groups(
         for ends in product((0, 1), repeat=len(moving)):
             p = _with_ends(machine, [within[i] for i in moving], ends)
             if where := told_numbers(machine, p.tolist()):
-                rows = tuple(replace(group.rows[k], name=group.rows[k].name + WHERE + where) for k in kept)
+                corner = WHERE + where
+                rows = tuple(replace(group.rows[k], name=group.rows[k].name + corner, corner=corner) for k in kept)
                 shape = (group.kind, group.shape, tuple(entries), kept)
                 found.append(Group(KIND, shape, (*p[entries].tolist(), *group.constants), rows))
     return found

@@ -22,13 +22,17 @@ SAGS = 4
 
 @dataclass(frozen=True)
 class ScaledConstraint:
-    """A constraint lower ≤ c(z) ≤ upper, in `unit`; c is divided by `scale` before a solver sees it."""
+    """A constraint lower ≤ c(z) ≤ upper, in `unit`; c is divided by `scale` before a solver sees it.
+
+    `corner`: at which other numbers of the machine's, as it stands at the end of the name; empty with its own.
+    """
 
     name: str
     unit: str
     lower: float
     upper: float
     scale: float = 1.0
+    corner: str = ""
 
 
 @dataclass(frozen=True)

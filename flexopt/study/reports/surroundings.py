@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.rounding import WAY
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.robustness import Evaluation
@@ -117,7 +118,7 @@ def marks_in(selection: Selection | Stand | BasePlan, drawn: WorkspaceMap) -> di
                 continue
             first, second = _arm(machine, stand)
             at = dict(zip(machine.task_rows, (first + second).tolist(), strict=True))
-        elif not np.allclose(stand.base, best_of(selection).base):
+        elif np.abs(stand.base - best_of(selection).base).max() > WAY:
             # The map is of the arm on the chosen one's base.
             continue
         else:

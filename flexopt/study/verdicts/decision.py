@@ -5,7 +5,6 @@ In: decays of the present configuration and of others, on the same members of wh
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -143,7 +142,7 @@ def decide(
     if best is not None:
         reason = absent
         if stay is not None:
-            reason = f"{BETTER} on {100 * best.better_than(stay):.0f} % of the grounds"
+            reason = f"{BETTER} on {percent(best.better_than(stay))} of the grounds"
             if not stay.holds:
                 reason = "stable on every ground, which the present place is not"
             reason += f"; slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
@@ -153,14 +152,14 @@ def decide(
         share, rival = _rival(stay, others)
         if share <= 1 - MOST:
             most = max(share, most)
-            where = f"more than {100 * most:.0f} % of the grounds" if most else "any ground"
+            where = f"more than {percent(most)} of the grounds" if most else "any ground"
             reason = f"{found} {BETTER} on {where}"
             return Decision("stay", stay.name, f"{reason}; slowest decay here {stay.slowest:.3g}/s")
         return Decision("cannot tell", rival.name, _why_not(rival, share, unconfirmed))
     if stay is not None and sound:
         first = _near(_slowest_alike(sound))
         share = first.better_than(stay)
-        where = f"on {100 * share:.0f} % of the grounds only" if share else "on none that was looked at"
+        where = f"on {percent(share)} of the grounds only" if share else "on none that was looked at"
         reason = f"{first.name} is stable on every ground, and the present place is not, but {BETTER} {where}"
         if stay.holds:
             reason = f"nonlinear runs do not confirm the present place{_because(unconfirmed[stay.name])}, and "
@@ -226,7 +225,7 @@ def _doubted(names: Sequence[str], unconfirmed: Mapping[str, str]) -> str:
 
 def _why_not(rival: Place, share: float, unconfirmed: Mapping[str, str]) -> str:
     """Why a place that is better on many grounds is none to move to."""
-    reason = f"{rival.name} {BETTER} on {_percent(share)} of the grounds"
+    reason = f"{rival.name} {BETTER} on {percent(share)} of the grounds"
     if not rival.holds:
         return f"{reason}, but not stable on every one"
     if rival.name in unconfirmed:
@@ -236,7 +235,7 @@ def _why_not(rival: Place, share: float, unconfirmed: Mapping[str, str]) -> str:
 
 def _passed_over(best: Place, stay: Place | None, others: Sequence[Place], unconfirmed: Mapping[str, str]) -> str:
     """Of the nearest place with less to drive that is better than staying on some grounds, why it is not moved to."""
-    near = [place for place in others if place.drive < (1 - FASTER) * best.drive - LEAST_TOLD]
+    near = [place for place in others if _nearer(place, best)]
     some = [place for place in near if stay is None or place.better_than(stay) > 1 - MOST]
     place = min(some, key=attrgetter("drive"), default=None)
     if place is None:
@@ -244,7 +243,7 @@ def _passed_over(best: Place, stay: Place | None, others: Sequence[Place], uncon
     if not place.holds:
         why = "is not stable on every ground"
     elif stay is not None and place.better_than(stay) < MOST:
-        why = f"{BETTER} on {_percent(place.better_than(stay))} of the grounds only"
+        why = f"{BETTER} on {percent(place.better_than(stay))} of the grounds only"
     elif place.name in unconfirmed:
         why = f"nonlinear runs do not confirm it{_because(unconfirmed[place.name])}"
     elif stay is not None and not _pays(place, stay):
@@ -254,9 +253,14 @@ def _passed_over(best: Place, stay: Place | None, others: Sequence[Place], uncon
     return f"{place.name} is nearer, {way(place.drive):.3g} m away, but {why}"
 
 
-def _percent(share: float) -> str:
-    """A share; one that is below `MOST` is told as below it."""
-    return f"{math.floor(100 * share + ALIKE) if share < MOST else round(100 * share)} %"
+def percent(share: float) -> str:
+    """A share with so many digits that it is told on its own side of what the rule goes by, and of none and all."""
+
+    def side(x: float) -> tuple[bool, ...]:
+        return x > 0, x > 1 - MOST, x >= MOST, x >= 1
+
+    told = (f"{100 * share:.{digits}f}" for digits in range(17))
+    return f"{next(each for each in told if side(float(each) / 100) == side(share))} %"
 
 
 def _pays(place: Place, stay: Place) -> bool:
@@ -289,6 +293,11 @@ def _near(places: Sequence[Place]) -> Place:
     return min(_slowest_alike(places), key=lambda place: (len(place.name), place.name))
 
 
+def _nearer(place: Place, other: Place) -> bool:
+    """Whether it has less to drive, by more than what is one."""
+    return place.drive < (1 - FASTER) * other.drive - LEAST_TOLD
+
+
 def _best(moves: Sequence[Place]) -> Place | None:
     """The least drive among those whose slowest decay is within a tenth of the best."""
     if not moves:
@@ -300,7 +309,7 @@ def _best(moves: Sequence[Place]) -> Place | None:
 def _spares(changed: Place, stay: Place | None, best: Place | None, sound: Sequence[Place]) -> bool:
     """Whether other gains are worth more than what can be had with these, in any place."""
     if best is not None:
-        return changed.slowest >= best.slowest and changed.drive < best.drive
+        return changed.slowest >= best.slowest and _nearer(changed, best)
     had = [place.slowest for place in (*sound, *([stay] if stay is not None and stay.holds else []))]
     return not had or bool(faster(np.array(changed.slowest), np.array(max(had))))
 
@@ -321,7 +330,7 @@ def _why_gains(
         return f"{reason}, with the present ones {had.slowest:.3g}/s at most, at {spoken(had.name)}"
     if sound and stay is not None:
         rival = max(sound, key=lambda place: place.better_than(stay))
-        share = f"{BETTER} than the present place on {100 * rival.better_than(stay):.0f} % of them only"
+        share = f"{BETTER} than the present place on {percent(rival.better_than(stay))} of them only"
         return f"{reason}; with the present ones {rival.name} is stable on every ground, too, but {share}"
     if doubts:
         one = len(doubts) == 1

@@ -16,7 +16,7 @@ from flexopt.foundation.rounding import way
 from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
 from flexopt.study.page import PageTable, Picture, begun, coordinate, number, picture, sentence, with_minus
-from flexopt.study.verdicts.decision import BETTER
+from flexopt.study.verdicts.decision import BETTER, percent
 from flexopt.study.verdicts.places import MOVE, STAY, allowed, told
 
 if TYPE_CHECKING:
@@ -213,8 +213,8 @@ def _places(verdict: Verdict) -> PageTable:
     rows = [
         [
             place.name, "" if place.name == STAY else told(way(place.drive), 1.0, " m"),
-            *(_worst(place, m).text for m in shown), f"{100 * place.stable_share:.0f} %",
-            "" if place.name == STAY or math.isnan(place.better) else f"{100 * place.better:.0f} %", place.shown_runs,
+            *(_worst(place, m).text for m in shown), percent(place.stable_share),
+            "" if place.name == STAY or math.isnan(place.better) else percent(place.better), place.shown_runs,
         ]
         for place in verdict.places
     ]  # fmt: skip

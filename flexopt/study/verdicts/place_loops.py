@@ -7,30 +7,26 @@ several targets the worst counts.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from flexopt.errors import NoSolutionFound, UnreachableTarget
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.plain import listed
 from flexopt.loop.settings import LoopSettings
-from flexopt.loop.uncertain import CORNERED, UncertainLoop, UncertaintyBox
-from flexopt.model.uncertainty import Uncertainty, parameters_of, told_numbers
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
-from flexopt.selection.broken import broken, broken_names, resting, values_with
-from flexopt.selection.constraint_values import ConstraintValue
-from flexopt.selection.constraints.corners import WHERE
+from flexopt.selection.broken import broken, resting
 from flexopt.selection.continua import unwound, way_to
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
 from flexopt.selection.outcomes.result import ChosenByLoop, OutcomeSelection
-from flexopt.selection.problem import own_with, rows_with, value_at
+from flexopt.selection.problem import value_at
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import held_by_loop
@@ -47,10 +43,6 @@ Configurations = tuple[Evaluation, ...]
 LOOKED = 12
 # So many times the usual number of postures is looked at where a placement is given.
 FINER = 6
-# A constraint is broken by about as much where by this share.
-AS_MUCH = 0.99
-# What moves constraints by less, of their scale, does not matter to them.
-MOVED = 1e-9
 # From so many of these the objective is climbed.
 CLIMBED = 16
 
@@ -121,115 +113,6 @@ def chosen_gains(chosen: Chosen) -> dict[str, float]:
     if isinstance(chosen, OutcomeSelection):
         return dict(chosen.gains[0])
     return chosen.gains if isinstance(chosen, ByLoop) else {}
-
-
-def broken_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:
-    """Which constraints that were asked for a place breaks, (base, posture) at each target: "breaks …", or nothing."""
-    pairs = zip(problems_of(chosen), map(np.concatenate, stand), strict=True)
-    found = [broken(problem, z, asked=True) for problem, z in pairs]
-    of_loop = chosen.loops_break(stand) if isinstance(chosen, ChosenByLoop) else [""] * len(found)
-    each = ["; ".join(filter(None, both)) for both in zip(found, of_loop, strict=True)]
-    if len(each) == 1:
-        return each[0]
-    return "; ".join(f"{sentence} at target {k}" for k, sentence in enumerate(each, start=1) if sentence)
-
-
-def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: UncertaintyBox) -> str:
-    """Which constraints that were asked for a place keeps with the file's numbers and breaks at a corner of the box.
-
-    Each at the corner at which it is broken most. Choices keep those of statics, as of what joints hold, and the
-    user's own, with the file's payload.
-    """
-    found = dict[str, dict[str, dict[int, ConstraintValue | None]]]()
-    for k, (problem, at) in enumerate(zip(problems_of(chosen), stand, strict=True), start=1):
-        z, worst = np.concatenate(at), dict[str, _Broken]()
-        if broken_names(problem, z, asked=True):
-            continue
-        whole = _and_within(problem, box)
-        for theta in _corners(problem, z, whole):
-            for each in _broken_at(problem, z, whole, theta):
-                worst[each.name] = max(worst.get(each.name, each), each, key=lambda one: one.off)
-        for name, most in worst.items():
-            plain = _plainest(problem, z, whole, most)
-            where = told_numbers(box.machine, whole.numbers_at(plain.theta)[0].tolist())
-            found.setdefault(where, {}).setdefault(name, {})[k] = plain.value
-    told = list[str]()
-    for where, names in found.items():
-        each = [
-            name
-            + (f" at target {listed(map(str, at))}" if 1 < len(stand) > len(at) else "")
-            + "".join(f", {value}" for value in sorted(filter(None, at.values()), key=lambda x: x.room)[:1])
-            for name, at in names.items()
-        ]
-        told.append(f"breaks {'; '.join(each)},{WHERE}{where}")
-    return "; ".join(told)
-
-
-def _and_within(problem: SelectionProblem, box: UncertaintyBox) -> UncertaintyBox:
-    """What is uncertain, and what the intervals of `constraints.within` have of other numbers."""
-    uncertain, more = {entry for entries in box.entries for entry in entries}, list[Uncertainty]()
-    for each in problem.asked.within or ():
-        names = [box.machine.parameters[k].name for k in parameters_of(each.of, box.machine) if k not in uncertain]
-        more += [each.model_copy(update={"of": tuple(names)})] if names else []
-    return UncertaintyBox(box.machine, (*box.uncertainty, *more), box.nominal_dead_time)
-
-
-class _Broken(NamedTuple):
-    """What is broken at factors and values θ, and its value; none of what is no constraint, as that it stands."""
-
-    name: str
-    theta: Vector
-    value: ConstraintValue | None
-
-    @property
-    def off(self) -> float:
-        return math.inf if self.value is None else -self.value.room
-
-
-def _broken_at(problem: SelectionProblem, z: Vector, box: UncertaintyBox, theta: Vector) -> list[_Broken]:
-    p = box.numbers_at(theta)[0]
-    names = broken_names(problem, z, asked=True, p=p)
-    values = values_with(problem, z, p) if names else {}
-    return [_Broken(name, theta, values.get(name)) for name in names]
-
-
-def _plainest(problem: SelectionProblem, z: Vector, box: UncertaintyBox, most: _Broken) -> _Broken:
-    """As many numbers as near the file's own as the box has them that leave it broken by about as much."""
-    near = _nearest(box)
-    for k in np.flatnonzero(most.theta != near).tolist():
-        theta, own = most.theta.copy(), near[k]
-        theta[k] = own
-        alike = (each for each in _broken_at(problem, z, box, theta) if each.name == most.name)
-        most = next((each for each in alike if each.off >= AS_MUCH * most.off), most)
-    return most
-
-
-def _nearest(box: UncertaintyBox) -> Vector:
-    """Factors and values (k,) as near the file's own numbers as the box has them."""
-    own = [1.0 if each.value is None else float(box.nominal[[*entries]].mean()) if entries else box.nominal_dead_time
-           for each, entries in zip(box.uncertainty, box.entries, strict=True)]  # fmt: skip
-    return np.clip(own, *np.array([each.value or each.factor for each in box.uncertainty]).T)
-
-
-def _corners(problem: SelectionProblem, z: Vector, box: UncertaintyBox) -> Iterator[Vector]:
-    """Factors and values (k,) at corners of the intervals that constraints depend on, the first few of them."""
-    scale = np.append(problem.row_bounds[2], [row.scale for row in problem.own_constraints])
-    ends, near = [each.value or each.factor or () for each in box.uncertainty], _nearest(box)
-
-    def values(theta: Vector) -> Vector:
-        p = box.numbers_at(theta)[0]
-        return np.append(rows_with(problem, z, p), own_with(problem, z, p)) / scale
-
-    def at(chosen: Sequence[int], numbers: Sequence[float]) -> Vector:
-        theta = near.copy()
-        theta[[*chosen]] = numbers
-        return theta
-
-    middle = values(near)
-    moved = [max(float(np.abs(values(at([i], [end])) - middle).max()) for end in pair) for i, pair in enumerate(ends)]
-    most = sorted(range(len(ends)), key=lambda i: -moved[i])[:CORNERED]
-    chosen = [i for i in most if moved[i] > MOVED]
-    yield from (at(chosen, numbers) for numbers in product(*(ends[i] for i in chosen)))
 
 
 def resting_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> list[tuple[str, ...]]:

@@ -192,7 +192,7 @@ class Verdict(Pictured, Printed, Result):
         present_breaks: which constraints that were asked for staying does not keep, "breaks …"; empty where it keeps
             them.
         exclusions: by name of candidates to which the word does not send, for they break constraints on some ground
-            and another place does not: what each of them breaks, by how much at most, and where, "breaks …".
+            and another place does not: what each of them breaks, at the worst of the corners looked at, "breaks …".
         assumes_ground: whether nobody said what is uncertain, so that `uncertainty` is the usual one of springs.
         name: of the problem's file, or empty.
 

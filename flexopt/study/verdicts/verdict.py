@@ -37,6 +37,7 @@ from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.asked import any_problem
+from flexopt.study.verdicts.broken_places import broken_at, broken_within
 from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import (
     BETTER,
@@ -47,6 +48,7 @@ from flexopt.study.verdicts.decision import (
     decide,
     deciding,
     faster,
+    percent,
     ranked,
     spoken,
 )
@@ -57,8 +59,6 @@ from flexopt.study.verdicts.place_loops import (
     PlaceLoops,
     Slowest,
     besides_driving,
-    broken_at,
-    broken_within,
     chosen_gains,
     configurations_of,
     drive_to,
@@ -323,7 +323,7 @@ def with_barred(decision: Decision, shares: Mapping[str, float]) -> Decision:
     name = max(shares, key=lambda each: shares[each], default="")
     if decision.word not in ("stay", "cannot tell") or not name or shares[name] <= 1 - MOST:
         return decision
-    barred = f"{name} {BETTER} on {100 * shares[name]:.0f} % of the grounds, but breaks constraints on some"
+    barred = f"{name} {BETTER} on {percent(shares[name])} of the grounds, but breaks constraints on some"
     return replace(
         decision, reason=f"{decision.reason}; {barred}: constraints.within seeks places that keep them there"
     )

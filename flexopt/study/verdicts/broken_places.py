@@ -1,0 +1,164 @@
+"""Which constraints a place breaks: with the file's numbers, and where in what is uncertain.
+
+In: what was chosen, how the machine stands and is held at each target, the box of what is uncertain. Out: sentences.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.plain import listed
+from flexopt.loop.uncertain import CORNERED, UncertaintyBox
+from flexopt.model.uncertainty import Uncertainty, parameters_of, told_numbers
+from flexopt.selection import SelectionProblem
+from flexopt.selection.broken import broken, broken_names, values_with
+from flexopt.selection.constraint_values import ConstraintValue
+from flexopt.selection.constraints.corners import WHERE
+from flexopt.selection.outcomes.result import ChosenByLoop
+from flexopt.selection.problem import own_with, rows_with
+from flexopt.study.verdicts.place_loops import Chosen, problems_of
+
+# A constraint is broken by about as much where by this share.
+AS_MUCH = 0.99
+# What moves constraints by less, of their scale, does not matter to them.
+MOVED = 1e-9
+# How many times what the intervals take of a constraint's room one by one they may take together.
+TOGETHER = 2.0
+
+
+def broken_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:
+    """Which constraints that were asked for a place breaks, (base, posture) at each target: "breaks …", or nothing."""
+    pairs = zip(problems_of(chosen), map(np.concatenate, stand), strict=True)
+    found = [broken(problem, z, asked=True) for problem, z in pairs]
+    of_loop = chosen.loops_break(stand) if isinstance(chosen, ChosenByLoop) else [""] * len(found)
+    each = ["; ".join(filter(None, both)) for both in zip(found, of_loop, strict=True)]
+    if len(each) == 1:
+        return each[0]
+    return "; ".join(f"at target {k} {sentence}" for k, sentence in enumerate(each, start=1) if sentence)
+
+
+def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: UncertaintyBox) -> str:
+    """Which constraints that were asked for a place keeps with the file's numbers and breaks at a corner of the box.
+
+    Each at the corner, of those looked at, at which it is broken most. Choices keep those of statics, as of what joints
+    hold, and the user's own, with the file's payload.
+    """
+    found = dict[str, dict[str, dict[int, ConstraintValue | None]]]()
+    for k, (problem, at) in enumerate(zip(problems_of(chosen), stand, strict=True), start=1):
+        z, worst = np.concatenate(at), dict[str, _Broken]()
+        if broken_names(problem, z, asked=True):
+            continue
+        whole = _and_within(problem, box)
+        for theta in _corners(problem, z, whole):
+            for each in _broken_at(problem, z, whole, theta):
+                worst[each.name] = max(worst.get(each.name, each), each, key=lambda one: one.off)
+        for name, most in worst.items():
+            plain = _plainest(problem, z, whole, most)
+            where = told_numbers(box.machine, whole.numbers_at(plain.theta)[0].tolist())
+            found.setdefault(where, {}).setdefault(name, {})[k] = plain.value
+    told = list[str]()
+    for where, names in found.items():
+        each = [
+            name
+            + (f" at target {listed(map(str, at))}" if 1 < len(stand) > len(at) else "")
+            + "".join(f", {value}" for value in sorted(filter(None, at.values()), key=lambda x: x.least_room)[:1])
+            for name, at in names.items()
+        ]
+        told.append(f"breaks {'; '.join(each)},{WHERE}{where}")
+    return "; ".join(told)
+
+
+def _and_within(problem: SelectionProblem, box: UncertaintyBox) -> UncertaintyBox:
+    """What is uncertain, and what the intervals of `constraints.within` have of other numbers."""
+    uncertain, more = {entry for entries in box.entries for entry in entries}, list[Uncertainty]()
+    for each in problem.asked.within or ():
+        names = [box.machine.parameters[k].name for k in parameters_of(each.of, box.machine) if k not in uncertain]
+        more += [each.model_copy(update={"of": tuple(names)})] if names else []
+    return UncertaintyBox(box.machine, (*box.uncertainty, *more), box.nominal_dead_time)
+
+
+class _Broken(NamedTuple):
+    """What is broken at factors and values θ, and its value; none of what is no constraint, as that it stands."""
+
+    name: str
+    theta: Vector
+    value: ConstraintValue | None
+
+    @property
+    def off(self) -> float:
+        return math.inf if self.value is None else -self.value.least_room
+
+
+def _broken_at(problem: SelectionProblem, z: Vector, box: UncertaintyBox, theta: Vector) -> list[_Broken]:
+    p = box.numbers_at(theta)[0]
+    names = broken_names(problem, z, asked=True, p=p)
+    values = values_with(problem, z, p) if names else {}
+    return [_Broken(name, theta, values.get(name)) for name in names]
+
+
+def _plainest(problem: SelectionProblem, z: Vector, box: UncertaintyBox, most: _Broken) -> _Broken:
+    """As many numbers as near the file's own as the box has them that leave it broken by about as much."""
+    near, least = _nearest(box), AS_MUCH * most.off
+    for k in np.flatnonzero(most.theta != near).tolist():
+        theta, own = most.theta.copy(), near[k]
+        theta[k] = own
+        alike = (each for each in _broken_at(problem, z, box, theta) if each.name == most.name)
+        most = next((each for each in alike if each.off >= least), most)
+    return most
+
+
+def _nearest(box: UncertaintyBox) -> Vector:
+    """Factors and values (k,) as near the file's own numbers as the box has them."""
+    own = [1.0 if each.value is None else float(box.nominal[[*entries]].mean()) if entries else box.nominal_dead_time
+           for each, entries in zip(box.uncertainty, box.entries, strict=True)]  # fmt: skip
+    return np.clip(own, *np.array([each.value or each.factor for each in box.uncertainty]).T)
+
+
+def _corners(problem: SelectionProblem, z: Vector, box: UncertaintyBox) -> Iterator[Vector]:
+    """Factors and values (k,) at corners of the intervals that constraints depend on.
+
+    All corners of up to six of these. Of more, all of the six that take the most room from those constraints that may
+    break, and for each of these that to which its room falls in every interval by itself.
+    """
+    near = _nearest(box)
+    ends = np.array([each.value or each.factor or () for each in box.uncertainty])
+    middle = _rooms(problem, z, box, near)
+
+    def at(numbers: dict[int, float]) -> Vector:
+        theta = near.copy()
+        theta[[*numbers]] = [*numbers.values()]
+        return theta
+
+    # (k, 2, n_rows)
+    rooms = np.array([[_rooms(problem, z, box, at({i: end})) for end in pair] for i, pair in enumerate(ends.tolist())])
+    moves = np.where(rooms == middle, 0.0, np.abs(rooms - middle)).max(axis=(1, 2), initial=0.0)
+    chosen = np.flatnonzero(moves > MOVED)
+    if chosen.size > CORNERED:
+        taken = np.maximum(middle - rooms[chosen].min(axis=1), 0.0)
+        may_break = np.flatnonzero(middle - TOGETHER * taken.sum(axis=0) < 0)
+        worst = rooms[chosen].argmin(axis=1)[:, may_break]
+        for own in np.unique(worst.T, axis=0):
+            yield at({i: ends[i, end] for i, end in zip(chosen.tolist(), own.tolist(), strict=True)})
+        most = taken[:, may_break].max(axis=1, initial=0.0)
+        chosen = chosen[np.argsort(-most, kind="stable")[:CORNERED]]
+    for numbers in product(*ends[chosen].tolist()):
+        yield at(dict(zip(chosen.tolist(), numbers, strict=True)))
+
+
+def _rooms(problem: SelectionProblem, z: Vector, box: UncertaintyBox, theta: Vector) -> Vector:
+    """Of constraints, the target and corners of `constraints.within` aside, how far each is from its bounds, in scales.
+
+    −1/ε of what is no number: below all others, and yet one to calculate with.
+    """
+    p, first = box.numbers_at(theta)[0], problem.target.size
+    rows = [*problem.constraints[first:], *problem.own_constraints]
+    lower, upper, scale = (np.array([getattr(row, name) for row in rows]) for name in ("lower", "upper", "scale"))
+    values = np.append(rows_with(problem, z, p)[first:], own_with(problem, z, p))
+    rooms = np.nan_to_num(np.minimum(values - lower, upper - values) / scale, nan=-1 / np.finfo(float).eps)
+    return rooms[[not row.corner for row in rows]]
