@@ -162,10 +162,10 @@ def select_command(
     with working(judged, as_json):
         _refuse_early(settings, judged, own)
     identified = None if log is None else _identified(log, imu, settings, as_json)
-    if asks_for_loop(settings.get("objective"), settings.get("constraints")):
-        settings["loop"] = _loop(own, judged["loop"])
-        # Of a file that asks for another objective it is no argument yet.
-        settings["ranges"] = ranges_table(judged["ranges"]) or settings.get("ranges") or own["ranges"]
+    # The file's may ask for another objective than the option does, the one of the loop or the other not.
+    by_loop = asks_for_loop(settings.get("objective"), settings.get("constraints"))
+    ground = ranges_table(judged["ranges"]) or settings.get("ranges") or own["ranges"]
+    settings |= {"loop": _loop(own, judged["loop"]), "ranges": ground} if by_loop else {"loop": None, "ranges": None}
     if proof is not None and not certify:
         raise InputError("select: --proof goes with --certify", [Fault("--proof", "goes with --certify", proof)])
     if certify and "target" not in settings:

@@ -34,6 +34,8 @@ from flexopt.robustness.residues import MIXED, residue_unit, unit_in_words
 if TYPE_CHECKING:
     from flexopt.robustness.damped import DampedModes
 
+# What is told of how the machine sags, m or rad.
+LEAST_SAG = 1e-5
 # What a rigid part that is not passive means.
 EXCITES = "equal gains in all rows damp the rigid part, some other gains excite it"
 # Below this share of the largest |a_i||b_i| a mode is not reached: what is left where a_i = 0 was sought is rounding,
@@ -107,6 +109,8 @@ class Evaluation(Result):
         clusters: groups of modes with equal frequencies, for which w is that of the cluster's sum.
         condition: cond Jv; of one task row, the end-point's mobility over that along the row, where that is larger.
         static_deflection: passive coordinates minus their rest values, (m,); zero without gravity.
+        passive, passive_units: names and units of these coordinates, rad or m;  sag_told: by how much the machine sags,
+            a sentence; empty without gravity.
         self_motion_unstabilised: whether the arm has more joints than task rows, so that a motion exists that the
             end-point neither sees nor controls.
         epsilon_max: ε_max of the damped plant with the servo gain `gain`, Appendix A; None where `epsilon_max_status`
@@ -137,7 +141,8 @@ class Evaluation(Result):
     machine control base base_coordinates base_units posture joints joint_units end_point[m] frequencies_hz[Hz]
     damping_ratios w scale rigid in_phase in_phase_strict epsilon_max epsilon_max_error epsilon_max_status
     epsilon_max_residual gain gradient residues.R0=rigid_residue residues.R=residues clusters condition
-    static_deflection self_motion_unstabilised damped=_damped warnings provenance cylinders=_cylinders outcome
+    static_deflection passive passive_units self_motion_unstabilised damped=_damped warnings provenance
+    cylinders=_cylinders outcome
     """
 
     machine: str
@@ -162,6 +167,8 @@ class Evaluation(Result):
     clusters: tuple[tuple[int, ...], ...]
     condition: float
     static_deflection: Vector
+    passive: tuple[str, ...]
+    passive_units: tuple[str, ...]
     self_motion_unstabilised: bool
     epsilon_max: float | None
     epsilon_max_error: float
@@ -180,6 +187,15 @@ class Evaluation(Result):
     def z(self) -> Vector:
         """[base, posture], (n_b + n,), m or rad."""
         return np.concatenate([self.base, self.posture])
+
+    @property
+    def sag_told(self) -> str:
+        """See the class."""
+        if not self.static_deflection.any():
+            return ""
+        each = zip(self.passive, self.static_deflection.tolist(), self.passive_units, strict=True)
+        away = ", ".join(f"{name} {x:.3g} {unit}" for name, x, unit in each if abs(x) >= LEAST_SAG) or "none"
+        return f"sag under the weight, from where the file has it with springs unloaded: {away}"
 
     def document(self) -> Document:
         """Values by their keys; cylinders and outcome only where there are some."""
@@ -238,6 +254,7 @@ class Evaluation(Result):
             lines.append(
                 "  mixed units: 1/(kg m2) of hinges, 1/kg of slides; they compare postures of this machine alone"
             )
+        lines += [f"  {self.sag_told}"] if self.sag_told else []
         lines += [f"  {cylinder}" for cylinder in self.cylinders]
         lines += [] if self.outcome is None else repr(self.outcome).splitlines()
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
@@ -440,6 +457,8 @@ def evaluate_checked(
         clusters=clusters,
         condition=condition,
         static_deflection=v["q"].ravel()[:m] - rest[:m],
+        passive=machine.coordinates[:m],
+        passive_units=machine.coordinate_units[:m],
         self_motion_unstabilised=plant.n_actuated > r,
         epsilon_max=margin.epsilon_max,
         epsilon_max_error=margin.error,

@@ -70,7 +70,8 @@ def _of_modes(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
         modes = [modes_at(plant, posture) for posture in _postures(machine)]
     except np.linalg.LinAlgError:
         return ()
-    frequencies, ratios = (np.array(part) for part in zip(*modes, strict=True))
+    frequencies, shares = (np.array(part) for part in zip(*modes, strict=True))
+    ratios, of_base = shares.sum(axis=1), shares[:, : plant.n_passive].sum(axis=1)
     found: list[ImplausibleNumber] = []
     first = frequencies[:, 0]
     if first.max() < FIRST_MODE[0] or first.min() > FIRST_MODE[1]:
@@ -84,11 +85,16 @@ def _of_modes(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
             )
         )
     damped = ratios.min(axis=0)
-    held = min(float(modes_at(plant, posture, held=True)[1].max()) for posture in _postures(machine))
+    held = min(float(modes_at(plant, posture, held=True)[1].sum(axis=0).max()) for posture in _postures(machine))
     for mode in np.flatnonzero(damped > 1.0).tolist():
         value = float(damped[mode])
         meant = "dampers are probably too large by their unit (N s/m, N m s/rad), or the stiffness is in kN"
-        if held < 1.0:  # what is too little beside them is the base alone
+        if of_base[:, mode].min() < 1.0:
+            most = shares[ratios[:, mode].argmin(), plant.n_passive :, mode]
+            joint = machine.joints[int(most.argmax())]
+            meant = f"it is the damper of the joint {joint}, probably too large by its unit, or one that stands for a "
+            meant += "drive that holds: lock that joint, or give it no damping"
+        elif held < 1.0:  # what is too little beside them is the base alone
             meant = "with the arm held it would: the base is probably too light, as an arm's foot without its vehicle"
         found.append(
             ImplausibleNumber(
@@ -129,6 +135,8 @@ def _of_placement(machine: AnyMachine) -> Iterator[ImplausibleNumber]:
 def modes_at(plant: Plant, posture: Array, *, held: bool = False) -> tuple[Array, Array]:
     """Frequencies, Hz, ascending, and damping ratios φᵀDφ / (2 ω), with the joints free as in `robustness.modes`.
 
+    Of the ratios what each coordinate adds, (n_q, m).
+
     `held`: the arm held, as where somebody times how the machine swings. In numbers: `flexopt.check` would take a fifth
     longer if it built the measures' graphs.
     """
@@ -146,7 +154,7 @@ def modes_at(plant: Plant, posture: Array, *, held: bool = False) -> tuple[Array
         values, z = np.linalg.eigh((symmetric + symmetric.T) / 2)
         omega = np.sqrt(np.maximum(values, 0.0))
         shapes = np.vstack([np.eye(m), follow]) @ (compliance @ z / omega)
-        ratios = np.diag(shapes.T @ damping @ shapes) / (2 * omega)
+        ratios = shapes * (damping @ shapes) / (2 * omega)
         return np.asarray(omega / (2 * math.pi), float), np.nan_to_num(ratios)
 
 

@@ -391,7 +391,8 @@ class Selection(Pictured, Result):
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the choice: what it leaves out, by what it was decided, what it gains."""
         unverified = unverified_told(self.problem.objective.name, self.unverified)
-        said = (unverified, *self.edges, self.decided_by, self.left_out, self.unmoved, self.nothing_to_gain)
+        sag = self.best.evaluation.sag_told
+        said = (unverified, *self.edges, self.decided_by, self.left_out, self.unmoved, self.nothing_to_gain, sag)
         return tuple(sentence for sentence in said if sentence)
 
     @property

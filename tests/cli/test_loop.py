@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -117,3 +118,17 @@ def test_least_outcomes_of_a_file(command: Command) -> None:
     shown = command.json("select", "own.toml")
     assert shown["best"]["constraints"]["decay"]["value"] >= 0.05
     assert shown["measure"] == "w1"
+
+
+def test_an_option_asks_for_another_objective_than_the_file(command: Command) -> None:
+    """By the loop where the file asks for none of it, and not by it where the file does; the loop is the file's."""
+    text = (
+        'name = "own"\nmachine = "excavator"\n[target]\nend_point = [0.0, 1.6]\n[selection]\nstarts = 2\n'
+        'objective = "{}"\n[loop]\nkp = 1e4\nkv = 1e3\n[[uncertainty]]\nof = "stiffness"\nfactor = [0.5, 2.0]\n'
+    )
+    found = list[Any]()
+    for own, option in (("decay", "w1"), ("w1", "w1"), ("w1", "decay"), ("decay", "decay")):
+        (command.folder / "own.toml").write_text(text.format(own))
+        found.append(command.json("select", "own.toml", "--objective", option)["best"])
+    assert found[0]["objective"] == found[1]["objective"]
+    assert found[2]["objective"] == found[3]["objective"] != found[0]["objective"]

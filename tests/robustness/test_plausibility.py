@@ -950,3 +950,12 @@ def test_capsules_say_how_long_a_body_is() -> None:
     # One that ends at the next joint excuses nothing.
     capsule |= {"start": [0.0, 0.0], "end": [length, 0.0]}
     assert any(each.field.endswith("inertia") for each in _findings(data | {"capsules": [capsule]}))
+
+
+def test_the_damper_of_a_joint_that_overdamps_a_mode_is_named() -> None:
+    """A drive that holds, as robot files have it of a lift."""
+    data = light(4100.0)
+    data["links"][1]["joint_damping"] = 1e9
+    sentences = told(data)
+    assert sentences
+    assert all("it is the damper of the joint link1, probably" in sentence for sentence in sentences)

@@ -375,7 +375,7 @@ def test_where_there_is_no_staying_a_stable_place_is_enough() -> None:
     assert decide(STAY, [slower]).word == "stay"
     found = decide(None, [slower], absent=absent)
     assert (found.word, found.place) == ("move", "near")
-    assert found.reason == f"{absent}, for a drive of 2 m"
+    assert found.reason == f"{absent}; slowest decay there {slower.slowest:.3g}/s, for a drive of 2 m"
     assert decide(None, [slower], unconfirmed={"near": ""}, absent=absent).word == "cannot tell"
     assert decide(None, [place("near", -GROUNDS)], absent=absent).word == "cannot tell"
 

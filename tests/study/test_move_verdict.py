@@ -194,7 +194,7 @@ def test_a_place_that_is_not_allowed_is_none_to_stay_at(tmp_path: Path) -> None:
     found = flexopt.verdict(machine, target, loop=loop, constraints={"keep_out": [trench]}, **there)
     assert found.word == "move"
     breaks = "breaks distance from keep_out[0], -0.3 m (at least 0 m)"
-    assert found.reason.startswith(f"the present place {breaks}, for a drive of ")
+    assert found.reason.startswith(f"the present place {breaks}; slowest decay there ")
     place = next(place for place in found.places if place.name == found.place)
     assert not trench[0] < place.base[0] < trench[1]
     assert found.to_dict()["present_breaks"] == breaks

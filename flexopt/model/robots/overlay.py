@@ -90,7 +90,7 @@ class BaseTable(FileModel):
         damping: likewise, in N s/m and N m s/rad; 0 where left out.
         point: where the springs act, in the root link's frame; of axles apart from each other the elastic centre, where
             a force tilts nothing. The root link's com among the machine's parameters counts from here.
-        position: of the root link at rest in the anchor frame; from the robot file where left out.
+        position: of the root link at rest, springs unloaded, in the anchor frame; from the robot file where left out.
         rotation: of the root link at rest: roll, pitch, yaw in rad, or a rotation matrix.
     """
 

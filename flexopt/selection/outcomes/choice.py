@@ -36,7 +36,9 @@ from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import ALIKE, Seed, lifted, separation, starting_points
 from flexopt.selection.problem import SelectionProblem, reached
 from flexopt.selection.result import Attempt, Candidate, Kept
-from flexopt.selection.solve import constraint_values
+from flexopt.selection.scan import FEASIBLE
+from flexopt.selection.solve import constraint_values, solved
+from flexopt.selection.starts import violated
 
 # How often the worst member that is found behind a climb is added and climbed again.
 ROUNDS = 10
@@ -77,7 +79,7 @@ def outcome_selection(
         InputError: the uncertainty does not go with the loop or the measure; a measure of gains without one.
         NoSolutionFound: no climb ended at a feasible, stationary point.
     """
-    pool, machine = _feasible(problem, initial), problem.machine
+    pool, machine = _feasible(problem, initial, workers), problem.machine
     stand = initial or problem.quantities.evaluated(pool[0])
     program = OutcomeProgram(**asked.parts(problem, stand, bounds))
     count = workers or available_cores()
@@ -195,15 +197,20 @@ def _as_much(program: OutcomeProgram, end: Climbed, other: Climbed) -> bool:
     return bool(same) and abs(end.value - other.value) <= EQUAL * abs(end.value)
 
 
-def _feasible(problem: SelectionProblem, initial: Evaluation | None) -> Vector:
-    """Feasible configurations (N, n_z): those that were scanned, and the present one."""
+def _feasible(problem: SelectionProblem, initial: Evaluation | None, workers: int | None) -> Vector:
+    """Feasible configurations (N, n_z): those that were scanned, and the present one, which need not be.
+
+    Where none of these is feasible, the best by the problem's own objective, whose solver goes along constraints to
+    where all are kept.
+
+    Raises:
+        NoSolutionFound: it finds none either; what is short is named.
+    """
     pool = problem.scan.z[:, problem.scan.feasible].T
-    if initial is not None:
-        pool = np.concatenate([initial.z[None], pool])
-    if not len(pool):
-        sentence = "select: no configuration that was looked at keeps every constraint"
-        raise NoSolutionFound(sentence, violations={}, iterate={})
-    return pool
+    now = [] if initial is None else [initial.z]
+    if not len(pool) and not any(violated(problem, z[:, None])[0] <= FEASIBLE for z in now):
+        pool = np.array([each.z for each in solved(problem, workers, climbs=False).candidates])
+    return np.concatenate([*(z[None] for z in now), pool])
 
 
 def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Climbed | None:

@@ -210,7 +210,7 @@ class OutcomeSelection(ChosenByLoop, Selection):
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the choice, those of the loop's measure."""
         unverified = unverified_told(self.measure, self.unverified)
-        own = self._unseen_told(self.best.evaluation)
+        own = (*self._unseen_told(self.best.evaluation), self.best.evaluation.sag_told)
         return tuple(sentence for sentence in (unverified, self.nothing_to_gain, *own) if sentence)
 
     def __repr__(self) -> str:

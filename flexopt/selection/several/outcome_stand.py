@@ -10,6 +10,7 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import provenance
@@ -23,8 +24,7 @@ from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.several.by_loop import ByLoop, Climbs, climbs_from, places_by_loop, shared_program
 from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.results import Stand
-from flexopt.selection.several.standing import one_placement, other_placements
-from flexopt.selection.several.targets import none_reaches_all
+from flexopt.selection.several.standing import kept_somewhere, one_placement, other_placements
 
 # Postures of a target that are looked at from a placement.
 POSTURES = 6
@@ -53,7 +53,7 @@ def outcome_stand(
         workers, progress: as of `flexopt.select_stand`.
 
     Raises:
-        InputError, NoSolutionFound: as `outcome_selection`.
+        InputError, NoSolutionFound: as `outcome_selection`, and as `kept_somewhere`.
         UnreachableTarget: from none of the placements all targets are reached.
     """
     first = problems[0]
@@ -101,13 +101,18 @@ def _climbed(
     # Of one placement there is time for more postures.
     finer = FINER if bases.shape[1] == 1 else 1
     found = [reached_from(problem, bases, problem.seed, finer) for problem in problems]
-    whole = np.flatnonzero(np.all([np.isfinite(reached.value).any(axis=1) for reached in found], axis=0))
-    if not whole.size:
-        raise none_reaches_all(len(problems))
+    if not (whole := _allowed(found)).size:
+        bases, found = kept_somewhere(problems, bases, found, workers)
+        whole = _allowed(found)
     z = found[0].z[:, whole[0], int(np.argmax(np.isfinite(found[0].value[whole[0]])))]
     coupling = one_placement(problems, np.ones(len(problems)), weighted=False).coupling
     program = shared_program(asked, problems, coupling, np.zeros(0), z)
     return climbs_from(program, _looked(program, found, whole, workers), workers, progress)
+
+
+def _allowed(found: list[Reached]) -> NDArray[np.int64]:
+    """Numbers of the placements from which every target is reached, all constraints kept."""
+    return np.flatnonzero(np.all([np.isfinite(reached.value).any(axis=1) for reached in found], axis=0))
 
 
 def _configurations(program: SharedProgram, y: Vector) -> list[Vector]:

@@ -160,7 +160,8 @@ class ConfigurationSet(Tabled):
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the choice: what it leaves open and out, what is as good."""
         unverified = unverified_told(self.objective, self.unverified)
-        said = (unverified, self.left_open, self.as_good, self.not_passive, self.left_out, self.unweighted)
+        sag = self.places[self.worst].evaluation.sag_told
+        said = (unverified, self.left_open, self.as_good, self.not_passive, self.left_out, self.unweighted, sag)
         return tuple(sentence for sentence in said if sentence)
 
     @property

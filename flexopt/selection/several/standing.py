@@ -138,6 +138,26 @@ def best_placements(
     return *taken_up(program, good, ends, "placement"), len(begins), worths
 
 
+def kept_somewhere(
+    problems: tuple[SelectionProblem, ...], bases: Vector, found: list[Reached], workers: int
+) -> tuple[Vector, list[Reached]]:
+    """Placements (n_b, N) that keep all constraints where none of those looked at does, and what is reached there.
+
+    They are the best by the problems' own objective: its solver goes along constraints to where all are kept.
+
+    Args:
+        problems, bases, found, workers: as of `best_placements`.
+
+    Raises:
+        UnreachableTarget, NoSolutionFound: as `best_placements`; what is short is named.
+    """
+    program = one_placement(problems, np.full(len(problems), 1 / len(problems)), weighted=False)
+    good = best_placements(program, bases, found, default_starts(program), problems[0].seed, workers, None)[0]
+    zs = [np.array([program.of(end.x, k) for end in good]).T[:, :, None] for k in range(len(problems))]
+    kept = np.zeros((len(good), 1))
+    return zs[0][: bases.shape[0], :, 0], [Reached(z, kept, kept) for z in zs]
+
+
 def _starts(program: Program, bases: Vector, found: list[Reached], count: int, seed: int) -> list[Vector]:
     """Up to `count` starts x, the most promising first, no two near each other."""
     reaches = np.array([np.isfinite(reached.violation).any(axis=1) for reached in found])

@@ -140,7 +140,7 @@ def decide(
         doubts = {place.name: unconfirmed[place.name] for place in doubted}
         return Decision("change gains", changed.name, _why_gains(changed, stay, best, sound, doubts, found))
     if best is not None:
-        reason = absent
+        reason = f"{absent}; slowest decay there {best.slowest:.3g}/s"
         if stay is not None:
             reason = f"{BETTER} on {percent(best.better_than(stay))} of the grounds"
             if not stay.holds:

@@ -203,3 +203,36 @@ def test_bounds_hold_at_every_target() -> None:
         workers=1,
     )
     assert all(place.constraints["decay"].value >= 0.005 * (1 - 2e-6) for place in found.places)
+
+
+@pytest.mark.parametrize("several", [True, False])
+def test_a_narrow_region_that_no_point_looked_at_is_in_is_found(*, several: bool) -> None:
+    """3 mm wide; the same in a region of 1 m that is cut to it afterwards, whose points were looked at."""
+    asked: dict[str, Any] = {"base": 0.0, "objective": "decay", "loop": {"kp": 1e4, "kv": 1e3}, "starts": 4}
+    machine, targets = flexopt.load("excavator"), [(0.0, 1.6), (0.3, 1.3)]
+    low, high = -1.703, -1.7
+
+    def chosen(region: tuple[float, float], **more: Any) -> Any:
+        given = asked | more | {"constraints": {"region": [region]}}
+        if several:
+            return flexopt.select_stand(machine, targets, **given)
+        return flexopt.select(machine, targets[0], **given)
+
+    def at(answer: Any) -> tuple[float, float]:
+        if several:
+            return float(answer.base[0]), float(answer.worth)
+        return float(answer.best.evaluation.base[0]), answer.best.objective
+
+    (x, decay), wide = at(chosen((low, high))), at(chosen((-2.2, -1.2), base_range=(low, high)))
+    assert low - 1e-7 <= x <= high + 1e-7
+    assert (x, decay) == pytest.approx(wide, rel=1e-5)
+
+
+def test_what_keeps_targets_from_one_placement_is_told() -> None:
+    """The constraint where they are reached, and what is out of reach where they are not."""
+    asked: dict[str, Any] = {"base": 0.0, "objective": "decay", "loop": {"kp": 1e4, "kv": 1e3}, "starts": 2}
+    machine = flexopt.load("excavator")
+    with pytest.raises(flexopt.NoSolutionFound, match=r"violates .*target 1: manipulability by"):
+        flexopt.select_stand(machine, [(0.0, 1.6), (0.3, 1.3)], constraints={"manipulability": 100.0}, **asked)
+    with pytest.raises(flexopt.UnreachableTarget, match="the best reaches all but number 2"):
+        flexopt.select_stand(machine, [(0.0, 1.6), (7.0, 1.3)], base_range=(-4.0, 5.0), **asked)
