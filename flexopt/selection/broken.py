@@ -89,13 +89,16 @@ def falls_within(problem: SelectionProblem, z: Vector) -> dict[str, float]:
 def resting(problem: SelectionProblem, z: Vector) -> list[str]:
     """Which bounds and constraints hold with equality in a configuration, the target aside."""
     drive = next((each.value for each in problem.assumed if each.name == "reach"), math.nan)
-    now = np.zeros(z.size) if problem.present_base is None else np.append(problem.present_base, z)
+    n_base, now = problem.measures.plant.n_base, problem.present_base
+    # A bound of a placement that nobody gave is no border of the site, and one that keeps a margin no end of a joint.
+    away = np.abs(z[:n_base] - (np.zeros(n_base) if now is None else now)).tolist()
+    by_reach = {k for k, x in enumerate(away) if abs(x - drive) <= AT_END * problem.variables[k].scale}
+    kept = " less joint_margin" if problem.asked.joint_margin else ""
     found = [
-        # A bound of a placement that nobody gave is no border of the site.
-        f"{variable.name} {side} bound{' (assumed: reach)' if abs(abs(x - here) - drive) <= near else ''}"
-        for variable, x, here in zip(problem.variables, z.tolist(), now.tolist(), strict=False)
+        f"{variable.name} {side} bound{(' (assumed: reach)' if k in by_reach else '') if k < n_base else kept}"
+        for k, (variable, x) in enumerate(zip(problem.variables, z.tolist(), strict=True))
         for side, end in (("lower", variable.lower), ("upper", variable.upper))
-        if variable.lower < variable.upper and abs(x - end) <= (near := AT_END * variable.scale)
+        if variable.lower < variable.upper and abs(x - end) <= AT_END * variable.scale
     ]
     rows, (lower, upper, scale) = problem.rows(z), problem.row_bounds
     held = (lower < upper) & (np.minimum(np.abs(rows - lower), np.abs(rows - upper)) <= AT_END * scale)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import flexopt
 from flexopt.model.constraints import read_constraints
+from flexopt.selection.broken import resting
 from flexopt.selection.constraint_values import ConstraintValue, nearest_told
 
 NAMES = ("clearance of a from b", "clearance of c from d", "clearance of e from f", "tip-over margin from edge x")
@@ -41,7 +42,7 @@ def test_of_each_kind_the_nearest_is_told(values: list[list[float]]) -> None:
         (-2e-10, (-3e4, 3e4), "N", "0 N (-3e+04 to 3e+04 N)"),
         (-2e-10, (0.0, np.inf), "m", "-2e-10 m (at least 0 m)"),
         (2e-7, (-3e4, 3e4), "N", "2e-07 N (-3e+04 to 3e+04 N)"),
-        (np.nan, (0.0, np.inf), "m", "nan m (at least 0 m)"),
+        (np.nan, (0.0, np.inf), "m", "no number (at least 0 m)"),
         (-np.inf, (0.0, np.inf), "", "-inf (at least 0)"),
     ],
 )
@@ -108,3 +109,14 @@ def test_selections_and_stands_tell_them() -> None:
         own = [lengths[0] * lengths[1] * abs(np.sin(each.posture[1])) for each in e]
         assert least == pytest.approx(min(own), rel=1e-9)
     assert "constraints, of each kind" not in repr(flexopt.select(machine, (0.0, 1.6), base=0.0, starts=2, workers=1))
+
+
+def test_a_joint_that_keeps_a_margin_rests_on_that_and_not_on_its_end() -> None:
+    """And a placement as far as nobody allowed rests on the assumed drive."""
+    machine = flexopt.load("boom-stick-bucket")
+    for margin, told in ((0.0, "boom upper bound"), (0.2, "boom upper bound less joint_margin")):
+        problem = flexopt.build_selection(machine, (7.0, 1.0), base=0.4, constraints={"joint_margin": margin})
+        z = np.array([0.5, problem.upper[1], -1.5, -0.5])
+        assert resting(problem, z) == [told]
+        z[0] = problem.upper[0]
+        assert resting(problem, z) == ["base.x upper bound (assumed: reach)", told]
