@@ -185,18 +185,18 @@ def vector(what: str, quantity: Quantity, *names: Sequence[str]) -> Checked[tupl
     return Checked(check, a_list(quantity.accepts or {}, min(sizes), max(sizes)))
 
 
-def numbers_in(quantity: Quantity) -> Checked[tuple[float, ...]]:
-    """One number, or a list of numbers; how many there must be is said elsewhere."""
+def numbers_in(quantity: Quantity, *, least: int = 1) -> Checked[tuple[float, ...]]:
+    """One number, or a list of at least so many; how many there must be is said elsewhere."""
 
     def check(value: Any) -> tuple[float, ...]:
         parts = several(plain(value))
-        if not parts:
+        if len(parts) < least:
             unit = f", in {quantity.unit}" if quantity.unit else ""
             raise ValueError(f"must be a number or a list of numbers{unit}")
         return each_named(quantity, parts, [f"entry {k}" for k in range(1, len(parts) + 1)])
 
     one = quantity.accepts or {}
-    return Checked(check, {"anyOf": [one, a_list(one, 1)]})
+    return Checked(check, {"anyOf": [one, a_list(one, least)]})
 
 
 def list_of(what: str, check: Callable[[Any], T], name: str, least: int, most: float) -> Checked[tuple[T, ...]]:

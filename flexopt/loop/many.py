@@ -103,7 +103,7 @@ def decays(
 def _column(given: Mapping[str, Vector], name: str, size: int) -> Vector:
     """What a loop lacks is 0."""
     values = np.asarray(given.get(name, np.zeros(size)), dtype=np.float64)
-    return values.reshape(size, -1)
+    return values.reshape(size, values.shape[-1] if values.ndim > 1 else 1)
 
 
 @lru_cache(maxsize=16)

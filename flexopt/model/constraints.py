@@ -37,7 +37,7 @@ from flexopt.foundation.quantities import (
 from flexopt.model.file_model import FileModel, read_table, validated
 from flexopt.model.own import Constraint, check_own_constraints, is_function
 from flexopt.model.polygons import POLYGON, Corners, check_simple_polygon
-from flexopt.model.targets import SOME_COORDINATES
+from flexopt.model.targets import PLACEMENT, SOME_COORDINATES
 from flexopt.model.tree_quantities import scaled_direction
 from flexopt.model.uncertainty import Uncertainty, ranges_by_place
 
@@ -224,7 +224,7 @@ class Travel(FileModel):
     """
 
     cost: Annotated[float, _POSITIVE]
-    base: Annotated[tuple[float, ...], SOME_COORDINATES] | None = None
+    base: Annotated[tuple[float, ...], PLACEMENT] | None = None
     posture: Annotated[tuple[float, ...], SOME_COORDINATES] | None = None
 
 

@@ -39,7 +39,16 @@ from flexopt.model.file_model import BuiltByCall
 from flexopt.model.loop import Loop
 from flexopt.model.machine import OnMachine
 from flexopt.model.own import ObjectiveLike, check_objectives
-from flexopt.model.targets import KINDS, SOME_COORDINATES, SOME_SHARES, PathMotion, Target, TargetKind, problem_faults
+from flexopt.model.targets import (
+    KINDS,
+    PLACEMENT,
+    SOME_COORDINATES,
+    SOME_SHARES,
+    PathMotion,
+    Target,
+    TargetKind,
+    problem_faults,
+)
 from flexopt.model.uncertainty import Uncertainty
 
 # What the calls that solve a problem name the keys of [target].
@@ -128,7 +137,7 @@ class SelectionOptions(BuiltByCall):
     control: Annotated[Control, check_control] = "inverse"
     gravity: bool = False
     gain: Annotated[float, GAIN] = 5e5
-    base: Annotated[_Base, SOME_COORDINATES] | None = None
+    base: Annotated[_Base, PLACEMENT] | None = None
     posture: Annotated[_Posture, SOME_COORDINATES] | None = None
     base_range: Annotated[_BaseRange, _check_any_range] | None = None
     elbow: Elbow = "up"

@@ -54,7 +54,7 @@ USUAL = {"measures": ("w",), "outcome": ("decay",)}
 CHUNKS = {"measures": 2**18, "outcome": 2**13, "selection": 8, "simulation": 32}
 SUBJECTS: dict[str, Any] = {"machine": load, "problem": load_problem, "experiment": load_experiment}
 
-_VALUES = numbers_in(JOINT_VALUE)
+_VALUES, _PLACEMENT = numbers_in(JOINT_VALUE), numbers_in(JOINT_VALUE, least=0)
 
 
 def _check_quantity(value: Any) -> str:
@@ -148,7 +148,7 @@ class Study(BuiltByCall, Described):
     seed: Annotated[int, SEED] = 0
     chunk: Annotated[int, whole_number(1, CHUNK_MAX)] | None = None
     posture: Annotated[Numbers, _VALUES] | None = None
-    base: Annotated[Numbers, _VALUES] | None = None
+    base: Annotated[Numbers, _PLACEMENT] | None = None
     control: Annotated[Control, check_control] | None = None
     gravity: bool = False
     gain: Annotated[float, GAIN] = 5e5

@@ -27,7 +27,10 @@ KINDS: dict[TargetKind, tuple[str, ...]] = {
 
 
 # The machine says how many, and which of them are angles; the targets how many shares.
-SOME_COORDINATES = numbers_in(Quantity("m or rad", low=-COORDINATE_MAX, high=COORDINATE_MAX))
+_COORDINATE = Quantity("m or rad", low=-COORDINATE_MAX, high=COORDINATE_MAX)
+SOME_COORDINATES = numbers_in(_COORDINATE)
+# None of a machine that stands where it stands.
+PLACEMENT = numbers_in(_COORDINATE, least=0)
 SOME_SHARES = numbers_in(Quantity("", above=0.0, high=1e6))
 RATES = numbers_in(Quantity("m/s or rad/s", low=0.0, high=1e3))
 TIMES = numbers_in(Quantity("s", low=0.0, high=1e6))
@@ -73,7 +76,7 @@ class PathMotion(FileModel):
     duration: Annotated[float, DURATION] | None = None
     max_base_rate: Annotated[Numbers, RATES] | None = None
     max_joint_rate: Annotated[Numbers, RATES] | None = None
-    start: Annotated[Numbers, SOME_COORDINATES] | None = None
+    start: Annotated[Numbers, PLACEMENT] | None = None
 
 
 def problem_faults(data: Mapping[str, Any]) -> list[Fault]:

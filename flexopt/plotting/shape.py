@@ -156,23 +156,42 @@ def _support(machine: AnyMachine, skeleton: Points, base: Points) -> Points | No
 
 
 def views(shape: Shape, along: Points | None = None) -> tuple[View, ...]:
-    """One view of a planar machine; of one in space from the side, across the arm's main direction, and from above.
+    """One view of a planar machine; of one in space from the side, across the arm's upright plane, and from above.
 
-    `along`: another direction than the arm's, (2,), level.
+    Of an arm in no one plane that which its links are nearest to. `along`: another direction, (2,), level.
     """
     if shape.skeleton.shape[0] == 2:
         return (View("", np.eye(2), ("x, m (inertial frame)", "y, m"), upright=True, origin=shape.skeleton[:, 0]),)
-    along = shape.skeleton[:2, -1] - shape.skeleton[:2, 0] if along is None else along
+    arm = _arm(shape)
+    along = _main_direction(arm[:2]) if along is None else along
     length = float(np.hypot(*along))
     along = along / length if length > UPRIGHT * shape.size else np.array([1.0, 0.0])
     yaw = math.degrees(math.atan2(along[1], along[0]))
     label = "x, m" if abs(yaw) < 0.05 else f"along the arm, from x by {yaw:.0f}°, m".replace("-", "−")
-    origin = shape.skeleton[:, 0]
+    origin = arm[:, 0]
     side = np.array([[along[0], along[1], 0.0], [0.0, 0.0, 1.0]])
     return (
         View("from the side", side, (f"{label} (inertial frame)", "z, m"), upright=True, origin=origin),
         View("from above", np.eye(3)[:2], ("x, m (inertial frame)", "y, m"), upright=False, origin=origin),
     )
+
+
+def _arm(shape: Shape) -> Points:
+    """Points (d, k) from where the arm begins to the end-point."""
+    parents = {j: i for i, j in shape.segments if (i, j) not in shape.base}
+    columns = [shape.skeleton.shape[1] - 1]
+    while columns[0] in parents:
+        columns.insert(0, parents[columns[0]])
+    return shape.skeleton[:, columns if len(columns) > 1 else [0, -1]]
+
+
+def _main_direction(points: Points) -> Points:
+    """The level direction (2,) that links between points (2, k) go along most, to the last of them, as long as they."""
+    links = np.diff(points, axis=1)
+    lengths = np.hypot(*links)
+    weighted = links / np.sqrt(np.maximum(lengths, np.finfo(float).tiny))
+    main = np.linalg.svd(weighted)[0][:, 0]
+    return main * np.copysign(np.abs(main @ links).sum(), main @ links.sum(axis=1))
 
 
 def link_outline(start: Points, end: Points, thick: float, thin: float) -> Points:

@@ -240,6 +240,25 @@ def test_scenery_in_both_views(selection):
             np.testing.assert_allclose(edges[1][:2, 1], 5.0)
 
 
+@pytest.mark.parametrize("slew", [-2.5, -0.7, 0.0, 0.3, 1.6, 3.0])
+def test_the_side_view_is_across_the_arms_plane_wherever_on_its_vehicle_it_stands(slew):
+    """Its pedestal 2 m beside the anchor point, undercarriage at rest; the label's angle is that of the plane."""
+    data = flexopt.load("slewing-excavator").to_dict()
+    bodies = [dict(body) for body in data["bodies"]]
+    next(body for body in bodies if body["name"] == "house")["position"] = (-1.2, 1.6, 1.0)
+    machine = tree_from_dict(data | {"bodies": bodies})
+    base, posture = np.array([3.0, -1.0, 0.4]), np.array([slew, 0.9, -1.9, -0.4])
+    plant = build_plant(machine)
+    q = plant.rest(base, posture, plant.parameter_values).full().ravel()
+    shape = shape_at(machine, q, base)
+    side, _ = views(shape)
+    arm = shape.skeleton[:, -4:]
+    np.testing.assert_allclose(side.depth(arm), 0.0, atol=1e-9)
+    there = math.remainder(slew + 0.4, math.tau)
+    np.testing.assert_allclose(side.axes[0], [math.cos(there), math.sin(there), 0.0], atol=1e-9)
+    assert f"from x by {math.degrees(there):.0f}°".replace("-", "−") in side.labels[0]
+
+
 @pytest.mark.parametrize(("away", "aside"), [(0.1, True), (2.0, False)])
 def test_a_name_of_an_obstacle_does_not_lie_on_a_target(selection, away, aside):
     tank = {"kind": "sphere", "center": [1.0, 2.0, 3.0], "radius": 0.5, "name": "tank"}

@@ -122,6 +122,18 @@ def test_marks_are_where_the_machine_is(article):
         np.testing.assert_allclose(article.marks[name], tip - joint, atol=1e-12)
 
 
+def test_what_runs_warn_of_is_on_the_page(article, words_alone):
+    """Of both once; of one with its name."""
+    both, one = "a drive took more than it has", "the step is long"
+    present, chosen = article.loops.values()
+    loops = {"present": replace(present, run=replace(present.run, warnings=(both,))),
+             "chosen": replace(chosen, run=replace(chosen.run, warnings=(both, one)))}  # fmt: skip
+    assert both not in text_of(report_html(article))
+    words = text_of(report_html(replace(article, loops=loops)))
+    assert words.count(f"Present and chosen: {both}.") == 1
+    assert words.count(f"Chosen: {one}.") == 1
+
+
 @pytest.mark.parametrize("site", [0.0, 5e5])
 def test_a_map_of_another_base_marks_no_configuration_of_this_one(site):
     """Of an arm whose end-points are mapped as its base stands, at coordinates of a site, too."""

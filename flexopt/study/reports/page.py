@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.doubt import with_doubt
+from flexopt.foundation.plain import listed
 from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.foundation.rounding import without_rounding
 from flexopt.robustness import Evaluation
@@ -92,7 +93,7 @@ def report_html(report: Report) -> str:
         map_caption=_map_caption(report),
         around="at the worst target" if several else "of the chosen configuration",
         loops=_loops(report),
-        loops_note=_shown(report),
+        loops_note=" ".join([_shown(report), *_warned(report)]),
         runs=_runs(report),
         options=_options(report),
         borders=_borders(report),
@@ -129,6 +130,15 @@ def _runs(report: Report) -> dict[str, Picture]:
         )
         for name, each in pictures(lambda theme: run_figures(runs, theme=theme)).items()
     }
+
+
+def _warned(report: Report) -> list[str]:
+    """What the runs warn of: each sentence once, of which configurations it is."""
+    of = dict[str, list[str]]()
+    for name, loop in report.loops.items():
+        for warning in loop.run.warnings:
+            of.setdefault(warning, []).append(name)
+    return [sentence(f"{listed(names)}: {warning}") for warning, names in of.items()]
 
 
 def _sentence(report: Report) -> str:

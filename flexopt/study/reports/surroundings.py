@@ -118,7 +118,7 @@ def marks_in(selection: Selection | Stand | BasePlan, drawn: WorkspaceMap) -> di
                 continue
             first, second = _arm(machine, stand)
             at = dict(zip(machine.task_rows, (first + second).tolist(), strict=True))
-        elif np.abs(stand.base - best_of(selection).base).max() > WAY:
+        elif np.abs(stand.base - best_of(selection).base).max(initial=0.0) > WAY:
             # The map is of the arm on the chosen one's base.
             continue
         else:
