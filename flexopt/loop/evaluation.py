@@ -207,7 +207,7 @@ class Outcome(Result):
             what = "further oscillations of the loop that are slow or grow, mostly of the arm under its feedback"
             lines.append(f"  {what}: {self._others}")
         why = from_sample_to_sample(
-            -self.decay, self.decay_rounding, self.frequency_hz, self.settings.rate, self.settings.nullspace_damping
+            -self.decay, self.decay_rounding, self.frequency_hz, self.settings.rate, self.settings
         )
         lines.append(f"  sampled loop: {self._word}, {self.frequency_hz:.4g} Hz{why}")
         lines += [f"  {unseen_told('the loop')}"] * self.unseen

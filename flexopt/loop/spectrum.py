@@ -24,21 +24,28 @@ INVARIANT = 1e-10
 OWN = 0.9
 # Of unit eigenvectors, |yᴴx| below which two eigenvalues meet: there is no derivative.
 MEETING = 1e-7
+# Names of those that command by the end-point's velocity, by its error and by the sum of this.
+GAINS = ("kv", "kp", "ki")
 # From this share of the sampling rate on a motion has another sign at every sample.
 ALTERNATES = 0.499
 # Steps of inverse iteration: next to an eigenvalue one or two do.
 ITERATIONS = 3
 
 
-def from_sample_to_sample(growth_rate: float, rounding: float, frequency_hz: float, rate: float, damper: float) -> str:
+def from_sample_to_sample(growth_rate: float, rounding: float, frequency_hz: float, rate: float, gains: Any) -> str:
     """What makes a loop grow that changes its sign at every sample; empty where it does not. `rate`: of samples, Hz.
 
-    `damper`: of the arm's self-motion.
+    `gains`: has them by name, with `nullspace_damping` of the arm's self-motion. Of an end-point that is e (−1)^k at
+    sample k, of period T, the velocity is 2e/T and the sum eT/2: the gain that then commands most is named.
     """
     if growth_rate <= rounding or frequency_hz < ALTERNATES * rate:
         return ""
-    also = ", or the damper of the self-motion," if damper else ""
-    return f", half the sampling rate: the velocity gain{also} is too much for {rate:g} Hz"
+    half = 0.5 / rate
+    commands = {"velocity": 1.0, "position": half, "integral": half**2}
+    sizes = [x * float(np.max(np.abs(getattr(gains, name)))) for name, x in zip(GAINS, commands.values(), strict=True)]
+    most = list(commands)[int(np.argmax(sizes))]
+    also = ", or the damper of the self-motion," if gains.nullspace_damping else ""
+    return f", half the sampling rate: the {most} gain{also} is too much for {rate:g} Hz"
 
 
 def slow_self_motion(drift: Sequence[float], decay: float) -> list[str]:

@@ -471,7 +471,12 @@ def _no_solution(
     z, proof = min(failures, key=lambda item: _severity(problem, item[1]))
     rows = (*problem.constraints, *problem.own_constraints)
     units = {c.name: c.unit for c in rows} | {f"{v.name} range": v.unit for v in problem.variables}
-    sizes = "; ".join(f"{name} by {size:.3g} {units.get(name, '')}".rstrip() for name, size in proof.violations.items())
+    corners, worst = {c.name: c.corner for c in rows}, dict[str, tuple[str, float]]()
+    for name, size in proof.violations.items():
+        # Of one constraint at several corners the worst is told; the document has them all.
+        own = name.removesuffix(corners.get(name, ""))
+        worst[own] = max(worst.get(own, (name, size)), (name, size), key=lambda each: each[1])
+    sizes = "; ".join(f"{name} by {size:.3g} {units.get(name, '')}".rstrip() for name, size in worst.values())
     iterate = _named(problem, z)
     where = ", ".join(f"{name} = {value:.6g}" for name, value in iterate.items())
     advice = "" if infeasible(single(problem), z) else f"; {_advice(problem)}"

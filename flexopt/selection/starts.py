@@ -150,8 +150,9 @@ def kept_by_none(problem: SelectionProblem) -> str:
     short = dict[str, tuple[float, str]]()
     for row, size in zip(problem.constraints, least.tolist(), strict=True):
         if size > FEASIBLE:
-            # Several rows may be one constraint, which is short by the most of them.
-            short[row.name] = max(short.get(row.name, (0.0, "")), (size * row.scale, row.unit))
+            # Several rows, of corners, too, may be one constraint, which is short by the most of them.
+            name = row.name.removesuffix(row.corner)
+            short[name] = max(short.get(name, (0.0, "")), (size * row.scale, row.unit))
     told = [f"{name}, {off:.3g} {unit}".rstrip() + " short at best" for name, (off, unit) in short.items()]
     counted = f"of {problem.scan.size} configurations at the target that were looked at"
     return f"; {counted} none keeps {listed(told)}" if told else ""

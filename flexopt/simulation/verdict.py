@@ -179,8 +179,8 @@ def alternating(linear: SampledLoop, ended: Ended | None) -> str:
     """What makes the loop grow where it changes its sign at every sample; empty where it does not."""
     if ended is None or ended.options.feedback == "robust":
         return ""
-    rate, damper = 1 / linear.period, ended.options.nullspace_damping
-    return from_sample_to_sample(linear.growth_rate, linear.rounding, linear.frequency_hz, rate, damper)
+    rounding, rate = linear.rounding, 1 / linear.period
+    return from_sample_to_sample(linear.growth_rate, rounding, linear.frequency_hz, rate, ended.options)
 
 
 def _why(run: Shown, linear: SampledLoop, ended: Ended | None) -> str:

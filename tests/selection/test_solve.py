@@ -183,6 +183,14 @@ def test_a_constraint_that_nothing_at_the_target_keeps_is_named():
     assert found is not None
     assert "clearance of boom" in found[1]
     assert "floor" in found[1]
+    # Of rows at corners, too, each is told once, there where it is broken most.
+    soft = asked | {"within": {"stiffness": (0.5, 1.0)}}
+    with pytest.raises(flexopt.NoSolutionFound) as caught:
+        flexopt.select(machine, (0.0, 1.6), base=0.0, starts=2, constraints=soft, gravity=True)
+    broken, none = str(caught.value).split(" none keeps ")
+    start = re.escape("clearance of boom (start) from floor")
+    assert len(re.findall(start, none)) == len(re.findall(start, broken)) == 1
+    assert sum(bool(re.match(start, name)) for name in caught.value.violations) == 2
     # A distance that some keep is not told.
     less = {"clearance": asked["clearance"] | {"distance": 1.0}}
     possible = flexopt.select(machine, (0.0, 1.6), base=0.0, starts=2, constraints=less)

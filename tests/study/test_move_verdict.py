@@ -255,6 +255,18 @@ def test_gains_are_changed_where_no_place_bears_them() -> None:
         assert found.gains["kp"][0] < 1e5
 
 
+def test_where_every_place_grows_on_every_ground_nothing_is_to_be_measured(tmp_path: Path) -> None:
+    """Nor is a bar of the page another's than the present place's, of whose numbers it speaks."""
+    found = judged("article", loop={"kp": 1e7, "kv": 1e3}, runs=0, members=4)
+    assert (found.word, found.place) == ("cannot tell", "")
+    assert all(place.decay.greatest < 0 for place in found.places)
+    assert found.measure == "nothing to measure: with the present gains every place grows on all 4 grounds looked at"
+    found.to_html(tmp_path / "verdict.html")
+    words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
+    assert found.measure[1:] in words
+    assert "Orange" not in words
+
+
 @pytest.mark.long
 def test_where_no_gains_are_found_it_says_which_were_tried_and_how_others_are() -> None:
     """With so little Kv for its Kp no multiple of the gains is stable; ranges, which are named, have some that are."""

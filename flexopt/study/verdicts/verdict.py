@@ -400,8 +400,8 @@ def _alternates(loops: Mapping[str, PlaceLoops], slowest: Mapping[str, Slowest])
     why = ""
     for name, at in slowest.items():
         own = loops[name].loops[at.target]
-        loop, rate, damper = own.outcome(at.member).loop, own.settings.rate, own.settings.nullspace_damping
-        why = from_sample_to_sample(loop.growth_rate, loop.rounding, loop.frequency_hz, rate, damper)
+        loop, rate = own.outcome(at.member).loop, own.settings.rate
+        why = from_sample_to_sample(loop.growth_rate, loop.rounding, loop.frequency_hz, rate, own.settings)
         if not why:
             return ""
         why = f"{loop.frequency_hz:.4g} Hz{why}"
@@ -517,6 +517,8 @@ def _measure(
     decision: Decision, box: UncertaintyBox, points: Vector, known: Mapping[str, Place], stay: Place | None
 ) -> str:
     """Which uncertain number decides."""
+    if not decision.place and all((place.decays <= 0).all() for place in known.values()):
+        return f"nothing to measure: with the present gains every place grows on all {len(points)} grounds looked at"
     what, values = deciding(decision, known, stay)
     # What has one sign everywhere no measurement changes.
     which, rank = matters_most(box, points, values.tolist()) if values.min() < 0 < values.max() else ("", 0.0)
