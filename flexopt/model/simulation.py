@@ -52,7 +52,7 @@ NOISE, RATE_NOISE = (Quantity(unit, low=0.0, high=1e3) for unit in ("m", "m/s"))
 # Which of them are angles, and how many there must be, is the machine's to say.
 JointValues = Annotated[Numbers, numbers_in(JOINT_VALUE)]
 # None of a machine that stands where it stands.
-Placement = Annotated[Numbers, numbers_in(JOINT_VALUE, least=0)]
+BaseValues = Annotated[Numbers, numbers_in(JOINT_VALUE, least=0)]
 _POINT = numbers_in(COORDINATE["m"])
 _POINTS = list_of("points, each a list of coordinates in m", _POINT, "point {}:", 1, math.inf)
 
@@ -208,7 +208,7 @@ class SimulationOptions(BuiltByCall):
     posture: JointValues | None = None
     end_point: Annotated[Numbers, _POINT] | None = None
     elbow: Elbow | None = None
-    base: Placement | None = None
+    base: BaseValues | None = None
     control: Annotated[Control, check_control] = "inverse"
     feedback: Feedback = "pd"
     kp: KpValues = (1e5,)
