@@ -26,6 +26,7 @@ def placed(machine: Any) -> Any:
     return tree_from_dict(machine.to_dict() | {"placement": ["x"]})
 
 
+@pytest.mark.long("decay")
 @pytest.mark.parametrize("objective", ["w1", "decay"])
 def test_choices_are_those_of_a_machine_that_is_placed_there(machine: Any, placed: Any, objective: str) -> None:
     asked: dict[str, Any] = {"objective": objective, "starts": 3}
@@ -37,6 +38,7 @@ def test_choices_are_those_of_a_machine_that_is_placed_there(machine: Any, place
     assert here.best.objective == pytest.approx(there.best.objective, rel=1e-4)
 
 
+@pytest.mark.long
 def test_verdicts_with_runs(machine: Any, placed: Any) -> None:
     few: dict[str, Any] = {"starts": 2, "members": 4, "runs": 1, "duration": 2.0}
     here = flexopt.verdict(machine, TARGET, loop=LOOP, **few)
