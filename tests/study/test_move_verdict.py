@@ -24,6 +24,7 @@ from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.broken import broken, broken_names
 from flexopt.study import page
 from flexopt.study.page import with_minus
+from flexopt.study.verdicts.broken_places import broken_within
 from flexopt.study.verdicts.confirmation import nonlinear_runs
 from flexopt.study.verdicts.place_loops import configurations_of, unreached
 from flexopt.study.verdicts.places import allowed, told
@@ -952,8 +953,15 @@ def test_of_many_intervals_each_constraint_is_looked_at_where_its_own_room_falls
                               "boom.com_offset": (0.3, 0.6)}  # fmt: skip
     asked: dict[str, Any] = {"holding": 0.85, "tip_over_margin": 0.05}
     chosen = flexopt.select(machine, (8.0, 1.0), base=0.0, base_range=(-1.0, 0.0), constraints=asked, starts=4)
-    found = flexopt.verdict(chosen, loop="default", ranges=others | heavy, members=2, runs=0)
-    assert set(found.exclusions) == {"candidate 1"}
+    uncertain = tuple(flexopt.Uncertainty(of=name, value=ends) for name, ends in (others | heavy).items())
+    stand = [(each.base, each.posture) for each in configurations_of(chosen)["candidate 1"]]
+    told = broken_within(chosen, stand, UncertaintyBox(machine, uncertain, 0.0))
+    # As of a machine whose file has that number, by how much, is what `evaluate` says.
+    data["links"][2]["mass"] = 905.0
+    held = flexopt.evaluate(flexopt.machine_from_dict(data), stand[0][1], base=stand[0][0]).cylinders[1]
+    assert held.name == "stick cylinder"
+    assert told.startswith(f"breaks holding of stick by stick cylinder, {held.force:.4g} N (")
+    assert told.endswith("where bucket.mass is 905 kg")
 
 
 @pytest.mark.parametrize("turned", [False, True])
