@@ -40,6 +40,11 @@ Document = dict[str, Any]
 Progress = Callable[[int, int], None]
 
 
+def in_columns(values: Vector) -> Vector:
+    """A vector (n,) as one column (n, 1), columns (n, N) as they are; n may be 0."""
+    return values if values.ndim > 1 else values[:, None]
+
+
 def spread(count: int, size: int) -> Array:
     """Points of the unit cube, (count, size), spread evenly by multiples of irrational numbers, always the same.
 

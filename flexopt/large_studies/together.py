@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import InputError
-from flexopt.foundation.arrays import Vector
+from flexopt.foundation.arrays import Vector, in_columns
 from flexopt.large_studies.status import FAILED, NO_EQUILIBRIUM, NO_NUMBER, OK, SINGULAR
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.many import decays, expect_decays
@@ -150,7 +150,7 @@ class ManyMeasures:
             whole = evaluate_points(
                 self.machine,
                 postures,
-                bases=np.broadcast_to(bases.reshape(len(bases), -1), (len(bases), count)),
+                bases=np.broadcast_to(in_columns(bases), (len(bases), count)),
                 parameters=p if p.ndim == 2 else None,
                 control=self.control,
                 gain=self.study.gain,
@@ -212,7 +212,7 @@ class ManyOutcomes:
     def __call__(self, columns: Vector) -> tuple[Arrays, StatusCodes, list[str]]:
         """Arrays (N,), status (N,) and, where points are computed one by one, reasons."""
         at, count = self.numbers.at(columns), columns.shape[1]
-        bases = np.broadcast_to(at["base"].reshape(len(at["base"]), -1), (len(at["base"]), count))
+        bases = np.broadcast_to(in_columns(at["base"]), (len(at["base"]), count))
         varied = {"posture": at["posture"], "base": np.ascontiguousarray(bases)}
         if at["parameters"].ndim == 2:
             varied["p"] = at["parameters"]

@@ -24,8 +24,6 @@ INVARIANT = 1e-10
 OWN = 0.9
 # Of unit eigenvectors, |yᴴx| below which two eigenvalues meet: there is no derivative.
 MEETING = 1e-7
-# Names of those that command by the end-point's velocity, by its error and by the sum of this.
-GAINS = ("kv", "kp", "ki")
 # From this share of the sampling rate on a motion has another sign at every sample.
 ALTERNATES = 0.499
 # Steps of inverse iteration: next to an eigenvalue one or two do.
@@ -35,17 +33,19 @@ ITERATIONS = 3
 def from_sample_to_sample(growth_rate: float, rounding: float, frequency_hz: float, rate: float, gains: Any) -> str:
     """What makes a loop grow that changes its sign at every sample; empty where it does not. `rate`: of samples, Hz.
 
-    `gains`: has them by name, with `nullspace_damping` of the arm's self-motion. Of an end-point that is e (−1)^k at
-    sample k, of period T, the velocity is 2e/T and the sum eT/2: the gain that then commands most is named.
+    `gains`: has them by name, with `drive` and the `nullspace_damping` of the arm's self-motion. Named is that which is
+    nearest to where it makes ẍ = u, sampled with the period T, alternate by itself: Kv T = 2, Kp T² = 16; with drives
+    that follow a velocity, ẋ = u, Kv = 1, Kp T = 2. Ki T/2 adds to Kp as its sum does.
     """
     if growth_rate <= rounding or frequency_hz < ALTERNATES * rate:
         return ""
-    half = 0.5 / rate
-    commands = {"velocity": 1.0, "position": half, "integral": half**2}
-    sizes = [x * float(np.max(np.abs(getattr(gains, name)))) for name, x in zip(GAINS, commands.values(), strict=True)]
-    most = list(commands)[int(np.argmax(sizes))]
-    also = ", or the damper of the self-motion," if gains.nullspace_damping else ""
-    return f", half the sampling rate: the {most} gain{also} is too much for {rate:g} Hz"
+    kv, kp, ki = (float(np.max(np.abs(getattr(gains, name)))) for name in ("kv", "kp", "ki"))
+    share = (1 / 2 if getattr(gains, "drive", None) == "velocity" else 1 / 8) / rate
+    sizes = {"velocity": kv, "position": share * kp, "integral": share * ki / (2 * rate)}
+    causes = [f"the {max(sizes, key=lambda name: sizes[name])} gain"] * any(sizes.values())
+    causes += ["the damper of the self-motion"] * bool(gains.nullspace_damping)
+    also = f", or {causes[1]}," if len(causes) > 1 else ""
+    return f", half the sampling rate: {causes[0] if causes else 'a gain'}{also} is too much for {rate:g} Hz"
 
 
 def slow_self_motion(drift: Sequence[float], decay: float) -> list[str]:

@@ -89,7 +89,7 @@ def _of_modes(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     for mode in np.flatnonzero(damped > 1.0).tolist():
         value = float(damped[mode])
         meant = "dampers are probably too large by their unit (N s/m, N m s/rad), or the stiffness is in kN"
-        if of_base[:, mode].min() < 1.0:
+        if of_base[:, mode].min() < min(1.0, value / 2):
             most = shares[ratios[:, mode].argmin(), plant.n_passive :, mode]
             joint = machine.joints[int(most.argmax())]
             meant = f"it is the damper of the joint {joint}, probably too large by its unit, or one that stands for a "

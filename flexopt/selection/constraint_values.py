@@ -16,6 +16,8 @@ from flexopt.model.constraints import Constraints
 from flexopt.selection.constraints import KINDS
 from flexopt.selection.constraints.corners import WHERE
 
+# In the words for other numbers of a machine's.
+NUMBER = re.compile(r" is [-+]?[\d.]")
 # Beyond its bound by more than this share of it, or of one unit, is no rounding.
 BEYOND = 1e-6
 
@@ -89,7 +91,7 @@ def by_kind(names: Iterable[str]) -> dict[str, list[str]]:
 def resting_told(names: Sequence[str]) -> list[str]:
     """Names of what a configuration rests on, one for all corners of `constraints.within` at which it does."""
     told = list[str]()
-    kinds = list(map(_own_name, names))
+    kinds = list(map(own_name, names))
     for kind in dict.fromkeys(kinds):
         of_kind = [name for name, own in zip(names, kinds, strict=True) if own == kind]
         corners = len([name for name in of_kind if name != kind])
@@ -99,10 +101,10 @@ def resting_told(names: Sequence[str]) -> list[str]:
     return told
 
 
-def _own_name(name: str) -> str:
+def own_name(name: str) -> str:
     """A constraint's name without the corner of `constraints.within`, "… where payload.mass is 900 kg"."""
     own, _, corner = name.rpartition(WHERE)
-    return own if own and " is " in corner else name
+    return own if own and NUMBER.search(corner) else name
 
 
 def nearest_told(asked: Constraints, places: Sequence[dict[str, ConstraintValue]]) -> str:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import flexopt
 from flexopt.model.constraints import read_constraints
 from flexopt.selection.broken import resting
-from flexopt.selection.constraint_values import ConstraintValue, nearest_told
+from flexopt.selection.constraint_values import ConstraintValue, nearest_told, resting_told
 
 NAMES = ("clearance of a from b", "clearance of c from d", "clearance of e from f", "tip-over margin from edge x")
 ASKED = read_constraints({"manipulability": 2.0})
@@ -109,6 +109,13 @@ def test_selections_and_stands_tell_them() -> None:
         own = [lengths[0] * lengths[1] * abs(np.sin(each.posture[1])) for each in e]
         assert least == pytest.approx(min(own), rel=1e-9)
     assert "constraints, of each kind" not in repr(flexopt.select(machine, (0.0, 1.6), base=0.0, starts=2, workers=1))
+
+
+def test_names_of_obstacles_are_no_corners_of_what_a_place_rests_on() -> None:
+    walls = [f"clearance of boom from wall where traffic is {how}" for how in ("heavy", "light")]
+    assert resting_told(walls) == walls
+    corners = [f"holding of boom where payload.mass is {x} kg" for x in (0, 900)]
+    assert resting_told(corners) == ["holding of boom (at 2 corners of within)"]
 
 
 def test_a_joint_that_keeps_a_margin_rests_on_that_and_not_on_its_end() -> None:

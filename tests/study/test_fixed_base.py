@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -66,6 +67,21 @@ def test_several_targets_regions_and_loops_at_many_points(machine: Any, placed: 
     assert flexopt.evaluate(machine, posture, base=[]).base.size == 0
     with pytest.raises(flexopt.InputError, match="has no placement coordinate that could move"):
         flexopt.plan_base(machine, [TARGET, OTHER])
+
+
+@pytest.mark.parametrize("quantities", [{"compute": "outcome"}, {"compute": "measures", "quantities": ["epsilon_max"]}])
+def test_studies(tmp_path: Path, quantities: dict[str, Any]) -> None:
+    folder = Path(__file__).parents[2] / "models"
+    shipped = (folder / "slewing-excavator.toml").read_text(encoding="utf-8")
+    shipped = shipped.replace('"robots/', f'"{folder.as_posix()}/robots/')
+    (tmp_path / "fixed.toml").write_text("placement = []\n" + shipped, encoding="utf-8")
+    study = flexopt.Study(
+        name="fixed", machine=str(tmp_path / "fixed.toml"), posture=[0.2, 0.9, -1.9, -0.4],
+        vary=[{"of": "posture.boom", "value": (0.8, 0.9), "count": 2}], **quantities,
+    )  # fmt: skip
+    found = flexopt.run_study(study, tmp_path / "run", workers=1)
+    assert found.complete
+    assert found.statuses["ok"] == 2
 
 
 def test_a_place_for_it_is_refused(machine: Any) -> None:

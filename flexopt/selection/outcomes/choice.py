@@ -198,18 +198,22 @@ def _as_much(program: OutcomeProgram, end: Climbed, other: Climbed) -> bool:
 
 
 def _feasible(problem: SelectionProblem, initial: Evaluation | None, workers: int | None) -> Vector:
-    """Feasible configurations (N, n_z): those that were scanned, and the present one, which need not be.
+    """Feasible configurations (N, n_z): the present one, if it is, and those that were scanned.
 
-    Where none of these is feasible, the best by the problem's own objective, whose solver goes along constraints to
-    where all are kept.
+    Where none of these is, the best by the problem's own objective, whose solver goes along constraints to where all
+    are kept.
 
     Raises:
-        NoSolutionFound: it finds none either; what is short is named.
+        NoSolutionFound: it finds none, and the present one is not feasible either; what is short is named.
     """
     pool = problem.scan.z[:, problem.scan.feasible].T
-    now = [] if initial is None else [initial.z]
-    if not len(pool) and not any(violated(problem, z[:, None])[0] <= FEASIBLE for z in now):
-        pool = np.array([each.z for each in solved(problem, workers, climbs=False).candidates])
+    now = [each.z for each in [initial] if each is not None and violated(problem, each.z[:, None])[0] <= FEASIBLE]
+    if not len(pool):
+        try:
+            pool = np.array([each.z for each in solved(problem, workers, climbs=False).candidates])
+        except NoSolutionFound:
+            if not now:
+                raise
     return np.concatenate([*(z[None] for z in now), pool])
 
 

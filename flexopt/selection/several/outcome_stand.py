@@ -22,7 +22,7 @@ from flexopt.selection.outcomes.shared import SharedProgram
 from flexopt.selection.outcomes.starting import values_at
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.several.by_loop import ByLoop, Climbs, climbs_from, places_by_loop, shared_program
-from flexopt.selection.several.postures import Reached, reached_from
+from flexopt.selection.several.postures import Reached, joined, reached_from
 from flexopt.selection.several.results import Stand
 from flexopt.selection.several.standing import kept_somewhere, one_placement, other_placements
 
@@ -102,7 +102,10 @@ def _climbed(
     finer = FINER if bases.shape[1] == 1 else 1
     found = [reached_from(problem, bases, problem.seed, finer) for problem in problems]
     if not (whole := _allowed(found)).size:
-        bases, found = kept_somewhere(problems, bases, found, workers)
+        bases, kept = kept_somewhere(problems, bases, found, workers)
+        # Held otherwise there, too: what is best for the problems' own objective need not be for the loop.
+        again = [reached_from(problem, bases, problem.seed, FINER) for problem in problems]
+        found = [joined(one, other) for one, other in zip(kept, again, strict=True)]
         whole = _allowed(found)
     z = found[0].z[:, whole[0], int(np.argmax(np.isfinite(found[0].value[whole[0]])))]
     coupling = one_placement(problems, np.ones(len(problems)), weighted=False).coupling

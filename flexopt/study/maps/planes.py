@@ -127,7 +127,7 @@ class Plane:
             return f"placement in the inertial frame, end-point held at {_listed(self.end_point)} m"
         if self.followed:
             names, units = self.placed
-            return f"inertial, with the base at {in_words(names, self.base, units)}"
+            return f"inertial, with the base at {in_words(names, self.base, units)}" if names else "inertial"
         return "workspace: axes of the inertial frame, origin at the first joint at rest, base at 0"
 
 

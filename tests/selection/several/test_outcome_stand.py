@@ -205,12 +205,12 @@ def test_bounds_hold_at_every_target() -> None:
     assert all(place.constraints["decay"].value >= 0.005 * (1 - 2e-6) for place in found.places)
 
 
-@pytest.mark.parametrize("several", [True, False])
-def test_a_narrow_region_that_no_point_looked_at_is_in_is_found(*, several: bool) -> None:
+@pytest.mark.parametrize(("several", "low"), [(True, -1.703), (False, -1.703), (True, -2.2), (True, -1.95)])
+def test_a_narrow_region_that_no_point_looked_at_is_in_is_found(*, several: bool, low: float) -> None:
     """3 mm wide; the same in a region of 1 m that is cut to it afterwards, whose points were looked at."""
     asked: dict[str, Any] = {"base": 0.0, "objective": "decay", "loop": {"kp": 1e4, "kv": 1e3}, "starts": 4}
     machine, targets = flexopt.load("excavator"), [(0.0, 1.6), (0.3, 1.3)]
-    low, high = -1.703, -1.7
+    high = low + 0.003
 
     def chosen(region: tuple[float, float], **more: Any) -> Any:
         given = asked | more | {"constraints": {"region": [region]}}
@@ -223,9 +223,21 @@ def test_a_narrow_region_that_no_point_looked_at_is_in_is_found(*, several: bool
             return float(answer.base[0]), float(answer.worth)
         return float(answer.best.evaluation.base[0]), answer.best.objective
 
-    (x, decay), wide = at(chosen((low, high))), at(chosen((-2.2, -1.2), base_range=(low, high)))
+    (x, decay), wide = at(chosen((low, high))), at(chosen((-2.5, -1.2), base_range=(low, high)))
     assert low - 1e-7 <= x <= high + 1e-7
     assert (x, decay) == pytest.approx(wide, rel=1e-5)
+
+
+def test_to_say_where_the_arm_is_now_makes_no_answer_worse() -> None:
+    """In a region that nothing looked at is in, with the arm in it; and where it breaks what is asked for."""
+    machine, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
+    asked: dict[str, Any] = {"objective": "decay", "loop": loop, "constraints": {"region": [(-1.703, -1.7)]}}
+    now = flexopt.select(machine, (0.0, 1.6), base=-1.7015, posture=(-1.21299, 1.90080), **asked)
+    assert now.best.objective == pytest.approx(flexopt.select(machine, (0.0, 1.6), base=0.0, **asked).best.objective)
+    asked |= {"constraints": {"tool_angle": (-1.008, -1.0079)}}
+    digger = flexopt.load("boom-stick-bucket")
+    few = flexopt.select(digger, (7.17, 1.337), base=1.68, starts=1, **asked)
+    assert few.best.objective == pytest.approx(flexopt.select(digger, (7.17, 1.337), starts=1, **asked).best.objective)
 
 
 def test_what_keeps_targets_from_one_placement_is_told() -> None:
