@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.compiled import Economical
-from flexopt.foundation.arrays import Progress, Vector
+from flexopt.foundation.arrays import Progress, Vector, in_columns
 from flexopt.foundation.turns import available_cores
 from flexopt.loop.assembly import OneSample
 from flexopt.loop.outcome import LoopPoint
@@ -102,8 +102,7 @@ def decays(
 
 def _column(given: Mapping[str, Vector], name: str, size: int) -> Vector:
     """What a loop lacks is 0."""
-    values = np.asarray(given.get(name, np.zeros(size)), dtype=np.float64)
-    return values.reshape(size, values.shape[-1] if values.ndim > 1 else 1)
+    return in_columns(np.atleast_1d(np.asarray(given.get(name, np.zeros(size)), dtype=np.float64)))
 
 
 @lru_cache(maxsize=16)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from flexopt.foundation.plain import counted
@@ -91,7 +91,7 @@ def by_kind(names: Iterable[str]) -> dict[str, list[str]]:
 def resting_told(names: Sequence[str]) -> list[str]:
     """Names of what a configuration rests on, one for all corners of `constraints.within` at which it does."""
     told = list[str]()
-    kinds = list(map(own_name, names))
+    kinds = list(map(_own_name, names))
     for kind in dict.fromkeys(kinds):
         of_kind = [name for name, own in zip(names, kinds, strict=True) if own == kind]
         corners = len([name for name in of_kind if name != kind])
@@ -101,10 +101,19 @@ def resting_told(names: Sequence[str]) -> list[str]:
     return told
 
 
-def own_name(name: str) -> str:
+def _own_name(name: str) -> str:
     """A constraint's name without the corner of `constraints.within`, "… where payload.mass is 900 kg"."""
     own, _, corner = name.rpartition(WHERE)
     return own if own and NUMBER.search(corner) else name
+
+
+def worst_told(violations: Mapping[str, float]) -> dict[str, float]:
+    """Sizes by name, of one constraint at several corners of `constraints.within` the worst alone."""
+    worst = dict[str, tuple[str, float]]()
+    for name, size in violations.items():
+        own = _own_name(name)
+        worst[own] = max(worst.get(own, (name, size)), (name, size), key=lambda each: each[1])
+    return dict(worst.values())
 
 
 def nearest_told(asked: Constraints, places: Sequence[dict[str, ConstraintValue]]) -> str:

@@ -19,6 +19,7 @@ from flexopt.robustness.evaluation import prepare
 from flexopt.selection.ascent.steps import CUT_SHORT
 from flexopt.selection.assumed import in_the_way
 from flexopt.selection.broken import beyond_bounds
+from flexopt.selection.constraint_values import worst_told
 from flexopt.selection.continua import past_stops
 from flexopt.selection.exchanged import kept_apart
 from flexopt.selection.nlp.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, Program, single
@@ -471,12 +472,8 @@ def _no_solution(
     z, proof = min(failures, key=lambda item: _severity(problem, item[1]))
     rows = (*problem.constraints, *problem.own_constraints)
     units = {c.name: c.unit for c in rows} | {f"{v.name} range": v.unit for v in problem.variables}
-    corners, worst = {c.name: c.corner for c in rows}, dict[str, tuple[str, float]]()
-    for name, size in proof.violations.items():
-        # Of one constraint at several corners the worst is told; the document has them all.
-        own = name.removesuffix(corners.get(name, ""))
-        worst[own] = max(worst.get(own, (name, size)), (name, size), key=lambda each: each[1])
-    sizes = "; ".join(f"{name} by {size:.3g} {units.get(name, '')}".rstrip() for name, size in worst.values())
+    worst = worst_told(proof.violations)
+    sizes = "; ".join(f"{name} by {size:.3g} {units.get(name, '')}".rstrip() for name, size in worst.items())
     iterate = _named(problem, z)
     where = ", ".join(f"{name} = {value:.6g}" for name, value in iterate.items())
     advice = "" if infeasible(single(problem), z) else f"; {_advice(problem)}"

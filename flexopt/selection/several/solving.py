@@ -16,7 +16,7 @@ from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.plain import counted
 from flexopt.foundation.processes import in_parallel
 from flexopt.selection.assumed import in_the_way
-from flexopt.selection.constraint_values import own_name
+from flexopt.selection.constraint_values import worst_told
 from flexopt.selection.continua import past_stops
 from flexopt.selection.nlp.program import SOLVED, Program
 from flexopt.selection.optima import (
@@ -147,12 +147,7 @@ def verified(program: Program, ends: list[End], what: str) -> list[End]:
     if good:
         return good
     nearest = min(ends, key=lambda end: max(end.violations.values(), default=0.0))
-    # Of one constraint at several corners the worst.
-    worst = dict[str, tuple[str, float]]()
-    for name, size in nearest.violations.items():
-        own = own_name(name)
-        worst[own] = max(worst.get(own, (name, size)), (name, size), key=lambda each: each[1])
-    sizes = "; ".join(f"{name} by {size:.3g}" for name, size in [*worst.values()][:8])
+    sizes = "; ".join(f"{name} by {size:.3g}" for name, size in [*worst_told(nearest.violations).items()][:8])
     names = [variable.name for variable in program.first.variables]
     iterate = {
         f"target {k + 1}: {name}": float(value)
