@@ -373,7 +373,9 @@ def _selection_text(result: Selection, *, judged: bool) -> str:
     if not judged and result.measure is None:
         known = f"Best by {result.objective}, which knows no controller"
         unjudged = f" {known}: --loop, or flexopt verdict, tells what it is worth."
-    lines = [repr(result), "", f"{stand} {angles}.{unjudged}", repr(best)]
+    # By how much it sags is among the choice's remarks already.
+    shown = [line for line in repr(best).splitlines() if not best.sag_told or line.strip() != best.sag_told]
+    lines = [repr(result), "", f"{stand} {angles}.{unjudged}", *shown]
     if result.initial is not None and result.measure is None:
         from flexopt.selection.result import shown_measures  # noqa: PLC0415  (`evaluate` does not need it)
 

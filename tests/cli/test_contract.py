@@ -315,6 +315,11 @@ def test_end_point_under_gravity_is_the_deflected_one(command: Command) -> None:
     assert np.abs(np.subtract(sagging["posture"], stiff["posture"])).max() > 1e-4
 
 
+def test_the_sag_is_told_once(command: Command) -> None:
+    for words in (SELECT, ("evaluate", *SELECT[1:])):
+        assert command(*words, "--gravity").stdout.count("sag under the weight") == 1
+
+
 def test_out_writes_the_document_of_json(command: Command) -> None:
     document = command.json(*SELECT, "--out", "choice.json")
     assert strict_json((command.folder / "choice.json").read_text(encoding="utf-8")) == document
