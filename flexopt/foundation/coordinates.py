@@ -28,7 +28,11 @@ def check_placement(
     if len(parts) != len(names):
         count = "one number" if len(names) == 1 else f"{len(names)} numbers"
         listed = ", ".join(f"{name}, in {unit}" for name, unit in zip(names, units, strict=True))
-        raise ValueError(f"must be {count}: the machine is {what} by {listed or 'nothing'}")
+        raise ValueError(
+            f"must be {count}: the machine is {what} by {listed}"
+            if names
+            else f"must be left out: the machine is {what} by nothing"
+        )
     return each_named(lambda part: COORDINATE[part[0]](part[1]), list(zip(units, parts, strict=True)), names)
 
 
