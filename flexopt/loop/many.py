@@ -54,6 +54,7 @@ def decays(
     varied: Mapping[str, Vector],
     *,
     gravity: bool = False,
+    own_model: bool = False,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Decays:
@@ -64,17 +65,19 @@ def decays(
         settings: the loop's numbers.
         varied: of `INPUTS` and `dead_time` those that differ from them, (size, N) each, `base`, `posture` among them.
         gravity: whether under static deflection.
+        own_model: whether the controller keeps the numbers of the machine's file, see `SmallMotions`.
         threads: how many to compute with; all processors by default. The numbers do not depend on it.
         progress: called with the number of loops done and of all.
     """
     threads = available_cores() if threads is None else threads
-    motions, count = settings.motions(machine, gravity=gravity), next(iter(varied.values())).shape[1]
+    motions = settings.motions(machine, gravity=gravity, own_model=own_model)
+    count = next(iter(varied.values())).shape[1]
     given: dict[str, Vector] = {"p": motions.plant.parameter_values.full()} | settings.numbers
     given |= {name: values for name, values in varied.items() if name != DEAD_TIME}
     late = varied.get(DEAD_TIME, np.full((1, count), settings.dead_time))[0]
     numbers = {name: np.broadcast_to(_column(given, name, symbol.shape[0]), (symbol.shape[0], count))
                for name, symbol in motions.symbols.items() if name != "held"}  # fmt: skip
-    held = motions.hold.call([numbers[name] for name in ("base", "posture", "p")])[0].full()
+    held = motions.hold.call([numbers[name] for name in motions.hold.name_in()])[0].full()
     numbers["held"] = np.broadcast_to(held, (held.shape[0], count))
     found = Decays(*np.full((2, count), np.nan))
     of, alone = _stacked_matrices(motions), list[int]()

@@ -23,7 +23,7 @@ from flexopt.foundation.roots import border, root
 from flexopt.loop.assembly import OneSample, Slopes
 from flexopt.loop.borders import stable_intervals
 from flexopt.loop.disturbance import Disturbed
-from flexopt.loop.small_motions import BY, CONFIGURATION, DEAD_TIME, Parts, SmallMotions
+from flexopt.loop.small_motions import AT_REST, BY, DEAD_TIME, Parts, SmallMotions
 from flexopt.loop.spectrum import (
     OwnMotion,
     SampledLoop,
@@ -81,6 +81,8 @@ class Measured(NamedTuple):
 
 
 UNDEFINED = Measured(math.nan)
+# Multiplier of a machine that feedback holds nowhere.
+FALLS = np.array([complex(math.inf)])
 # Share of the energy of an oscillation that a mode's springs have at least where the mode has become it: a third to a
 # half of its own, some 1e-4 of another's.
 STRAINS = 0.01
@@ -132,9 +134,8 @@ class LoopPoint:
     @cached_property
     def configuration(self) -> Vector:
         """All coordinates at rest (n_q,)."""
-        plant, of = self.motions.plant, self.numbers
-        q: Vector = plant.rest(of["base"], of["posture"], of["p"]).full().ravel()
-        q[: len(of["held"])] = of["held"]
+        given = [self.numbers[name] for name in (*AT_REST, "held")]
+        q: Vector = self.motions.configuration.call(given)[0].full().ravel()
         return q
 
     @cached_property
@@ -146,10 +147,15 @@ class LoopPoint:
         """Eigenvalues of a Φ of this loop."""
         return spectrum(matrix, self.period, self._neutral, self._excess, lambda: self._own)
 
+    @property
+    def rests(self) -> bool:
+        """Whether feedback holds the machine somewhere, whose weight its controller need not know; else it falls."""
+        return not self.motions.own_model or bool(np.isfinite(self.numbers["held"]).all())
+
     @cached_property
     def loop(self) -> SampledLoop:
-        """Eigenvalues of Φ, what nothing holds left out."""
-        return self.spectrum_of(self.sample.matrix)
+        """Eigenvalues of Φ, what nothing holds left out; of a machine that falls one that is infinite."""
+        return self.spectrum_of(self.sample.matrix) if self.rests else SampledLoop(FALLS, self.period)
 
     def gradient(self, measure: Measured) -> dict[str, Vector]:
         """The derivative of a measure by each of `INPUTS` and by the dead time; NaN where there is none."""
@@ -194,8 +200,8 @@ class LoopPoint:
         """
         if branch >= len(self.upper):
             return UNDEFINED
-        if not self.upper[branch]:
-            return Measured(math.inf)
+        if not self.upper[branch] or not self.rests:
+            return Measured(math.inf if self.rests else -math.inf)
         mu, by_matrix = self._by_multiplier(self.upper[branch], lambda mu: -1 / (mu * self.period))
         slopes = self.smooth.slopes(by_matrix) if np.all(np.isfinite(by_matrix)) else None
         return Measured(-math.log(abs(mu)) / self.period, slopes)
@@ -272,6 +278,8 @@ class LoopPoint:
     @cached_property
     def gain_intervals(self) -> tuple[tuple[float, float], ...]:
         """(lower, upper) of the factors by which all gains may be multiplied together, the loop stable."""
+        if not self.rests:
+            return ()
         known, (balanced, scale) = None, balance(self.sample.matrix)
         _, kept = without_neutral(balanced, self._neutral)
         if not (self._excess and self.motions.structure.gravity):
@@ -510,7 +518,7 @@ class LoopPoint:
             return None
         balanced, scale = balance(self.smooth.matrix)
         _, kept = without_neutral(balanced, self._neutral)
-        of = [self.numbers[name] for name in (*CONFIGURATION, "held")]
+        of = [self.numbers[name] for name in (*AT_REST, "held")]
         return Disturbed(self.smooth, self.motions.disturbance.call(of)[0].full(), kept, scale)
 
     def h2_norm(self) -> Measured:
@@ -529,9 +537,9 @@ class LoopPoint:
         if not math.isfinite(found.norm):
             return Measured(found.norm)
         slopes, by_into = found.slopes()
-        of = [self.numbers[name] for name in (*CONFIGURATION, "held")]
+        of = [self.numbers[name] for name in (*AT_REST, "held")]
         parts = self.motions.disturbance_slopes.call([*of, by_into])
-        more = {name: part.full().ravel() for name, part in zip(CONFIGURATION, parts, strict=True)}
+        more = {name: part.full().ravel() for name, part in zip(AT_REST, parts, strict=True)}
         return Measured(found.norm, slopes, more)
 
     # The standard move.

@@ -7,15 +7,21 @@ for a run and from symbols for a model whose parameters a master sets.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import casadi as ca
 
+from flexopt.algebra import apply_pseudo_inverse, solve_spd
+from flexopt.foundation.control import Control
 from flexopt.loop.closed import ClosedLoop
 from flexopt.plant import Plant
+from flexopt.plant.control import task_to_joints
 from flexopt.plant.motion import Motion
 
 T = TypeVar("T")
+# Stages from the design's parameters to those of the machine, along which the rest is followed; Newton steps in each and
+# in the last one; how far a step goes at most, and how far the last one may go, m or rad.
+STAGES, STEPS, LAST, FARTHEST, ARRIVED = 8, 2, 5, 0.3, 1e-6
 
 
 def design_constants(motion: Motion, passive: ca.SX, base: ca.SX) -> dict[str, ca.SX]:
@@ -31,12 +37,91 @@ def placed(motion: Motion, base: ca.SX) -> ca.SX:
     return ca.vertcat(*motion.on_rows(ca.vertsplit(base), ca.SX(0)))
 
 
-def state_at_rest(loop: ClosedLoop, plant: Plant, motion: Motion, q: ca.SX, base: ca.SX, p: ca.SX) -> ca.SX:
-    """State x (n_x,) at rest in q.
+class Design(NamedTuple):
+    """What a controller takes its machine for, with the parameters of the machine's file, in one configuration.
+
+    Attributes:
+        base: placement (n_b,);  posture: of the joints (n,);  p: parameters (n_par,).
+        deflection: the passive coordinates (m,) in the static deflection.
+        target: where the end-point is then (n_task,), and is to be.
+        toward: Jv⁺ (n, n_task), along which feedback turns the joints.
+    """
+
+    base: ca.SX
+    posture: ca.SX
+    p: ca.SX
+    deflection: ca.SX
+    target: ca.SX
+    toward: ca.SX
+
+
+class Held(NamedTuple):
+    """A machine with other parameters p where feedback holds it, whose controller carries the weight of its `Design`.
+
+    Attributes:
+        q: all coordinates (n_q,).
+        force: f (n_task,) of the law, which carries what the weight is more: E f = g_a(q; p) − g_a(q; file), by least
+            squares where the arm is redundant: nothing holds its self-motion.
+        error: e (n_task,) that stands: f_i/Kp_i, and 0 in rows whose error is integrated, or not fed back.
+    """
+
+    q: ca.SX
+    force: ca.SX
+    error: ca.SX
+
+
+def design_of(plant: Plant, base: ca.SX, posture: ca.SX, deflection: ca.SX) -> Design:
+    """The design of the machine's own parameters; `deflection` (m,) from `Plant.deflected`."""
+    p = ca.SX(plant.parameter_values)
+    at = plant.operating_point(base, posture, p, deflection)
+    toward = apply_pseudo_inverse(at.rigid_jacobian, ca.SX.eye(plant.n_task))
+    return Design(base, posture, p, at.q[: plant.n_passive], at.end_point, toward)
+
+
+def held_at(plant: Plant, control: Control, design: Design, p: ca.SX, v: ca.SX, kp: ca.SX, ki: ca.SX) -> Held:
+    """Where v = [q_p; y] says: passive coordinates (m,), joints turned by Jv⁺ y. Kp and Ki (n_task,) make forces."""
+    m, base = plant.n_passive, design.base
+    turned = design.posture + design.toward @ v[m:]
+    q, taken = ca.vertcat(v[:m], turned), ca.vertcat(design.deflection, turned)
+    into = task_to_joints(plant.rigid_jacobian(taken, base, design.p), control, ca.SX.eye(plant.n_task))
+    more = plant.gravity(q, base, p)[m:] - plant.gravity(taken, base, design.p)[m:]
+    force = solve_spd(into.T @ into, into.T @ more)
+    fed_back = ca.logic_and(kp > 0, ca.logic_not(ki > 0))
+    return Held(q, force, ca.if_else(fed_back, force / ca.if_else(fed_back, kp, 1), 0))
+
+
+def held_step(plant: Plant, control: Control) -> ca.Function:
+    """(v, the fields of `Design`, other, kp, ki) -> by what Newton's method changes v towards where it rests.
+
+    v as of `held_at`, `other` the parameters p of the machine. There K_p (q_p − q_p,rest) + g_p(q) = 0, and the
+    end-point is e short of its target.
+    """
+    g, r = plant.graph, plant.n_task
+    sizes = {"deflection": plant.n_passive, "target": r, "kp": r, "ki": r, "other": g.p.shape[0]}
+    s = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+    toward, v = ca.SX.sym("toward", plant.n_actuated, r), ca.SX.sym("v", plant.n_passive + r)
+    design = Design(g.base, g.posture, g.p, s["deflection"], s["target"], toward)
+    held = held_at(plant, control, design, s["other"], v, s["kp"], s["ki"])
+    m, p = plant.n_passive, s["other"]
+    pulls = plant.stiffness(p)[:m, :m] @ (v[:m] - plant.rest(g.base, g.posture, p)[:m])
+    off = ca.vertcat(
+        pulls + plant.gravity(held.q, g.base, p)[:m], plant.end_point(held.q, g.base, p) + held.error - design.target
+    )
+    change = ca.densify(-ca.solve(ca.jacobian(off, v), off))
+    inputs = {"v": v} | design._asdict() | {name: s[name] for name in ("other", "kp", "ki")}
+    return ca.Function("held_step", list(inputs.values()), [change], list(inputs), ["change"], {"cse": True})
+
+
+def state_at_rest(
+    loop: ClosedLoop, plant: Plant, motion: Motion, q: ca.SX, base: ca.SX, p: ca.SX, law: ca.SX | None = None
+) -> ca.SX:
+    """State x (n_x,) at rest in q, with a law's states (0 by default).
 
     Servos start with the torque that carries the weight; filters and measurements on their way show the start.
     """
     parts = {name: ca.SX.zeros(size, 1) for name, size in loop.states.sizes.items()}
+    if law is not None:
+        parts["law"] = law
     parts["u"] = ca.solve(ca.SX(motion.to_q), q - motion.origin(base))
     if loop.structure.compensated and loop.structure.lagging:
         parts["torque"] = plant.gravity(q, base, p)[plant.n_passive :]

@@ -119,12 +119,12 @@ class LoopSettings(Result):
             **{name: value.tolist() for name, value in each.items() if value is not None},
         )  # fmt: skip
 
-    def motions(self, machine: AnyMachine, *, gravity: bool) -> SmallMotions:
-        """The Functions of this loop."""
+    def motions(self, machine: AnyMachine, *, gravity: bool, own_model: bool = False) -> SmallMotions:
+        """The Functions of this loop; `own_model` says something under gravity alone."""
         return small_motions(
             machine, self.control, gravity=gravity, integral=self.feedback == "pid",
             filtered=self.filter_hz is not None, lagging=self.bandwidth_hz is not None,
-            damped=self.nullspace_damping > 0, served=self.drive == "velocity",
+            damped=self.nullspace_damping > 0, served=self.drive == "velocity", own_model=gravity and own_model,
         )  # fmt: skip
 
     @property
@@ -144,9 +144,10 @@ class LoopSettings(Result):
         gravity: bool,
         parameters: Vector | None = None,
         dead_time: float | None = None,
+        own_model: bool = False,
     ) -> LoopPoint:
-        """This loop in a configuration; of the machine with other `parameters`, at another dead time."""
-        motions = self.motions(machine, gravity=gravity)
+        """This loop in a configuration; of the machine with other `parameters`, which it knows or not, or dead time."""
+        motions = self.motions(machine, gravity=gravity, own_model=own_model)
         p = build_plant(machine).parameter_values.full().ravel() if parameters is None else parameters
         numbers = motions.numbers(self.numbers | {"base": base, "posture": posture, "p": p})
         return LoopPoint(motions, numbers, self.dead_time if dead_time is None else dead_time)

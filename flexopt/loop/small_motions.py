@@ -19,8 +19,20 @@ from flexopt.compiled import ArrayCall
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control, control_damping, control_method
 from flexopt.loop.closed import ClosedLoop, closed_loop
-from flexopt.loop.rest import design_constants, placed, state_at_rest
-from flexopt.loop.structure import JACOBIAN_DAMPING, LoopStructure
+from flexopt.loop.rest import (
+    ARRIVED,
+    FARTHEST,
+    LAST,
+    STAGES,
+    STEPS,
+    design_constants,
+    design_of,
+    held_at,
+    held_step,
+    placed,
+    state_at_rest,
+)
+from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
 from flexopt.loop.tangent import graphs_about_rest
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
@@ -31,6 +43,8 @@ INPUTS = (
     "base", "posture", "p", "kp", "kv", "ki", "nullspace_damping", "servo_gain", "filter_hz", "bandwidth_hz",
 )  # fmt: skip
 CONFIGURATION = INPUTS[:3]
+# What the configuration at rest depends on: gains where these hold a weight that the controller does not know.
+AT_REST = (*CONFIGURATION, "kp", "ki", "servo_gain")
 DEAD_TIME = "dead_time"
 # What measures of the sampled loop are differentiated by.
 BY = (*INPUTS, DEAD_TIME)
@@ -70,13 +84,19 @@ class Parts:
 @dataclass(frozen=True)
 class SmallMotions:
     """Functions of `INPUTS` (base (n_b,), posture (n,), p (n_par,), kp, kv, ki (n_task,), nullspace_damping,
-    servo_gain, filter_hz (1,), bandwidth_hz (n,)), period (1,) and held (m or 0,); of what a loop lacks any numbers.
+    servo_gain, filter_hz (1,), bandwidth_hz (n,)), period (1,) and held; of what a loop lacks any numbers.
+
+    `held` is what iteration has found, constant in derivatives: nothing without gravity; the passive coordinates (m,)
+    in the static deflection; with `own_model` those by the machine's file, and v (m + n_task,) of `held_at`.
 
     Attributes:
         machine, control, gravity: as of `flexopt.evaluate`.
         integral, filtered, lagging, damped: whether the law has an integral, measurements a filter, joints a servo, the
             self-motion a damper.
         served: whether joints are velocity-served: gains then ask for rates, and servo_gain damps the joints.
+        own_model: under gravity, whether the controller keeps the numbers of the machine's file whatever p: base and
+            posture are those by the file, target and weight that it carries, too, and the loop is that about where
+            feedback then holds the machine (`rest.Held`). Else it knows p.
     """  # noqa: D205
 
     machine: AnyMachine
@@ -87,6 +107,7 @@ class SmallMotions:
     lagging: bool = False
     damped: bool = False
     served: bool = False
+    own_model: bool = False
 
     @cached_property
     def plant(self) -> Plant:
@@ -106,6 +127,7 @@ class SmallMotions:
             compensated=self.gravity,
             lagging=self.lagging,
             nullspace_damped=self.damped,
+            own_model=self.own_model,
         )
 
     @cached_property
@@ -119,18 +141,60 @@ class SmallMotions:
         plant = self.plant
         g, r, n = plant.graph, plant.n_task, plant.n_actuated
         sizes = dict.fromkeys(INPUTS, 1) | dict.fromkeys(("kp", "kv", "ki"), r) | {"bandwidth_hz": n}
-        sizes |= {"period": 1, "held": plant.n_passive if self.gravity else 0}
+        held = (plant.n_passive + r) * self.own_model + plant.n_passive * self.gravity
+        sizes |= {"period": 1, "held": held}
         return {name: ca.SX.sym(name, size) for name, size in sizes.items()} | {
             "base": g.base, "posture": g.posture, "p": g.p,
         }  # fmt: skip
 
     @cached_property
     def hold(self) -> ca.Function:
-        """(base, posture, p) -> held, the static deflection by iteration, no derivative; empty without gravity."""
+        """(base, posture, p, and with `own_model` kp, ki, servo_gain) -> held, by iteration, no derivative.
+
+        NaN where feedback is not found to hold the machine anywhere.
+        """
         g, plant = self.plant.graph, self.plant
-        found = plant.deflected(g.base, g.posture, g.p) if self.gravity else ca.SX(0, 1)
-        names, options = ["base", "posture", "p"], {"is_diff_out": [False], "never_inline": True}
-        return ca.Function("hold", [g.base, g.posture, g.p], [found], names, ["held"], options)
+        names, options = [*CONFIGURATION], {"is_diff_out": [False], "never_inline": True}
+        if not self.own_model:
+            found = plant.deflected(g.base, g.posture, g.p) if self.gravity else ca.SX(0, 1)
+            return ca.Function("hold", [g.base, g.posture, g.p], [found], names, ["held"], options)
+        names += ["kp", "ki", "servo_gain"]
+        s = {name: ca.MX.sym(name, self.symbols[name].shape[0]) for name in names}
+        of_own, deflection = plant.parameter_values, ca.SX.sym("deflection", plant.n_passive)
+        of_file = ca.Function(
+            "design", [g.base, g.posture, deflection], [*design_of(plant, g.base, g.posture, deflection)]
+        )
+        sag = plant.deflected(s["base"], s["posture"], of_own)
+        design = of_file.call([s["base"], s["posture"], sag])
+        kp = s["servo_gain"] * s["kp"] if self.served else s["kp"]
+        v, size = ca.vertcat(sag, ca.MX.zeros(plant.n_task, 1)), ca.MX(0)
+        for stage in range(1, STAGES + 1):
+            p = of_own + (s["p"] - of_own) * (stage / STAGES)
+            for _ in range(LAST if stage == STAGES else STEPS):
+                change = self._held_step.call([v, *design, p, kp, self.integral * s["ki"]])[0]
+                size = ca.norm_inf(change)
+                v += change * (FARTHEST / ca.fmax(size, FARTHEST))
+        found = ca.vertcat(sag, ca.if_else(size <= ARRIVED, v, math.nan))
+        return ca.Function("hold", [*s.values()], [found], names, ["held"], options)
+
+    @cached_property
+    def _held_step(self) -> ca.Function:
+        return held_step(self.plant, self.control)
+
+    def _rest(self, s: Mapping[str, ca.SX], p: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX | None]:
+        """(q, passive coordinates and end-point of the design, states of the law) where the loop rests, with p."""
+        plant, m = self.plant, self.plant.n_passive
+        if not self.own_model:
+            at = plant.operating_point(s["base"], s["posture"], p, s["held"] if self.gravity else None)
+            return at.q, at.q[:m], at.end_point, None
+        design, v = design_of(plant, s["base"], s["posture"], s["held"][:m]), s["held"][m:]
+        kp, ki = (s["servo_gain"] if self.served else 1) * s["kp"], self.integral * s["ki"]
+        # From where iteration ends two more steps, that first and second derivatives are exact.
+        for _ in range(2):
+            v += self._held_step.call([v, *design, p, kp, ki])[0]
+        held = held_at(plant, self.control, design, p, v, kp, ki)
+        law = held.force - kp * held.error if self.integral else None
+        return held.q, design.deflection, design.target, law
 
     @cached_property
     def drive_damping(self) -> Vector:
@@ -143,14 +207,17 @@ class SmallMotions:
     def _graphs(self) -> dict[str, ca.SX]:
         s, plant, structure, loop = self.symbols, self.plant, self.structure, self.loop
         gain, p = (s["servo_gain"], s["p"] + self.drive_damping * s["servo_gain"]) if self.served else (1, s["p"])
-        at = plant.operating_point(s["base"], s["posture"], p, s["held"] if self.gravity else None)
+        q, passive, target, law = self._rest(s, p)
         own = constants_at(self.machine, p)
         motion = motion_of(structure.motion, own)
-        x = state_at_rest(loop, plant, motion, at.q, s["base"], p)
-        values = own | design_constants(motion, at.q[: plant.n_passive], s["base"])
+        x = state_at_rest(loop, plant, motion, q, s["base"], p, law)
+        values = own | design_constants(motion, passive, s["base"])
+        if self.own_model:
+            of_file = constants_at(self.machine, ca.SX(plant.parameter_values))
+            values |= {f"{MODEL}{name}": value for name, value in of_file.items()}
         values |= {name: gain * s[name] for name in ("kp", "kv", "ki")}
         values |= {
-            "h": s["period"], "target": at.end_point - placed(motion, s["base"]), "integral_limit": ca.SX.inf(),
+            "h": s["period"], "target": target - placed(motion, s["base"]), "integral_limit": ca.SX.inf(),
             "nullspace_damping": s["nullspace_damping"], "filter": 2 * math.pi * s["filter_hz"],
             "bandwidth": 2 * math.pi * s["bandwidth_hz"], JACOBIAN_DAMPING: ca.SX(control_damping(self.control) or 0.0),
         }  # fmt: skip
@@ -183,29 +250,36 @@ class SmallMotions:
         return ca.Function("small_motion_slopes", list(given.values()), slopes, list(given), names, {"cse": True})
 
     @cached_property
+    def configuration(self) -> ca.Function:
+        """(`AT_REST`, held) -> all coordinates at rest (n_q,)."""
+        s, names = self.symbols, [*AT_REST, "held"]
+        q = ca.densify(self._rest(s, s["p"])[0])
+        return ca.Function("configuration", [s[name] for name in names], [q], names, ["q"], {"cse": True})
+
+    @cached_property
     def _disturbed(self) -> tuple[dict[str, ca.SX], ca.SX]:
         """What B_d depends on, and it: rates of s by unit forces on the passive coordinates (n_s, n_p)."""
         s, plant, to_q = self.symbols, self.plant, self.loop.to_q
-        given = {name: s[name] for name in (*CONFIGURATION, "held")}
-        at = plant.operating_point(s["base"], s["posture"], s["p"], s["held"] if self.gravity else None)
+        given = {name: s[name] for name in (*AT_REST, "held")}
+        q = self._rest(s, s["p"])[0]
         n, m = plant.n_coordinates, plant.n_passive
-        rates = ca.SX(np.linalg.inv(to_q)) @ solve_spd(at.mass, ca.SX.eye(n)[:, :m])
+        rates = ca.SX(np.linalg.inv(to_q)) @ solve_spd(plant.mass(q, s["base"], s["p"]), ca.SX.eye(n)[:, :m])
         rest = closed_loop(self.structure).n_continuous - 2 * n
         return given, ca.densify(ca.vertcat(ca.SX.zeros(n, m), rates, ca.SX.zeros(rest, m)))
 
     @cached_property
     def disturbance(self) -> ca.Function:
-        """(base, posture, p, held) -> B_d (n_s, n_p): rates of s by unit forces on the passive coordinates."""
+        """(`AT_REST`, held) -> B_d (n_s, n_p): rates of s by unit forces on the passive coordinates."""
         given, into = self._disturbed
         return ca.Function("disturbance", list(given.values()), [into], list(given), ["into"], {"cse": True})
 
     @cached_property
     def disturbance_slopes(self) -> ca.Function:
-        """(base, posture, p, held, ∂V/∂B_d as `by_into`) -> ∂V/∂ base, posture and p as `V_…`."""
+        """(`AT_REST`, held, ∂V/∂B_d as `by_into`) -> ∂V/∂ each of `AT_REST` as `V_…`."""
         given, into = self._disturbed
         by = ca.SX.sym("by_into", *into.shape)
-        slopes = [ca.densify(ca.gradient(ca.dot(by, into), given[name])) for name in CONFIGURATION]
-        symbols, names = given | {"by_into": by}, [f"V_{name}" for name in CONFIGURATION]
+        slopes = [ca.densify(ca.gradient(ca.dot(by, into), given[name])) for name in AT_REST]
+        symbols, names = given | {"by_into": by}, [f"V_{name}" for name in AT_REST]
         return ca.Function("disturbance_slopes", list(symbols.values()), slopes, list(symbols), names, {"cse": True})
 
     @cached_property
@@ -224,7 +298,7 @@ class SmallMotions:
         """All inputs as arrays, what is left out 0, and what is held."""
         numbers = {name: np.zeros(symbol.shape[0]) for name, symbol in self.symbols.items()}
         numbers |= {name: np.asarray(value, dtype=np.float64).ravel() for name, value in given.items()}
-        held = self._to_hold(numbers["base"], numbers["posture"], numbers["p"])[0]
+        held = self._to_hold(*(numbers[name] for name in self.hold.name_in()))[0]
         return numbers | {"held": held.ravel()}
 
     def parts(self, numbers: Mapping[str, Vector]) -> Parts:
@@ -249,6 +323,7 @@ def small_motions(
     lagging: bool = False,
     damped: bool = False,
     served: bool = False,
+    own_model: bool = False,
 ) -> SmallMotions:
     """The Functions of a loop with these parts (made once, and kept)."""
-    return SmallMotions(machine, control, gravity, integral, filtered, lagging, damped, served)
+    return SmallMotions(machine, control, gravity, integral, filtered, lagging, damped, served, own_model)

@@ -240,8 +240,9 @@ class UncertainLoop:
         """The loop of a member; the nominal one by default."""
         p, late = (self.box.nominal, self.settings.dead_time) if u is None else self.box.numbers(u)
         return self.settings.outcome(
-            self.box.machine, self.base, self.posture, gravity=self.gravity, parameters=p, dead_time=late
-        )
+            self.box.machine, self.base, self.posture,
+            gravity=self.gravity, parameters=p, dead_time=late, own_model=u is not None,
+        )  # fmt: skip
 
     def slopes(self, u: Vector, point: LoopPoint, measured: Measured) -> Vector:
         """The derivative by u (k,) of a measure of a member's loop; NaN where there is none."""
@@ -256,7 +257,7 @@ class UncertainLoop:
         if factors is not None:
             times = np.repeat(factors, len(members))
             varied |= {name: np.outer(getattr(self.settings, name), times) for name in GAINS}
-        found = decays(self.box.machine, self.settings, varied, gravity=self.gravity).decay
+        found = decays(self.box.machine, self.settings, varied, gravity=self.gravity, own_model=True).decay
         return np.where(np.abs(found) <= self._rounding, 0.0, found)
 
     @property
@@ -274,6 +275,8 @@ class UncertainLoop:
         order = np.argsort(decays, kind="stable")
         starts, middle = members[order[:SEARCHES]], np.full(members.shape[1], 0.5)
         best = float(decays.min()), members[int(np.argmin(decays))]
+        if best[0] == -math.inf:
+            return best
         for start in starts:
             best = min(best, self._least(LoopPoint.decay, start), key=lambda each: each[0])
         sharp = np.concatenate([self._meeting(u) for u in (middle, *members[order[:MET]])])

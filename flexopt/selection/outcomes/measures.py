@@ -52,7 +52,10 @@ class Decay(Measure):
         for u in (None, *program.members):
             p, late = (box.nominal, box.nominal_dead_time) if u is None else box.numbers(u)
             given = varied | {"p": p[:, None], DEAD_TIME: np.full((1, len(ys)), late)}
-            told = decays(box.machine, program.loop.settings, given, gravity=program.loop.gravity, threads=threads)
+            told = decays(
+                box.machine, program.loop.settings, given,
+                gravity=program.loop.gravity, own_model=u is not None, threads=threads,
+            )  # fmt: skip
             found = np.minimum(found, np.where(np.isfinite(told.decay), told.decay, -math.inf))
         return found.tolist()
 

@@ -1,0 +1,166 @@
+"""A weight that the controller does not know: where feedback holds the machine, and what the loop does there.
+
+Ensembles of the nonlinear loop judge: they find their own state of rest, from one sample of the controller that runs.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.foundation.arrays import Vector
+from flexopt.loop.evaluation import settings_at
+from flexopt.loop.many import decays
+from flexopt.loop.outcome import LoopPoint
+from flexopt.loop.settings import LoopSettings
+from flexopt.model import AnyMachine
+
+EXCAVATOR = flexopt.load("excavator")
+POSTURE = (0.6, -1.6)
+EXCAVATOR_END = flexopt.evaluate(EXCAVATOR, POSTURE, gravity=True).end_point
+TORQUE: dict[str, Any] = {"drive": "torque", "kp": 1e5, "kv": 1e4, "rate": 200.0}
+SERVED: dict[str, Any] = {
+    "drive": "velocity",
+    "servo_gain": 2e5,
+    "kp": 1.0,
+    "kv": 0.0,
+    "rate": 200.0,
+    "dead_time": 0.013,
+}
+LOOPS: dict[str, tuple[dict[str, Any], str]] = {
+    "inverse": (TORQUE, "inverse"),
+    "transpose": (TORQUE, "transpose"),
+    "damped": (TORQUE, "damped:0.3"),
+    "integral, filter, dead time": (
+        TORQUE | {"feedback": "pid", "ki": 2e4, "dead_time": 0.013, "filter_hz": 20.0}, "inverse",
+    ),
+    "servos that lag": (TORQUE | {"bandwidth_hz": [8.0, 9.0]}, "inverse"),
+    "velocity": (SERVED, "inverse"),
+    "velocity, integral": (SERVED | {"feedback": "pid", "ki": 0.2}, "inverse"),
+}  # fmt: skip
+# What varies, and by which factors: weights, where they hang, and springs, by which the sag is another.
+VARIED = {"stick.mass": (0.5, 1.0, 1.5), "boom.com": (0.8, 1.2), "base.stiffness.rotation": (0.5, 2.0)}
+
+
+def settings_of(machine: AnyMachine, posture: tuple[float, ...], loop: dict[str, Any], control: str) -> LoopSettings:
+    base = np.zeros(len(machine.base_coordinates))
+    return settings_at(machine, np.array(posture), base, control, flexopt.Loop(**loop), gravity=True, call="test")[0]
+
+
+def numbers(machine: AnyMachine, name: str, values: Vector) -> Vector:
+    """Parameters (n_par, N) with one of them varied."""
+    found = np.repeat(np.array([[each.value] for each in machine.parameters]), len(values), axis=1)
+    found[[each.name for each in machine.parameters].index(name)] = values
+    return found
+
+
+def at(machine: AnyMachine, posture: tuple[float, ...], count: int) -> dict[str, Vector]:
+    base = np.zeros((len(machine.base_coordinates), count))
+    return {"base": base, "posture": np.repeat(np.array(posture)[:, None], count, axis=1)}
+
+
+@pytest.mark.parametrize("varied", VARIED)
+@pytest.mark.parametrize("name", LOOPS)
+def test_decays_are_those_of_runs_that_find_their_own_rest(name: str, varied: str) -> None:
+    loop, control = LOOPS[name]
+    own = next(each.value for each in EXCAVATOR.parameters if each.name == varied)
+    values = own * np.array(VARIED[varied])
+    runs = flexopt.simulate_ensemble(
+        EXCAVATOR, POSTURE, loop=loop, control=control, gravity=True, duration=0.1, vary={varied: values.tolist()}
+    )
+    given = {"p": numbers(EXCAVATOR, varied, values)} | at(EXCAVATOR, POSTURE, len(values))
+    settings = settings_of(EXCAVATOR, POSTURE, loop, control)
+    found = decays(EXCAVATOR, settings, given, gravity=True, own_model=True).decay
+    np.testing.assert_allclose(found, -runs.linear_growth_rate, rtol=1e-8)
+    # One at a time, too, and where the end-point then is: short of its target where no integral takes it there.
+    target = settings.outcome(EXCAVATOR, np.zeros(1), np.array(POSTURE), gravity=True)
+    plant = target.motions.plant
+    for k, p in enumerate(given["p"].T):
+        point = settings.outcome(EXCAVATOR, np.zeros(1), np.array(POSTURE), gravity=True, parameters=p, own_model=True)
+        assert point.rate().value == pytest.approx(found[k], rel=1e-9)
+        ends = (plant.end_point(each.configuration, [0.0], each.numbers["p"]) for each in (point, target))
+        short = np.abs(np.subtract(*(end.full().ravel() for end in ends)))
+        assert short.max() < 1e-9 if "integral" in name or values[k] == own else short.min() > 1e-6
+
+
+def test_with_its_own_numbers_it_is_the_loop_that_knows_them():
+    for loop, control in LOOPS.values():
+        settings = settings_of(EXCAVATOR, POSTURE, loop, control)
+        one, other = (
+            settings.outcome(EXCAVATOR, np.zeros(1), np.array(POSTURE), gravity=True, own_model=own)
+            for own in (True, False)
+        )
+        assert one.rate().value == pytest.approx(other.rate().value, rel=1e-9)
+        np.testing.assert_allclose(one.configuration, other.configuration, atol=1e-12)
+
+
+REDUNDANT: dict[str, tuple[tuple[float, ...], dict[str, Any], str, float]] = {
+    "excavator": (POSTURE, LOOPS["integral, filter, dead time"][0], "stick.mass", 1.4),
+    "boom-stick-bucket": (
+        (-1.2, -1.6, -0.5),
+        {"drive": "torque", "kp": 5e5, "kv": 5e5, "rate": 200.0, "nullspace_damping": 1e5}, "bucket.mass", 1.4,
+    ),
+    "truck-crane": (
+        (0.3, 0.6, -0.8, 1.0), {"drive": "velocity", "servo_gain": 3e6, "kp": 1.0, "kv": 0.0, "rate": 100.0},
+        "payload.mass", 1.4,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.long("truck-crane")
+@pytest.mark.parametrize("name", REDUNDANT)
+def test_slopes_of_the_decay(name: str) -> None:
+    """By central differences, of everything that it depends on, where none is 0."""
+    posture, loop, varied, factor = REDUNDANT[name]
+    machine = flexopt.load(name)
+    settings = settings_of(machine, posture, loop, "inverse")
+    own = next(each.value for each in machine.parameters if each.name == varied)
+    p = numbers(machine, varied, np.array([factor * own]))[:, 0]
+    base = np.zeros(len(machine.base_coordinates))
+    point = settings.outcome(machine, base, np.array(posture), gravity=True, parameters=p, own_model=True)
+    slopes = point.gradient(point.rate())
+    known = settings.outcome(machine, base, np.array(posture), gravity=True, parameters=p)
+    assert abs(point.rate().value / known.rate().value - 1) > 1e-4
+    given = {key: np.array(value) for key, value in point.numbers.items() if key != "held"}
+
+    def decay(key: str, k: int, step: float) -> float:
+        there = given | {key: given[key] + step * np.eye(len(given[key]))[k]}
+        return LoopPoint(point.motions, point.motions.numbers(there), point.dead_time).rate().value
+
+    names = [each.name for each in machine.parameters]
+    asked = [("posture", k) for k in range(len(posture))] + [("kp", 0), ("kv", 0)]
+    asked += [("p", names.index(varied)), ("p", names.index("gravity"))]
+    asked += [("ki", 0)] * ("ki" in loop) + [("servo_gain", 0)] * ("servo_gain" in loop)
+    for key, k in asked:
+        step = 1e-4 * max(abs(float(given[key][k])), 0.1)
+        difference = (decay(key, k, step) - decay(key, k, -step)) / (2 * step)
+        # Differences are off by step² and by rounding over the step.
+        assert slopes[key][k] == pytest.approx(difference, rel=1e-4, abs=1e-9 / step), key
+        assert slopes[key][k] != 0
+
+
+def test_weak_feedback_is_followed_to_where_the_arm_hangs():
+    """By most of a metre with another load; what feedback holds nowhere has no rate: it falls."""
+    loop = SERVED | {"servo_gain": 2e4, "kp": 0.3}
+    settings = settings_of(EXCAVATOR, POSTURE, loop, "inverse")
+    values = np.array([0.2, 0.6, 1.0, 30.0]) * 458.2
+    runs = flexopt.simulate_ensemble(
+        EXCAVATOR, POSTURE, loop=loop, gravity=True, duration=0.1, vary={"stick.mass": values.tolist()}
+    )
+    given = {"p": numbers(EXCAVATOR, "stick.mass", values)} | at(EXCAVATOR, POSTURE, len(values))
+    found = decays(EXCAVATOR, settings, given, gravity=True, own_model=True).decay
+    np.testing.assert_allclose(found[:3], -runs.linear_growth_rate[:3], rtol=1e-8)
+    assert found[3] == -np.inf
+    assert np.isnan(runs.linear_growth_rate[3])
+    falling, hanging = (
+        settings.outcome(EXCAVATOR, np.zeros(1), np.array(POSTURE), gravity=True, parameters=p, own_model=True)
+        for p in given["p"].T[[3, 0]]
+    )
+    assert not falling.rests
+    assert (falling.rate().value, falling.allowed_gain().value) == (-np.inf, 0.0)
+    assert np.isnan(falling.delay_margin().value)
+    end = hanging.motions.plant.end_point(hanging.configuration, [0.0], hanging.numbers["p"]).full().ravel()
+    assert np.hypot(*(end - EXCAVATOR_END)) > 0.3
