@@ -81,8 +81,10 @@ class Measured(NamedTuple):
 
 
 UNDEFINED = Measured(math.nan)
-# Multiplier of a machine that feedback holds nowhere.
-FALLS = np.array([complex(math.inf)])
+# Multiplier of a machine that feedback holds nowhere: the largest number, for it falls, at no rate.
+FALLS = np.array([complex(np.finfo(np.float64).max)])
+# That in growth within a sample, less than by rounding.
+FALLS_AT = 0.999 * math.log(np.finfo(np.float64).max)
 # Share of the energy of an oscillation that a mode's springs have at least where the mode has become it: a third to a
 # half of its own, some 1e-4 of another's.
 STRAINS = 0.01
@@ -154,7 +156,7 @@ class LoopPoint:
 
     @cached_property
     def loop(self) -> SampledLoop:
-        """Eigenvalues of Φ, what nothing holds left out; of a machine that falls one that is infinite."""
+        """Eigenvalues of Φ, what nothing holds left out; of a machine that falls `FALLS`."""
         return self.spectrum_of(self.sample.matrix) if self.rests else SampledLoop(FALLS, self.period)
 
     def gradient(self, measure: Measured) -> dict[str, Vector]:
@@ -200,8 +202,10 @@ class LoopPoint:
         """
         if branch >= len(self.upper):
             return UNDEFINED
-        if not self.upper[branch] or not self.rests:
-            return Measured(math.inf if self.rests else -math.inf)
+        if not self.rests:
+            return Measured(-self.loop.growth_rate)
+        if not self.upper[branch]:
+            return Measured(math.inf)
         mu, by_matrix = self._by_multiplier(self.upper[branch], lambda mu: -1 / (mu * self.period))
         slopes = self.smooth.slopes(by_matrix) if np.all(np.isfinite(by_matrix)) else None
         return Measured(-math.log(abs(mu)) / self.period, slopes)

@@ -19,8 +19,8 @@ from flexopt.plant.control import task_to_joints
 from flexopt.plant.motion import Motion
 
 T = TypeVar("T")
-# Stages from the design's parameters to those of the machine, along which the rest is followed; Newton steps in each and
-# in the last one; how far a step goes at most, and how far the last one may go, m or rad.
+# Stages from the design's parameters to those of the machine, along which the rest is followed; Newton steps in each
+# and in the last one; how far a step goes at most, and how far the last one may go, m or rad.
 STAGES, STEPS, LAST, FARTHEST, ARRIVED = 8, 2, 5, 0.3, 1e-6
 
 

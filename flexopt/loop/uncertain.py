@@ -275,8 +275,6 @@ class UncertainLoop:
         order = np.argsort(decays, kind="stable")
         starts, middle = members[order[:SEARCHES]], np.full(members.shape[1], 0.5)
         best = float(decays.min()), members[int(np.argmin(decays))]
-        if best[0] == -math.inf:
-            return best
         for start in starts:
             best = min(best, self._least(LoopPoint.decay, start), key=lambda each: each[0])
         sharp = np.concatenate([self._meeting(u) for u in (middle, *members[order[:MET]])])

@@ -153,14 +153,34 @@ def test_weak_feedback_is_followed_to_where_the_arm_hangs():
     given = {"p": numbers(EXCAVATOR, "stick.mass", values)} | at(EXCAVATOR, POSTURE, len(values))
     found = decays(EXCAVATOR, settings, given, gravity=True, own_model=True).decay
     np.testing.assert_allclose(found[:3], -runs.linear_growth_rate[:3], rtol=1e-8)
-    assert found[3] == -np.inf
+    assert found[3] == pytest.approx(-np.log(np.finfo(float).max) * 200.0)
     assert np.isnan(runs.linear_growth_rate[3])
     falling, hanging = (
         settings.outcome(EXCAVATOR, np.zeros(1), np.array(POSTURE), gravity=True, parameters=p, own_model=True)
         for p in given["p"].T[[3, 0]]
     )
     assert not falling.rests
-    assert (falling.rate().value, falling.allowed_gain().value) == (-np.inf, 0.0)
+    assert (falling.rate().value, falling.allowed_gain().value) == (found[3], 0.0)
     assert np.isnan(falling.delay_margin().value)
     end = hanging.motions.plant.end_point(hanging.configuration, [0.0], hanging.numbers["p"]).full().ravel()
     assert np.hypot(*(end - EXCAVATOR_END)) > 0.3
+
+
+def test_a_region_over_an_unknown_load_is_that_of_runs():
+    """The slowest decay over the interval is that at one of its ends; a controller that knew the load would tell another."""
+    low, high = 0.5 * 458.2, 1.5 * 458.2
+    loop = SERVED | {"feedback": "pid", "ki": 0.2}
+    runs = flexopt.simulate_ensemble(
+        EXCAVATOR,
+        POSTURE,
+        loop=loop,
+        gravity=True,
+        duration=0.1,
+        vary={"stick.mass": np.linspace(low, high, 9).tolist()},
+    )
+    region = flexopt.stable_region(
+        EXCAVATOR, POSTURE, loop=loop, gravity=True, ranges={"stick.mass": (low, high)}, boxes=0
+    )
+    slowest = float(np.min(-runs.linear_growth_rate))
+    assert region.decay == pytest.approx(slowest, rel=1e-6)
+    assert region.critical["stick.mass"] == pytest.approx(low if slowest == -runs.linear_growth_rate[0] else high)

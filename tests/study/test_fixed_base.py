@@ -85,5 +85,5 @@ def test_studies(tmp_path: Path, quantities: dict[str, Any]) -> None:
 
 
 def test_a_place_for_it_is_refused(machine: Any) -> None:
-    with pytest.raises(flexopt.InputError, match="base = 0.0: must be left out: the machine is placed by nothing"):
+    with pytest.raises(flexopt.InputError, match=r"base = 0\.0: must be left out: the machine is placed by nothing"):
         flexopt.select(machine, TARGET, base=0.0)

@@ -98,6 +98,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "sought_by": sentence(verdict.sought_by),
         "unverified": "",
         "drifts": sentence(verdict.drifts),
+        "falls": sentence(verdict.falls),
         "unseen": sentence(verdict.unseen),
         "weightless": sentence(verdict.weightless),
         "taken": verdict.taken and sentence(f"staying is judged in {verdict.taken}"),

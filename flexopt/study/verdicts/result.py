@@ -18,6 +18,7 @@ from flexopt.foundation.printing import Printed
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import unseen_told
+from flexopt.loop.outcome import FALLS_AT
 from flexopt.loop.settings import LoopSettings, in_calls
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
@@ -510,6 +511,17 @@ class Verdict(Pictured, Printed, Result):
         return unseen_told(which)
 
     @property
+    def falls(self) -> str:
+        """That feedback holds the arm nowhere where places decay least, a sentence; empty where it holds it."""
+        most = FALLS_AT * self.settings.rate
+        names = [place.name for place in self.places if -place.decay.least >= most]
+        if not names:
+            return ""
+        which = "of every place" if len(names) == len(self.places) else f"of {', '.join(names)}"
+        told = f"the slowest decay {which} stands for an arm that falls: on some ground"
+        return f"{told} the feedback holds the weight, which the controller does not know, nowhere"
+
+    @property
     def drifts(self) -> str:
         """That nothing brakes the arm's self-motion, or too little, a sentence; empty where that is not so."""
         if not self.settings.lets_drift:
@@ -571,7 +583,7 @@ class Verdict(Pictured, Printed, Result):
         doubts = self.doubts
         lines += [f"  {each}" for place in self.places for each in (place.broken, doubts.get(place.name)) if each]
         lines += [f"  {self.drifts}"] * bool(self.drifts)
-        lines += [f"  {sentence}" for sentence in (self.unseen, self.weightless) if sentence]
+        lines += [f"  {sentence}" for sentence in (self.falls, self.unseen, self.weightless) if sentence]
         lines += [f"  {sentence}" for sentence in self.assumed]
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
         return "\n".join([*lines, *filter(None, (self.drawbacks, self.passed_over, self.measure))])
