@@ -14,7 +14,7 @@ from flexopt.article.loop_findings import _rate_near
 from flexopt.loop.assembly import OneSample
 from flexopt.loop.disturbance import left_over, summed, summed_to_rounding
 from flexopt.loop.outcome import MEASURES, LoopPoint
-from flexopt.loop.small_motions import small_motions
+from flexopt.loop.small_motions import AT_REST, small_motions
 from flexopt.loop.spectrum import SampledLoop, spectrum
 from flexopt.loop.tangent import exponential
 from flexopt.selection.outcomes.branches import rates_of
@@ -130,7 +130,7 @@ def test_variance_of_a_run_with_noise_on_the_base():
     case, steps, runs = draw_case(7), 20, 200
     here = replace(case.outcome, dead_time=case.outcome.period)
     parts, h, decay = here.parts, here.period / steps, here.decay().value
-    of = [here.numbers[name] for name in ("base", "posture", "p", "held")]
+    of = [here.numbers[name] for name in (*AT_REST, "held")]
     into, settled = here.motions.disturbance.call(of)[0].full(), round(4 / (decay * here.period))
     held, pushed = exponential(parts.flow, np.hstack([parts.drive, into]), h)
     rng, state, squares = np.random.default_rng(0), np.zeros((len(parts.flow), runs)), []
