@@ -59,6 +59,8 @@ class Outcome(Result):
         decay: of the slowest motion of the sampled loop, 1/s; negative where it grows. decay_rounding: one that is
             nearer to 0 than this, 1/s, is neither growth nor decay. frequency_hz: of that motion. unseen: whether it is
             a mode that neither moves the end-point nor is excited by it, which decays by itself, whatever the loop.
+        too_much: names of the gains that make a loop grow which changes its sign at every sample: without these, and
+            no fewer, no such motion grows. Empty where it does not.
         drift: growth rates of a redundant arm's self-motion, which is no part of the decay, 1/s.
         allowed_gain: largest stable Kp along the present ratio of the gains, NaN where no row has one; gain_intervals:
             all stable intervals of it, (k, 2). Where the present gains lie in none, the largest stable ones below, 0
@@ -114,6 +116,7 @@ class Outcome(Result):
     settling: float
     swing: float
     swing_unit: str
+    too_much: tuple[str, ...]
     gradient: SlopesOfMeasures
 
     DOCUMENT = """
@@ -206,9 +209,7 @@ class Outcome(Result):
         if len(self.other_frequencies_hz):
             what = "further oscillations of the loop that are slow or grow, mostly of the arm under its feedback"
             lines.append(f"  {what}: {self._others}")
-        why = from_sample_to_sample(
-            -self.decay, self.decay_rounding, self.frequency_hz, self.settings.rate, self.settings
-        )
+        why = from_sample_to_sample(self.too_much, self.settings.rate)
         lines.append(f"  sampled loop: {self._word}, {self.frequency_hz:.4g} Hz{why}")
         lines += [f"  {unseen_told('the loop')}"] * self.unseen
         if self.settings.lets_drift:
@@ -381,6 +382,7 @@ def outcome_of(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *
         unseen=modes_of_loop.is_unseen(outcome.numbers, scalars["decay"].value, outcome.loop.rounding),
         drift=outcome.loop.drift,
         swing_unit=swing_unit(outcome),
+        too_much=outcome.too_much,
         gain_intervals=tuple((low * kp, high * kp) for low, high in outcome.gain_intervals if kp),
         gradient={name: {"parameters" if by == "p" else by: x for by, x in found.items()}
                   for name, found in gradient.items()},

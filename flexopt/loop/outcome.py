@@ -9,7 +9,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -32,6 +32,7 @@ from flexopt.loop.spectrum import (
     neutral_directions,
     poles_of,
     spectrum,
+    too_much,
     without_neutral,
 )
 from flexopt.loop.standard_move import StandardMove
@@ -158,6 +159,15 @@ class LoopPoint:
     def loop(self) -> SampledLoop:
         """Eigenvalues of Φ, what nothing holds left out; of a machine that falls `FALLS`."""
         return self.spectrum_of(self.sample.matrix) if self.rests else SampledLoop(FALLS, self.period)
+
+    @cached_property
+    def too_much(self) -> tuple[str, ...]:
+        """Gains that make it grow from sample to sample; see `spectrum.too_much`."""
+
+        def without(names: tuple[str, ...]) -> SampledLoop:
+            return replace(self, numbers={**self.numbers, **{name: 0 * self.numbers[name] for name in names}}).loop
+
+        return too_much(self.loop, self.numbers, without)
 
     def gradient(self, measure: Measured) -> dict[str, Vector]:
         """The derivative of a measure by each of `INPUTS` and by the dead time; NaN where there is none."""

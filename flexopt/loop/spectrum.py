@@ -5,8 +5,9 @@ In: Φ of x_{k+1} = Φ x_k. Out: `SampledLoop`, its multipliers, and of any of t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from flexopt.errors import InputError
 from flexopt.foundation.arrays import ComplexArray, Vector
+from flexopt.foundation.plain import listed
 from flexopt.loop.structure import LoopStructure
 from flexopt.plant import Plant
 
@@ -26,26 +28,53 @@ OWN = 0.9
 MEETING = 1e-7
 # From this share of the sampling rate on a motion has another sign at every sample.
 ALTERNATES = 0.499
+# What may make it do so, by name.
+CAUSES = {
+    "kv": "the velocity gain",
+    "kp": "the position gain",
+    "ki": "the integral gain",
+    "nullspace_damping": "the damper of the self-motion",
+}
 # Steps of inverse iteration: next to an eigenvalue one or two do.
 ITERATIONS = 3
 
 
-def from_sample_to_sample(growth_rate: float, rounding: float, frequency_hz: float, rate: float, gains: Any) -> str:
-    """What makes a loop grow that changes its sign at every sample; empty where it does not. `rate`: of samples, Hz.
+def too_much(
+    loop: SampledLoop, gains: Mapping[str, Any], without: Callable[[tuple[str, ...]], SampledLoop | str]
+) -> tuple[str, ...]:
+    """Which gains make a loop grow that changes its sign at every sample, names of `CAUSES`; none where it does not.
 
-    `gains`: has them by name, with `drive` and the `nullspace_damping` of the arm's self-motion. Named is that which is
-    nearest to where it makes ẍ = u, sampled with the period T, alternate by itself: Kv T = 2, Kp T² = 16; with drives
-    that follow a velocity, ẋ = u, Kv = 1, Kp T = 2. Ki T/2 adds to Kp as its sum does.
+    The fewest without which no such motion grows; of as few those without which the loop grows least. The loop itself
+    is asked, as the size of a gain does not tell whether it is too much by itself, or only beside another.
+
+    Args:
+        loop: as it is.
+        gains: by name.
+        without: the loop without some of them; a sentence where there is none.
     """
-    if growth_rate <= rounding or frequency_hz < ALTERNATES * rate:
+    if loop.growth_rate <= loop.rounding or loop.frequency_hz * loop.period < ALTERNATES:
+        return ()
+    present = [name for name in CAUSES if np.any(gains[name])]
+    for count in range(1, len(present) + 1):
+        rates = dict[tuple[str, ...], float]()
+        for names in combinations(present, count):
+            other = without(names)
+            if isinstance(other, SampledLoop) and not other.alternates:
+                rates[names] = other.growth_rate
+        if rates:
+            return min(rates, key=lambda names: rates[names])
+    return ()
+
+
+def from_sample_to_sample(names: Sequence[str], rate: float) -> str:
+    """Why a loop grows that changes its sign at every sample, as `too_much` names it; empty where it does not.
+
+    `rate`: of samples, Hz.
+    """
+    if not names:
         return ""
-    kv, kp, ki = (float(np.max(np.abs(getattr(gains, name)))) for name in ("kv", "kp", "ki"))
-    share = (1 / 2 if getattr(gains, "drive", None) == "velocity" else 1 / 8) / rate
-    sizes = {"velocity": kv, "position": share * kp, "integral": share * ki / (2 * rate)}
-    causes = [f"the {max(sizes, key=lambda name: sizes[name])} gain"] * any(sizes.values())
-    causes += ["the damper of the self-motion"] * bool(gains.nullspace_damping)
-    also = f", or {causes[1]}," if len(causes) > 1 else ""
-    return f", half the sampling rate: {causes[0] if causes else 'a gain'}{also} is too much for {rate:g} Hz"
+    verb = "is" if len(names) == 1 else "are"
+    return f", half the sampling rate: {listed(CAUSES[name] for name in names)} {verb} too much for {rate:g} Hz"
 
 
 def slow_self_motion(drift: Sequence[float], decay: float) -> list[str]:
@@ -114,6 +143,13 @@ class SampledLoop:
     def stable(self) -> bool:
         """Whether all multipliers lie inside the unit circle, by more than rounding."""
         return self.growth_rate < -self.rounding
+
+    @property
+    def alternates(self) -> bool:
+        """Whether a motion grows that has another sign at every sample."""
+        poles = self.poles
+        turns = np.abs(poles.imag) * self.period / (2 * np.pi)
+        return bool(np.any((turns >= ALTERNATES) & (poles.real > self.rounding)))
 
     def __repr__(self) -> str:
         known = abs(self.growth_rate) > self.rounding

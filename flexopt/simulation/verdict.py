@@ -17,7 +17,7 @@ import numpy as np
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.doubt import with_doubt
-from flexopt.loop.spectrum import from_sample_to_sample
+from flexopt.loop.spectrum import CAUSES, from_sample_to_sample, too_much
 from flexopt.loop.tangent import at_rest
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import SimulationOptions
@@ -64,13 +64,16 @@ class Ended:
     x: Vector | None = None
     e: Vector | None = None
 
-    def linear(self) -> SampledLoop | str:
-        """The linear loop about rest, exact between the samples; a sentence where there is none."""
+    def linear(self, without: tuple[str, ...] = ()) -> SampledLoop | str:
+        """The linear loop about rest, exact between the samples; a sentence where there is none.
+
+        `without`: names of gains that are left out.
+        """
         if self.x is None or self.e is None:
-            return _about_design(self.machine, _essential(self.options))  # pyright: ignore[reportArgumentType]
+            return _about_design(self.machine, _essential(self.options), without)  # pyright: ignore[reportArgumentType]
         try:
             bare = bare_scenario(self.machine, self.options, paths=True)
-            return about(bare, self.x, self.e[: bare.loop.signals.total])
+            return about(bare, self.x, self.e[: bare.loop.signals.total], _zeros(bare, without))
         except FlexoptError as error:
             return str(error)
 
@@ -105,12 +108,17 @@ def _essential(options: SimulationOptions) -> SimulationOptions:
 
 
 @lru_cache(maxsize=256)
-def _about_design(machine: AnyMachine, options: SimulationOptions) -> SampledLoop | str:
+def _about_design(machine: AnyMachine, options: SimulationOptions, without: tuple[str, ...]) -> SampledLoop | str:
     try:
         bare = bare_scenario(machine, options)
-        return about(bare, bare.resting, np.zeros(bare.loop.signals.total))
+        return about(bare, bare.resting, np.zeros(bare.loop.signals.total), _zeros(bare, without))
     except FlexoptError as error:
         return str(error)
+
+
+def _zeros(scenario: Scenario, names: tuple[str, ...]) -> dict[str, Vector]:
+    """In place of a scenario's constants."""
+    return {name: np.zeros_like(scenario.parts[name], dtype=np.float64) for name in names}
 
 
 def about(bare: Scenario, x: Vector, e: Vector, parts: Mapping[str, Any] | None = None) -> SampledLoop | str:
@@ -179,8 +187,8 @@ def alternating(linear: SampledLoop, ended: Ended | None) -> str:
     """What makes the loop grow where it changes its sign at every sample; empty where it does not."""
     if ended is None or ended.options.feedback == "robust":
         return ""
-    rounding, rate = linear.rounding, 1 / linear.period
-    return from_sample_to_sample(linear.growth_rate, rounding, linear.frequency_hz, rate, ended.options)
+    names = too_much(linear, ended.options.model_dump(include=set(CAUSES)), ended.linear)
+    return from_sample_to_sample(names, 1 / linear.period)
 
 
 def _why(run: Shown, linear: SampledLoop, ended: Ended | None) -> str:

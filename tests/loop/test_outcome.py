@@ -20,6 +20,7 @@ from flexopt.loop.tangent import exponential
 from flexopt.selection.outcomes.branches import rates_of
 from tests.oracles.late_cases import draw_case, nonlinear_growth, slopes_off
 from tests.oracles.late_loop import LateLoop, directional
+from tests.oracles.sampled_loop import multipliers
 from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
 
 DIGGER, STAND = flexopt.load("slewing-excavator"), (0.2, 0.5, -1.2, -0.5)
@@ -386,7 +387,43 @@ def test_a_loop_that_alternates_from_sample_to_sample_is_told_why() -> None:
     arm = flexopt.load("mobile-manipulator")
     damper = {"kp": 10.0, "kv": 1.0, "drive": "torque", "nullspace_damping": 1e4}
     grows = str(flexopt.outcome(arm, (0.0, -1.2, 1.5, -0.5, 0.6, 0.0), loop=damper))
-    assert "the velocity gain, or the damper of the self-motion, is too much for" in grows
+    # Whatever the gains: it grows as fast without them.
+    assert "half the sampling rate: the damper of the self-motion is too much for" in grows
+    both = str(flexopt.outcome(arm, (0.0, -1.2, 1.5, -0.5, 0.6, 0.0), loop=damper | {"kv": 1e5}))
+    assert "the velocity gain and the damper of the self-motion are too much for" in both
+
+
+@pytest.mark.parametrize(
+    ("kp", "kv", "named"),
+    [
+        (1e8, 8e4, ("kp",)),
+        (1e8, 7e4, ("kp",)),
+        (8e7, 9.5e4, ("kp",)),
+        (1e9, 1e3, ("kp",)),
+        (8e7, 1.2e5, ("kv",)),
+        (0.0, 1.2e5, ("kv",)),
+        (1e9, 1.2e5, ("kv", "kp")),
+        (1e8, 4e4, ()),
+        (0.0, 8e4, ()),
+    ],
+)
+def test_named_is_the_gain_without_which_nothing_alternates(kp: float, kv: float, named: tuple[str, ...]) -> None:
+    """By SciPy's discretisation: a multiplier left of −1, and how fast the loop grows without either gain."""
+    posture = np.array([0.6, -1.6])
+
+    def looked_at(**gains: float) -> tuple[bool, float]:
+        of = multipliers(EXCAVATOR, posture, control="inverse", period=0.005, **gains)
+        return bool(np.any((np.abs(of.imag) < 1e-9) & (of.real < -1))), float(np.abs(of[0]))
+
+    gains = {"kp": kp, "kv": kv}
+    without = {name: looked_at(**gains | {name: 0.0}) for name in gains}
+    assert looked_at(**gains)[0] == bool(named)
+    assert flexopt.outcome(EXCAVATOR, posture, loop=gains).too_much == named
+    if len(named) == 1:
+        assert not without[named[0]][0]
+        assert without[named[0]] == min(without.values())
+    elif named:
+        assert all(alternates for alternates, _ in without.values())
 
 
 def test_a_self_motion_slower_than_the_decay_is_told():

@@ -43,6 +43,11 @@ def test_a_run_that_alternates_from_sample_to_sample_is_told_why() -> None:
     steep = flexopt.simulate(EXCAVATOR, POSTURE_B, kp=1e4, kv=5e5, duration=1.0)
     assert cause in str(steep).splitlines()[0]
     assert cause in steep.verdict_reason
+    # Kv = 8e4 alone does not alternate, and with Kp = 1e8 no lower Kv helps.
+    stiff = flexopt.simulate(EXCAVATOR, (0.6, -1.6), kp=1e8, kv=8e4, duration=0.1)
+    both = flexopt.simulate(EXCAVATOR, (0.6, -1.6), kp=1e9, kv=1.2e5, duration=0.1)
+    assert "at 100 Hz, half the sampling rate: the position gain is too much for 200 Hz" in str(stiff).splitlines()[0]
+    assert "the velocity gain and the position gain are too much for 200 Hz" in both.verdict_reason
     grows = flexopt.simulate(EXCAVATOR, POSTURE_B, kp=1e6, kv=1e3, duration=1.0)
     assert "half the sampling rate" not in str(grows) + grows.verdict_reason
 

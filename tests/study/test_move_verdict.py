@@ -291,7 +291,7 @@ def test_a_damper_that_is_too_much_for_the_sampling_rate_is_named() -> None:
         return flexopt.verdict(digger, target, base=0.0, posture=posture, loop=loop, **few).sentence
 
     assert "it grows at 50 Hz, half the sampling rate" in sentence(1e9)
-    assert "or the damper of the self-motion, is too much for 100 Hz" in sentence(1e9)
+    assert "half the sampling rate: the damper of the self-motion is too much for 100 Hz" in sentence(1e9)
     assert "half the sampling rate" not in sentence(1e3)
 
 

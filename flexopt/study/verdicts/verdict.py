@@ -400,11 +400,11 @@ def _alternates(loops: Mapping[str, PlaceLoops], slowest: Mapping[str, Slowest])
     why = ""
     for name, at in slowest.items():
         own = loops[name].loops[at.target]
-        loop, rate = own.outcome(at.member).loop, own.settings.rate
-        why = from_sample_to_sample(loop.growth_rate, loop.rounding, loop.frequency_hz, rate, own.settings)
+        slow = own.outcome(at.member)
+        why = from_sample_to_sample(slow.too_much, own.settings.rate)
         if not why:
             return ""
-        why = f"{loop.frequency_hz:.4g} Hz{why}"
+        why = f"{slow.loop.frequency_hz:.4g} Hz{why}"
     return why
 
 
