@@ -364,6 +364,36 @@ def test_columns_say_what_they_hold() -> None:
 
 
 @pytest.mark.needs("chromium")
+def test_long_names_leave_their_numbers_in_sight(chromium: Browser, tmp_path: Path) -> None:
+    """Constraints at corners of what is uncertain: names wrap, what is allowed and the numbers stay on a line."""
+    named = "clearance of beams (start) from the assumed ground where base.stiffness.y is 1.56e+06 N/m, "
+    name = f"{named}base.stiffness.rotation is 3.208e+06 N m/rad and payload.mass is 700 kg"
+    source = '{% from "foundation/templates/pieces.html" import table %}{{ table(given) }}'
+    header = ["constraint", "allowed", *(OfNumbers(f"candidate {k}") for k in range(1, 5))]
+    given = (header, [[text, "at least 0.030154 sin²", *["−0.00031664"] * 4] for text in ("tool angle", name)])
+    styles = (Path(study_page.__file__).parents[1] / "foundation/templates/page.css").read_text()
+    page_file, cell = tmp_path / "long.html", tmp_path / "cell.html"
+    table = _environment().from_string(source).render(given=given)
+    page_file.write_text(f"<!doctype html><meta charset=utf-8><style>{styles}</style>{table}")
+    rows = [("size", "1", ""), (name, "0.0123456", "m")]
+    shown = render("foundation/templates/result.html", title="Candidate", rows=rows, blocks=[])
+    cell.write_text(f"<!doctype html><meta charset=utf-8><style>body {{ width: 900px }}</style>{shown}")
+    lines = """(each) => {
+        const range = document.createRange();
+        range.selectNodeContents(each);
+        return new Set([...range.getClientRects()].map((line) => line.top)).size;
+    }"""
+    for path in (page_file, cell):
+        with page_of(chromium, path) as page:
+            box = ".scroll" if path == page_file else "table"
+            assert (
+                page.evaluate(f"(({{scrollWidth: a, clientWidth: b}}) => a - b)(document.querySelector('{box}'))") <= 0
+            )
+            assert max(page.evaluate(f"[...document.querySelectorAll('td:not(:empty)')].map({lines})")) == 1
+            assert max(page.evaluate(f"[...document.querySelectorAll('tbody th')].map({lines})")) > 1
+
+
+@pytest.mark.needs("chromium")
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_fits(path: Path, scheme: str, chromium: Browser) -> None:
     for width in (400, 1280):
