@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -12,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import MaxNLocator
 
+from flexopt.foundation.arrays import Mask
 from flexopt.foundation.boundary import instance
 from flexopt.foundation.escapes import mathtext
 from flexopt.foundation.palette import colors
@@ -26,6 +28,9 @@ from flexopt.selection.result import Candidate, Selection
 BRANCHES = {-1.0: (0, "elbow up"), 1.0: (1, "elbow down")}
 # Fraction of the scan that sets the lower end of the axes: near singular postures the measures fall without end.
 WORST_SHOWN = 0.12
+# What breaks a constraint: of curves, and of single points.
+BROKEN: dict[str, Any] = {"linestyle": ":", "linewidth": 1.0}
+BROKEN_POINTS: dict[str, Any] = {"linestyle": "none", "marker": "x", "markersize": 1.4, "alpha": 0.3, "zorder": 1.8}
 
 
 def _planar(selection: Selection) -> bool:
@@ -51,8 +56,9 @@ def plot_selection(sheet: Sheet, selection: Selection) -> None:
     """Draw the machine in the chosen and the present configuration, and its measures.
 
     A planar machine is drawn beside every w_i along the redundancy, and beside what the loop does or an own objective
-    is, where one was asked for. One in space is drawn from the side, across the
-    chosen arm's main direction, and from above, beside the w_i of the present configuration and of all candidates.
+    is, where one was asked for; dotted where a configuration breaks a constraint. One in space is drawn from the side,
+    across the chosen arm's main direction, and from above, beside the w_i of the present configuration and of all
+    candidates.
     Capsules, support, obstacles and areas of the placement are drawn where there are any.
     """
     figure = sheet.figure
@@ -72,14 +78,14 @@ def plot_selection(sheet: Sheet, selection: Selection) -> None:
 
 
 def _draw_along_redundancy(figure: Figure | SubFigure, panels: list[Axes], selection: Selection) -> None:
-    e = selection.best.evaluation
+    e, broken = selection.best.evaluation, selection.broken_along_redundancy()
     for row, panel in enumerate(panels):
         if row:
             panel.sharex(panels[0])
         if row < e.w.size:
-            _draw_measure(panel, selection, row)
+            _draw_measure(panel, selection, row, broken)
         else:
-            _draw_objective(panel, selection)
+            _draw_objective(panel, selection, broken)
         panel.tick_params(labelbottom=row == len(panels) - 1)
     panels[-1].set_xlabel(f"placement {mathtext(e.base_coordinates[0])}, {e.base_units[0]}")
     named: dict[str, Artist] = {}
@@ -111,20 +117,26 @@ def _line(evaluation: Evaluation) -> str:
     return said.replace("-", "−")
 
 
-def _draw_scan(axes: Axes, selection: Selection, values: Points) -> None:
+def _draw_scan(axes: Axes, selection: Selection, values: Points, broken: Mask) -> None:
     """Values (N,) at the points of the scan over their placements: a curve for each branch, else dots."""
-    scan = selection.problem.scan
+    scan, breaks = selection.problem.scan, dict[str, Any]()
     for sign, (number, name) in BRANCHES.items():
         members = np.flatnonzero(scan.elbow == sign)
         if members.size == 0:
             continue
-        x, y, color = scan.base[0, members], values[members], colors().series[number]
-        if scan.redundancy.shape[0] == 1 and np.ptp(x) > 0:
-            cuts = np.flatnonzero(np.diff(scan.index[members]) != 1) + 1
-            for k, (part_x, part_y) in enumerate(zip(np.split(x, cuts), np.split(y, cuts), strict=True)):
-                axes.plot(part_x, part_y, color=color, label=name if k == 0 else None)
-        else:
-            axes.plot(x, y, ".", color=color, markersize=2.5, alpha=0.5, label=name)
+        color, curves = colors().series[number], scan.redundancy.shape[0] == 1 and np.ptp(scan.base[0, members]) > 0
+        cuts: list[int] = (np.flatnonzero(np.diff(scan.index[members]) != 1) + 1).tolist() if curves else []
+        kind: dict[str, Any] = {} if curves else {"linestyle": "none", "marker": ".", "markersize": 2.5, "alpha": 0.5}
+        for k, part in enumerate(np.split(members, cuts)):
+            x, y, off = scan.base[0, part], values[part], broken[part]
+            axes.plot(x, np.where(off, np.nan, y), color=color, label=name if k == 0 else None, **kind)
+            if off.any():
+                breaks = BROKEN if curves else BROKEN_POINTS
+                # Up to where the curve is whole again.
+                near = np.convolve(off, [1, 1, 1], "same") > 0 if curves else off
+                axes.plot(x, np.where(near, y, np.nan), color=color, **breaks)
+    if breaks:
+        axes.plot([], [], color=colors().text, label="breaks a constraint", **breaks)
 
 
 def _others(selection: Selection) -> list[Candidate]:
@@ -132,9 +144,9 @@ def _others(selection: Selection) -> list[Candidate]:
     return [candidate for candidate in selection.candidates if candidate is not selection.best]
 
 
-def _draw_measure(axes: Axes, selection: Selection, mode: int) -> None:
+def _draw_measure(axes: Axes, selection: Selection, mode: int, broken: Mask) -> None:
     scan, best, initial, inks = selection.problem.scan, selection.best.evaluation, selection.initial, colors()
-    _draw_scan(axes, selection, scan.w[mode])
+    _draw_scan(axes, selection, scan.w[mode], broken)
     drawn = [best] if initial is None else [best, initial]
     floor = min(float(np.quantile(scan.w[mode], WORST_SHOWN)), *(e.w[mode] for e in drawn))
     bottom = 1.12 * floor
@@ -166,7 +178,7 @@ def _mark(axes: Axes, selection: Selection, chosen: float, present: float | None
     )
 
 
-def _draw_objective(axes: Axes, selection: Selection) -> None:
+def _draw_objective(axes: Axes, selection: Selection, broken: Mask) -> None:
     """The objective of all candidates, and of the present configuration, over their placements."""
     others = _others(selection)
     present, label = _objective_now(selection)
@@ -182,7 +194,7 @@ def _draw_objective(axes: Axes, selection: Selection) -> None:
         told = [each.objective for each in selection.candidates] + ([] if present is None else [present])
         low, high = min(low, *told), max(high, *told)
         axes.set_ylim(low - 0.1 * (high - low), high + 0.1 * (high - low))
-        _draw_scan(axes, selection, along)
+        _draw_scan(axes, selection, along, broken)
         if low < 0 < high:
             axes.axhline(0.0, color=colors().muted, linewidth=0.8, zorder=0)
     else:

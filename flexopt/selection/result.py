@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.errors import FlexoptError
-from flexopt.foundation.arrays import Document, Vector
+from flexopt.foundation.arrays import Document, Mask, Vector
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.plain import counted
@@ -172,7 +172,8 @@ def unverified_told(objective: str, value: float | None) -> str:
 class Selection(Pictured, Result):
     """The answer to a configuration problem.
 
-    Its picture: the machine in the chosen and the initial posture beside w along the redundancy.
+    Its picture: the machine in the chosen and the initial posture beside w along the redundancy, dotted where a
+    configuration breaks a constraint.
 
     Attributes:
         best: the first of the candidates.
@@ -265,6 +266,10 @@ class Selection(Pictured, Result):
     @property
     def _found_how_often(self) -> NDArray[np.integer[Any]]:
         return _found_how_often(self.problem, self.attempts)
+
+    def broken_along_redundancy(self) -> Mask:
+        """Which points of `problem.scan` break a constraint, (N,); all keep limits and the singularity margin."""
+        return ~self.problem.scan.feasible
 
     @property
     def edges(self) -> tuple[str, ...]:

@@ -42,6 +42,48 @@ def test_artists_carry_the_result(selection):
         assert low < min(best.w[mode], initial.w[mode]) <= high
 
 
+def test_what_breaks_a_constraint_is_dotted(selection):
+    """By the tool's angle, which hinges on a level base turn by the sum of theirs; without constraints nothing is."""
+    low, high = -0.5, 0.5
+    angled = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), constraints={"tool_angle": (low, high)})
+    figure, scan = angled.plot(), angled.problem.scan
+    assert [text.get_text() for text in figure.legends[0].get_texts()].count("breaks a constraint") == 1
+    assert "breaks a constraint" not in [text.get_text() for text in selection.plot().legends[0].get_texts()]
+    # Of the last link of one drawn skeleton, and from there.
+    first = flexopt.evaluate(flexopt.load("excavator"), scan.posture[:, 0], base=scan.base[:, 0]).skeleton
+    angles = np.arctan2(*(first[:, -1] - first[:, -2])[::-1]) + np.sum(scan.posture - scan.posture[:, :1], axis=0)
+    keeps = (angles >= low) & (angles <= high)
+    assert 0.1 < keeps.mean() < 0.9
+    for mode, panel in enumerate(figure.axes[1:]):
+        shown = dict[str, np.ndarray]()
+        for style in ("-", ":"):
+            at = [
+                line.get_xydata()
+                for line in panel.lines
+                if line.get_linestyle() == style and line.get_marker() == "None"
+            ]
+            shown[style] = np.vstack([points[np.isfinite(points).all(axis=1)] for points in at])
+        for k in range(0, scan.size, 7):
+            point = np.array([scan.base[0, k], scan.w[mode, k]])
+            solid, dotted = (np.any(np.all(points == point, axis=1)) for points in (shown["-"], shown[":"]))
+            assert solid == keeps[k]
+            # Next to an end of it a dotted curve begins where the other ends.
+            assert dotted == (not keeps[k]) or not keeps[max(k - 1, 0) : k + 2].all()
+
+
+@pytest.mark.long
+def test_a_loop_that_does_less_than_it_must_is_dotted_too():
+    """By the outcome at single points."""
+    machine, least = flexopt.load("excavator"), {"outcome": {"decay": 0.01}}
+    loop = {"kp": 1e4, "kv": 1e3}
+    chosen = flexopt.select(machine, (0.0, 1.6), base=0.0, objective="settling", loop=loop, constraints=least, starts=2)
+    scan, broken, own = chosen.problem.scan, chosen.broken_along_redundancy(), chosen.settings[0].fixed
+    looked = range(0, scan.size, 97)
+    decays = [flexopt.outcome(machine, scan.posture[:, k], base=scan.base[:, k], loop=own).decay for k in looked]
+    assert [decay < 0.01 for decay in decays] == broken[list(looked)].tolist()
+    assert 0 < np.mean(broken) < 1
+
+
 GIVEN = {"kp": 1e4, "kv": (500.0, 2000.0), "dead_time": 0.01, "rate": 200.0}
 
 

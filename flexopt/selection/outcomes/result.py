@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.foundation.arrays import Document, Vector
+from flexopt.foundation.arrays import Document, Mask, Vector
 from flexopt.foundation.plain import counted
 from flexopt.foundation.turns import available_cores
 from flexopt.loop.certified.region import LARGEST
@@ -136,21 +136,34 @@ class OutcomeSelection(ChosenByLoop, Selection):
         points and at the candidates. NaN where a loop has none of it; None of measures that are not computed of many
         loops at once.
         """
+        found = self._along(self.criterion)
+        return None if found is None else self.criterion.sign * np.where(np.isfinite(found), found, np.nan)
+
+    def broken_along_redundancy(self) -> Mask:
+        """See `Selection`; so does a loop that does less than it must, as far as that is computed of many at once."""
+        found = super().broken_along_redundancy()
+        for measure, least in self.asked.bounds:
+            values = self._along(measure)
+            if values is not None:
+                found |= ~(values >= least)
+        return found
+
+    def _along(self, measure: Measure) -> Vector | None:
+        """What a measure counts at the points of `problem.scan`, (N,); see `along_redundancy`."""
         scan, best = self.problem.scan, self.best.evaluation
         parts = self.asked.parts(self.problem, best)
         # What the loop leaves out follows from where the choice began: it has the numbers of the best candidate's.
         parts |= {"loop": replace(parts["loop"], settings=self.settings[0]), "ranges": {}}
+        parts["measure"] = measure
         program = OutcomeProgram(**parts)
         ys = list((np.vstack([scan.base, scan.posture]) / self.problem.scale[:, None]).T)
         told = [candidate.z / self.problem.scale for candidate in self.candidates]
         told += [] if self.initial is None else [self.initial.z / self.problem.scale]
         workers = available_cores()
-        if self.criterion.of_rates:
+        if measure.of_rates:
             program = with_slowest(program, told, ys[:: math.ceil(len(ys) / ALONG)], workers)
-        found = self.criterion.values(program, ys, workers)
-        if found is None:
-            return None
-        return self.criterion.sign * np.where(np.isfinite(found), found, np.nan)
+        found = measure.values(program, ys, workers)
+        return None if found is None else np.asarray(found)
 
     @property
     def _judged(self) -> tuple[Sequence[SelectionProblem], LoopSettings]:
