@@ -83,7 +83,8 @@ def constraint_faults(plant: Plant, constraints: Constraints, *, gravity: bool =
     if within and not found and not wrong:
         on = {entry for group in _asked(plant, constraints) for _, entry in _dependence(plant, group, gravity=gravity)}
         sentence = (
-            "no constraint of flexopt's that was asked for depends on it; holding and tip_over_margin do on masses"
+            "no constraint of flexopt's that was asked for depends on it; holding and tip_over_margin do on masses, "
+            "under gravity all but region and keep_out on masses and springs"
         )
         sentence += "; constraints of your own are kept with the file's numbers" if constraints.own else ""
         wrong += [
@@ -116,9 +117,12 @@ def _groups(
 
 
 def _dependence(plant: Plant, group: Group, *, gravity: bool = False) -> list[tuple[int, int]]:
-    """Which rows of a group depend on which entries of p."""
-    function = _functions(plant.machine, (group.structure,), gravity)[0]
-    return list(zip(*function.jac_sparsity(0, function.index_in("p")).get_triplet(), strict=True))
+    """Which rows of a group depend on which entries of p: where the machine sags, with the arm held as at corners."""
+    g, (name, shape, count) = plant.graph, group.structure
+    other = ca.SX.sym("p", g.p.shape)
+    scene = Scene(plant, g.base, g.posture, g.p, gravity).with_numbers(other)
+    rows, _ = _made(scene, name, shape, ca.SX.sym("c", count))
+    return list(zip(*ca.jacobian_sparsity(ca.vertcat(ca.SX(0, 1), *rows), other).get_triplet(), strict=True))
 
 
 def build_constraints(

@@ -139,7 +139,8 @@ class PlaceVerdict(Result):
     @property
     def broken(self) -> str:
         """What it breaks where other numbers than the file's hold, a sentence; empty where nothing."""
-        return self.breaks and f"{self.name} {self.breaks}; constraints.within keeps constraints there, too"
+        told = "constraints.within of these numbers has flexopt's own constraints kept there, too"
+        return self.breaks and f"{self.name} {self.breaks}; {told}"
 
     @property
     def unconfirmed(self) -> str:

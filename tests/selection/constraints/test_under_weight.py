@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import casadi as ca
@@ -117,6 +117,74 @@ def test_volumes_and_the_centre_of_mass_are_those_of_the_sagged_machine(name: st
     # At rest they are others.
     unmoved = values(machine, at_rest, base, posture, p)
     assert max(abs(found[label] - value) for label, value in unmoved.items()) > 1e-6
+
+
+# A spring that the weight of the whole machine compresses, whatever the arm does, and one that the arm's place turns.
+SPRINGS = {
+    "boom-stick-bucket": ("base.stiffness.y", "base.stiffness.rotation"),
+    "slewing-excavator": ("stiffness.base.z.base.z", "stiffness.base.pitch.base.pitch"),
+    "truck-crane": ("stiffness.base.z.base.z", "stiffness.base.pitch.base.pitch"),
+    "mobile-manipulator": ("heave.stiffness", "pitch.stiffness"),
+}
+
+
+@pytest.mark.parametrize("name", SPRINGS)
+def test_where_a_spring_only_lets_the_base_down_the_arm_that_is_held_on_its_target_turns(name: str) -> None:
+    """Its angle counts at the ends of that spring, too: at the same joint angles it would not know of it."""
+    machine, (heave, turn) = supported(name), SPRINGS[name]
+    plant = build_plant(machine)
+    base, posture, own = np.full(plant.n_base, 0.2), posture_of(machine), plant.parameter_values.full().ravel()
+    asked = {"tool_angle": [-3.0, 3.0]}
+    names = [each.name for each in machine.parameters]
+    ends = {of: [factor * own[names.index(of)] for factor in (0.6, 1.4)] for of in (heave, turn)}
+    plain = build_constraints(plant, read_constraints(asked), gravity=True)
+    alone = build_constraints(plant, read_constraints(asked | {"within": {heave: ends[heave]}}), gravity=True)
+    both = build_constraints(plant, read_constraints(asked | {"within": ends}), gravity=True)
+    assert (len(alone), len(both)) == (3 * len(plain), 5 * len(plain))
+    found = list(values(machine, both, base, posture, own).values())
+    corners = [dict(zip(ends, each, strict=True)) for each in product(*ends.values())]
+    angles = [*values(machine, plain, base, posture, own).values()]
+    for numbers in (with_numbers(machine, corner) for corner in corners):
+        there = held(machine, base, posture, numbers)
+        angles += values(machine, plain, base, there, numbers).values()
+    assert found == pytest.approx(angles, abs=1e-6)
+    assert np.ptp(list(values(machine, alone, base, posture, own).values())) > 1e-4
+
+
+@pytest.mark.long
+def test_a_choice_keeps_the_angle_on_every_pair_of_springs() -> None:
+    """Of one target and of several, by w and by the loop; without `within` it would not."""
+    data = flexopt.load("boom-stick-bucket").to_dict()
+    data["base"]["stiffness"] = {name: 0.3 * own for name, own in data["base"]["stiffness"].items()}
+    machine = flexopt.machine_from_dict(data)
+    factors = {"y": (0.5, 1.5), "rotation": (0.7, 1.5)}
+    within = [{"of": f"base.stiffness.{name}", "factor": pair} for name, pair in factors.items()]
+    lower, upper = -0.5, 0.1
+    options: dict[str, Any] = {"base": 0.0, "gravity": True, "starts": 4}
+    by_loop: dict[str, Any] = {"objective": "decay", "loop": {"kp": 1e4, "kv": 1e3}}
+
+    def room(*evaluations: Any) -> float:
+        """Of the last link's inclination from the range, at all pairs."""
+        angles = list[float]()
+        for at, pair in product(evaluations, product(*factors.values())):
+            numbers = {name: x * data["base"]["stiffness"][name] for name, x in zip(factors, pair, strict=True)}
+            p = with_numbers(machine, {f"base.stiffness.{name}": x for name, x in numbers.items()})
+            q = sagged(machine, at.base, held(machine, at.base, at.posture, p), p)
+            # Rotation of the base, which has its rest angle in it, and joints.
+            angles.append(float(np.angle(np.exp(1j * q[2:].sum()))))
+        return min(min(angles) - lower, upper - max(angles))
+
+    asked: dict[str, Any] = {"tool_angle": [lower, upper]}
+    target, further = (6.5, 1.0), (6.0, 1.5)
+    for more in ({}, by_loop):
+        plain = flexopt.select(machine, target, constraints=asked, **options, **more)
+        assert min(room(each.evaluation) for each in plain.candidates) < -1e-3
+        kept = flexopt.select(machine, target, constraints=asked | {"within": within}, **options, **more)
+        assert min(room(each.evaluation) for each in kept.candidates) > -1e-6
+        stand = flexopt.select_stand(
+            machine, [target, further], constraints=asked | {"within": within}, **options, **more
+        )
+        assert room(*(place.evaluation for place in stand.places)) > -1e-6
 
 
 @pytest.mark.parametrize("name", SHIPPED)
