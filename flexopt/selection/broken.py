@@ -12,7 +12,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.constraints.corners import WHERE, all_corners
 from flexopt.selection.constraints.ground import NAME as GROUND
-from flexopt.selection.held import not_standing
+from flexopt.selection.held import EQUILIBRIUM, ON_TARGET, not_standing
 from flexopt.selection.problem import SelectionProblem, own_with, rows_with
 
 # How near to a bound a configuration rests on it, of its scale.
@@ -29,9 +29,9 @@ def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
     What somebody asked for with its value; of a constraint at several corners of `constraints.within` the worst.
     `asked`: as of `broken_names`.
     """
-    worst = dict[str, str]()
-    for row, corner in _broken(problem, z, asked=asked).items():
-        worst.setdefault(row.removesuffix(corner), row)
+    worst, at_corners = dict[str, str](), cornerless(problem)
+    for row in broken_names(problem, z, asked=asked):
+        worst.setdefault(at_corners.get(row, row), row)
     if not worst:
         return ""
     values, told = values_with(problem, z, problem.measures.plant.parameter_values.full().ravel()), list[str]()
@@ -50,29 +50,31 @@ def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p
     `asked`: of those alone that somebody asked for: no limits, no margin from singular postures, no assumed ground.
     `p`: the machine's numbers, where they may be others; corners of `constraints.within` have numbers of their own.
     """
-    return [*_broken(problem, z, asked=asked, p=p)]
-
-
-def _broken(problem: SelectionProblem, z: Vector, *, asked: bool = False, p: Vector | None = None) -> dict[str, str]:
-    """`broken_names`, each with the end of it that tells at which corner of `constraints.within` it is so."""
     outside: Vector = np.maximum(problem.lower - z, z - problem.upper) / problem.scale
     rows = np.abs(beyond_bounds(problem, z, p))[problem.target.size :]
     falls = falls_within(problem, z) if p is None else {}
     if p is not None and (falls := not_standing(problem.quantities, z, p)):
         # What else it would break is no number.
-        return dict.fromkeys(falls, "")
+        return [*falls]
     found = [*outside, *rows, *beyond_own(problem, z, p), *falls.values()]
     away = np.nan_to_num(found, nan=np.inf, posinf=np.inf)
-    names = [(f"limits of {variable.name}", "") for variable in problem.variables]
-    names += [(row.name, row.corner) for row in problem.constraints[problem.target.size :]]
-    names += [(row.name, "") for row in problem.own_constraints]
-    names += [(name, WHERE + name.partition(WHERE)[2]) for name in falls]
-    unasked = [
-        (asked and UNASKED.search(name.removesuffix(corner))) or (p is not None and corner) for name, corner in names
-    ]
+    names = [f"limits of {variable.name}" for variable in problem.variables]
+    names += [row.name for row in (*problem.constraints[problem.target.size :], *problem.own_constraints)]
+    names += falls
+    of = cornerless(problem)
+    unasked = [(asked and UNASKED.search(of.get(name, name))) or (p is not None and name in of) for name in names]
     order: list[int] = np.argsort(-away, kind="stable").tolist()
     # Several rows may be one constraint.
-    return dict(names[k] for k in order if away[k] > BROKEN and not unasked[k])
+    return [*dict.fromkeys(names[k] for k in order if away[k] > BROKEN and not unasked[k])]
+
+
+def cornerless(problem: SelectionProblem) -> dict[str, str]:
+    """Of all that counts at corners of `constraints.within`: by its name that without the corner."""
+    found = {row.name: row.name.removesuffix(row.corner) for row in problem.constraints if row.corner}
+    if problem.gravity:
+        wheres = [WHERE + where for where, _ in all_corners(problem.machine, problem.asked.within or ())]
+        found |= {name + where: name for where in wheres for name in (EQUILIBRIUM, ON_TARGET)}
+    return found
 
 
 def falls_within(problem: SelectionProblem, z: Vector) -> dict[str, float]:

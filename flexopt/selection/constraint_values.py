@@ -14,10 +14,7 @@ from flexopt.foundation.plain import counted
 from flexopt.foundation.rounding import without_rounding
 from flexopt.model.constraints import Constraints
 from flexopt.selection.constraints import KINDS
-from flexopt.selection.constraints.corners import WHERE
 
-# In the words for other numbers of a machine's.
-NUMBER = re.compile(r" is [-+]?[\d.]")
 # Beyond its bound by more than this share of it, or of one unit, is no rounding.
 BEYOND = 1e-6
 
@@ -44,7 +41,7 @@ class ConstraintValue:
     @property
     def least_room(self) -> float:
         """`room`, below all others where the value is no number."""
-        return -math.inf if math.isnan(self.value) else self.room
+        return -worst_size(-self.room)
 
     @property
     def nearness(self) -> float:
@@ -88,10 +85,13 @@ def by_kind(names: Iterable[str]) -> dict[str, list[str]]:
     return kinds
 
 
-def resting_told(names: Sequence[str]) -> list[str]:
-    """Names of what a configuration rests on, one for all corners of `constraints.within` at which it does."""
+def resting_told(names: Sequence[str], cornerless: Mapping[str, str]) -> list[str]:
+    """Names of what a configuration rests on, one for all corners of `constraints.within` at which it does.
+
+    `cornerless`: as of `flexopt.selection.broken.cornerless`.
+    """
     told = list[str]()
-    kinds = list(map(_own_name, names))
+    kinds = [cornerless.get(name, name) for name in names]
     for kind in dict.fromkeys(kinds):
         of_kind = [name for name, own in zip(names, kinds, strict=True) if own == kind]
         corners = len([name for name in of_kind if name != kind])
@@ -101,19 +101,31 @@ def resting_told(names: Sequence[str]) -> list[str]:
     return told
 
 
-def _own_name(name: str) -> str:
-    """A constraint's name without the corner of `constraints.within`, "… where payload.mass is 900 kg"."""
-    own, _, corner = name.rpartition(WHERE)
-    return own if own and NUMBER.search(corner) else name
+def worst_size(size: float) -> float:
+    """By how much a bound is broken, to compare: what is no number is broken most."""
+    return math.inf if math.isnan(size) else size
 
 
-def worst_told(violations: Mapping[str, float]) -> dict[str, float]:
-    """Sizes by name, of one constraint at several corners of `constraints.within` the worst alone."""
-    worst = dict[str, tuple[str, float]]()
-    for name, size in violations.items():
-        own = _own_name(name)
-        worst[own] = max(worst.get(own, (name, size)), (name, size), key=lambda each: each[1])
-    return dict(worst.values())
+def violations_told(
+    violations: Mapping[str, float], cornerless: Mapping[str, str], units: Mapping[str, str], most: int | None = None
+) -> str:
+    """Which constraints are broken by how much, of one at several corners of `constraints.within` the worst alone.
+
+    Args:
+        violations: sizes by name.
+        cornerless: as of `flexopt.selection.broken.cornerless`.
+        units: by name, where there is one.
+        most: so many are named; None: all.
+    """
+    worst = dict[str, str]()
+    for name in violations:
+        of = cornerless.get(name, name)
+        worst[of] = max(worst.get(of, name), name, key=lambda each: worst_size(violations[each]))
+    told = [(name, violations[name], units.get(name, "")) for name in worst.values()][:most]
+    return "; ".join(
+        f"{name}, no number" if math.isnan(size) else f"{name} by {size:.3g} {unit}".rstrip()
+        for name, size, unit in told
+    )
 
 
 def nearest_told(asked: Constraints, places: Sequence[dict[str, ConstraintValue]]) -> str:

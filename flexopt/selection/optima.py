@@ -18,8 +18,8 @@ from flexopt.foundation.processes import in_parallel
 from flexopt.robustness.evaluation import prepare
 from flexopt.selection.ascent.steps import CUT_SHORT
 from flexopt.selection.assumed import in_the_way
-from flexopt.selection.broken import beyond_bounds
-from flexopt.selection.constraint_values import worst_told
+from flexopt.selection.broken import beyond_bounds, cornerless
+from flexopt.selection.constraint_values import violations_told, worst_size
 from flexopt.selection.continua import past_stops
 from flexopt.selection.exchanged import kept_apart
 from flexopt.selection.nlp.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, Program, single
@@ -472,8 +472,7 @@ def _no_solution(
     z, proof = min(failures, key=lambda item: _severity(problem, item[1]))
     rows = (*problem.constraints, *problem.own_constraints)
     units = {c.name: c.unit for c in rows} | {f"{v.name} range": v.unit for v in problem.variables}
-    worst = worst_told(proof.violations)
-    sizes = "; ".join(f"{name} by {size:.3g} {units.get(name, '')}".rstrip() for name, size in worst.items())
+    sizes = violations_told(proof.violations, cornerless(problem), units)
     iterate = _named(problem, z)
     where = ", ".join(f"{name} = {value:.6g}" for name, value in iterate.items())
     advice = "" if infeasible(single(problem), z) else f"; {_advice(problem)}"
@@ -495,5 +494,5 @@ def _severity(problem: SelectionProblem, proof: Proof) -> tuple[float, float]:
     """How far a point is from being a solution: its largest constraint violation, then the largest of all."""
     rows = (*problem.constraints, *problem.own_constraints)
     scales = {c.name: c.scale for c in rows} | {f"{v.name} range": v.scale for v in problem.variables}
-    beyond = [size / scales[name] for name, size in proof.violations.items() if name in scales]
-    return max(beyond, default=0.0), max(proof.violations.values())
+    beyond = [worst_size(size / scales[name]) for name, size in proof.violations.items() if name in scales]
+    return max(beyond, default=0.0), max(map(worst_size, proof.violations.values()))

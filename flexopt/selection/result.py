@@ -23,7 +23,7 @@ from flexopt.foundation.rounding import way, without_rounding
 from flexopt.foundation.turns import TURN
 from flexopt.robustness.evaluation import Evaluation, unreached
 from flexopt.robustness.residues import residue_unit, unit_in_words
-from flexopt.selection.broken import beyond_bounds, beyond_own, broken
+from flexopt.selection.broken import beyond_bounds, beyond_own, broken, cornerless
 from flexopt.selection.constraint_values import ConstraintValue, nearest_told, resting_told
 from flexopt.selection.continua import way_to
 from flexopt.selection.exchanged import at_edge
@@ -416,7 +416,7 @@ class Selection(Pictured, Result):
 
     def __repr__(self) -> str:
         best = self.best.evaluation
-        problem = self.problem
+        problem, at_corners = self.problem, cornerless(self.problem)
         heads = "".join(f"{head:>{width}}" for head, width in self._apart)
         heads += "".join(f"{f'w{i + 1}':>13}" for i in range(best.w.size))
         lines = [
@@ -427,7 +427,8 @@ class Selection(Pictured, Result):
         for rank, candidate in enumerate(self.candidates[:SHOWN], start=1):
             e = candidate.evaluation
             numbers = in_columns(e)
-            active = f"   rests on {', '.join(resting_told(candidate.active))}" if candidate.active else ""
+            resting = resting_told(candidate.active, at_corners)
+            active = f"   rests on {', '.join(resting)}" if resting else ""
             alike = f"   and {counted(len(candidate.continuum), 'placement')} alike" if candidate.continuum else ""
             wide = f"   one of a set of dimension {candidate.dimension}" if (candidate.dimension or 0) > 1 else ""
             value = self._objective_in_column(candidate.objective)

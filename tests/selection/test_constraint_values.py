@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,8 +14,8 @@ from hypothesis import strategies as st
 
 import flexopt
 from flexopt.model.constraints import read_constraints
-from flexopt.selection.broken import resting
-from flexopt.selection.constraint_values import ConstraintValue, nearest_told, resting_told
+from flexopt.selection.broken import cornerless, resting
+from flexopt.selection.constraint_values import ConstraintValue, nearest_told, resting_told, violations_told
 
 NAMES = ("clearance of a from b", "clearance of c from d", "clearance of e from f", "tip-over margin from edge x")
 ASKED = read_constraints({"manipulability": 2.0})
@@ -111,11 +113,49 @@ def test_selections_and_stands_tell_them() -> None:
     assert "constraints, of each kind" not in repr(flexopt.select(machine, (0.0, 1.6), base=0.0, starts=2, workers=1))
 
 
-def test_names_of_obstacles_are_no_corners_of_what_a_place_rests_on() -> None:
-    walls = [f"clearance of boom from wall where traffic is {how}" for how in ("heavy", "light")]
-    assert resting_told(walls) == walls
-    corners = [f"holding of boom where payload.mass is {x} kg" for x in (0, 900)]
-    assert resting_told(corners) == ["holding of boom (at 2 corners of within)"]
+def test_names_that_read_like_corners_are_none_of_what_a_place_rests_on() -> None:
+    """Obstacles whose names end as corners do, by themselves and at corners."""
+    machine, heights = flexopt.load("boom-stick-bucket"), (2, 3)
+    data = machine.to_dict() | {"capsules": [{"body": "boom", "start": [0.0, 0.0], "end": [5.7, 0.0], "radius": 0.2}]}
+    walls = [
+        {"kind": "half_plane", "name": f"wall where height is {x} m", "point": [9.0, x], "normal": [-1.0, 0.0]}
+        for x in heights
+    ]
+    asked = {"clearance": {"distance": 0.1, "obstacles": walls}, "within": {"payload.mass": (0.0, 900.0)}}
+    machine = flexopt.machine_from_dict(data)
+    problem = flexopt.build_selection(machine, (7.0, 1.0), base=0.0, constraints=asked, gravity=True)
+    away = [f"clearance of boom (start) from wall where height is {x} m" for x in heights]
+    assert set(away) <= {row.name for row in problem.constraints}
+    at_corners, loads = cornerless(problem), [f" where payload.mass is {x} kg" for x in (0, 900)]
+    assert {away[0] + loads[0], away[1] + loads[1]} <= {row.name for row in problem.constraints}
+    assert resting_told(away, at_corners) == away
+    assert resting_told([name + load for name in away for load in loads], at_corners) == [
+        f"{name} (at 2 corners of within)" for name in away
+    ]
+    assert resting_told([away[0], away[0] + loads[0], away[1]], at_corners) == [
+        f"{away[0]} (also at 1 corner of within)",
+        away[1],
+    ]
+
+
+def test_own_constraints_whose_names_read_like_corners_are_all_told() -> None:
+    machine, b = flexopt.load("excavator"), ca.SX.sym("base", 1)
+    rooms = {f"room where height is {x} m": ca.Function("f", [b], [b**x], ["base"], ["value"]) for x in (2, 4)}
+    asked = [flexopt.Constraint(room, upper=-5.0, name=name, unit="m") for name, room in rooms.items()]
+    with pytest.raises(flexopt.NoSolutionFound) as caught:
+        flexopt.select(machine, (0.0, 1.6), base=0.0, starts=2, constraints=asked)
+    assert set(rooms) <= set(caught.value.violations)
+    for name in rooms:
+        assert f"{name} by {caught.value.violations[name]:.3g} m" in str(caught.value)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_what_is_no_number_at_a_corner_is_the_worst_of_it(turned: bool) -> None:
+    sizes = {"holding where x is 1 m": math.nan, "holding where x is 2 m": 3.0, "tool angle": 2.0}
+    at_corners = {name: "holding" for name in sizes if "where" in name}
+    told = violations_told(dict(reversed(sizes.items())) if turned else sizes, at_corners, {"tool angle": "rad"})
+    assert sorted(told.split("; ")) == ["holding where x is 1 m, no number", "tool angle by 2 rad"]
+    assert violations_told(sizes, at_corners, {}, most=1) == "holding where x is 1 m, no number"
 
 
 def test_a_joint_that_keeps_a_margin_rests_on_that_and_not_on_its_end() -> None:

@@ -20,6 +20,7 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.model.loop import Loop, gain_ranges
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.robustness import Evaluation
+from flexopt.selection.broken import cornerless
 from flexopt.selection.constraint_values import resting_told
 from flexopt.selection.outcomes.asked import Asked, broken_told, documents_of
 from flexopt.selection.outcomes.branches import Measure
@@ -236,11 +237,12 @@ class OutcomeSelection(ChosenByLoop, Selection):
             "  rank " + " ".join(f"{name:>9}" for name in names) + f" {measure:>16} {'radius':>7}"
             + "".join(f" {name:>10}" for name in self.gains[0]),
         ]  # fmt: skip
-        each = zip(self.candidates, self.radii, self.gains, strict=True)
+        each, at_corners = zip(self.candidates, self.radii, self.gains, strict=True), cornerless(self.problem)
         for rank, (candidate, radius, gains) in enumerate(each, start=1):
             e = candidate.evaluation
             numbers = " ".join(f"{x:z9.4f}" for x in (*e.base, *e.posture))
-            active = f"   rests on {', '.join(resting_told(candidate.active))}" if candidate.active else ""
+            resting = resting_told(candidate.active, at_corners)
+            active = f"   rests on {', '.join(resting)}" if resting else ""
             chosen = "".join(f" {gain:10.4g}" for gain in gains.values())
             lines.append(f"  {rank:4d} {numbers} {candidate.objective:16.6g} {radius:7.3g}{chosen}{active}")
         lines.append(

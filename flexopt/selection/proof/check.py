@@ -11,6 +11,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.broken import falls_within
+from flexopt.selection.constraint_values import worst_size
 from flexopt.selection.nlp.program import Program, margin_noise, single
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.proof.first_order import linearised, undecided
@@ -100,7 +101,7 @@ def prove_program(program: Program, x: Vector) -> Proof:
 
 def _note(violations: dict[str, float], name: str, size: float, tolerance: float) -> None:
     if not size <= tolerance:
-        violations[name] = max(float(size), violations.get(name, 0.0))
+        violations[name] = max(violations.get(name, 0.0), float(size), key=worst_size)
 
 
 def infeasible(program: Program, x: Vector, g: Vector | None = None) -> dict[str, float]:

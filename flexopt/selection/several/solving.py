@@ -16,7 +16,8 @@ from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.plain import counted
 from flexopt.foundation.processes import in_parallel
 from flexopt.selection.assumed import in_the_way
-from flexopt.selection.constraint_values import worst_told
+from flexopt.selection.broken import cornerless
+from flexopt.selection.constraint_values import violations_told, worst_size
 from flexopt.selection.continua import past_stops
 from flexopt.selection.nlp.program import SOLVED, Program
 from flexopt.selection.optima import (
@@ -38,6 +39,8 @@ from flexopt.selection.solve import constraint_values
 # Points that were seen and are better than every optimum: how many are tried. Ends that pass no proof, and are behind
 # the best optimum or off the rows: how many of either are climbed from.
 TRIED = BEHIND = 4
+# Of what an end violates.
+NAMED = 8
 
 
 @dataclass(frozen=True)
@@ -146,8 +149,12 @@ def verified(program: Program, ends: list[End], what: str) -> list[End]:
     good = sorted((end for end in ends if not end.violations), key=lambda end: -program.worth(end.x))
     if good:
         return good
-    nearest = min(ends, key=lambda end: max(end.violations.values(), default=0.0))
-    sizes = "; ".join(f"{name} by {size:.3g}" for name, size in [*worst_told(nearest.violations).items()][:8])
+    nearest = min(ends, key=lambda end: max(map(worst_size, end.violations.values()), default=0.0))
+    prefixes = [program.prefix(k) for k in range(program.coupling.count)]
+    at_corners = {k + name: k + of for k in prefixes for name, of in cornerless(program.first).items()}
+    units = {row.name: row.unit for row in program.constraints()}
+    units |= {f"{k}{each.name} range": each.unit for k in prefixes for each in program.first.variables}
+    sizes = violations_told(nearest.violations, at_corners, units, NAMED)
     names = [variable.name for variable in program.first.variables]
     iterate = {
         f"target {k + 1}: {name}": float(value)

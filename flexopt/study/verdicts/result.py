@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -83,6 +84,7 @@ class PlaceVerdict(Result):
         rests_on: at each target the bounds and constraints that hold with equality.
         breaks: what it breaks of constraints that were asked for, at corners of what is uncertain, and where, in words:
             choices keep them with the file's numbers; empty where nothing.
+        cornerless: of names in `rests_on` that end with a corner of `constraints.within`, those without it.
     """
 
     name: str
@@ -107,6 +109,7 @@ class PlaceVerdict(Result):
     runs: Runs | None
     rests_on: tuple[tuple[str, ...], ...]
     breaks: str
+    cornerless: Mapping[str, str] = field(default_factory=dict[str, str], repr=False)
 
     DOCUMENT = """
     name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target unseen
@@ -124,7 +127,7 @@ class PlaceVerdict(Result):
         """On which bounds and constraints it rests, a sentence; empty where on none."""
         count, at = len(self.rests_on), dict[str, list[int]]()
         for k, names in enumerate(self.rests_on, start=1):
-            for name in resting_told(names):
+            for name in resting_told(names, self.cornerless):
                 at.setdefault(name, []).append(k)
         told = [
             name if len(where) == count else f"{name} at target {listed(map(str, where))}" for name, where in at.items()

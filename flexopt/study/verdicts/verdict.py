@@ -33,6 +33,7 @@ from flexopt.model.loop import Loop, LoopLike, gain_ranges, under_control
 from flexopt.model.problem import SelectionKeywords, SelectionOptions, judged_by
 from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 from flexopt.selection import Selection, SelectionProblem, select, solve_problem, solve_selection
+from flexopt.selection.broken import cornerless
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.several import BasePlan, Stand
@@ -499,6 +500,7 @@ def _place(
         unseen=_is_unseen(place.loops[slowest.target], slowest),
         rests_on=tuple(resting_at(chosen, held)),
         breaks=breaks,
+        cornerless=cornerless(problems_of(chosen)[0]),
     )
 
 
