@@ -69,13 +69,13 @@ def _check_areas(value: Any) -> tuple[Area, ...]:
     """Polygons, or for planar machines intervals [lo, hi] of x, m."""
 
     def check(entry: Any) -> Area:
-        parts = entries(entry)
-        straight = parts and not any(isinstance(part, list | tuple) for part in parts)
+        straight = not any(isinstance(part, list | tuple) for part in entries(entry))
         return _INTERVAL(entry) if straight else check_simple_polygon(entry)
 
     areas = entries(value)
-    if not areas:
-        raise ValueError("must be a list of polygons [[x, y], …] (of a planar machine: intervals [lower, upper]), in m")
+    if not areas or not any(isinstance(area, list | tuple) for area in areas):
+        forms = "polygons [[[x, y], …], …] or, of a planar machine, intervals of x, [[lower, upper], …]"
+        raise ValueError(f"must be a list of areas, m: {forms}")
     return each(check, areas, [f"entry {index}" for index in range(len(areas))])
 
 

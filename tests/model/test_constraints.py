@@ -97,7 +97,8 @@ def test_every_fault_is_named_at_once():
     assert found == {
         "joint_margin": "must lie between 0 and 12.5664 rad or m",
         "manipulability": "must be greater than 0 and at most 1e+12",
-        "region": "must be a list of polygons [[x, y], …] (of a planar machine: intervals [lower, upper]), in m",
+        "region": "must be a list of areas, m: polygons [[[x, y], …], …] or, of a planar machine, intervals of x, "
+        "[[lower, upper], …]",
         "keep_out": "entry 0 is reversed or empty: the lower end must be below the upper end, in m; "
         "entry 1 must be 3 to 500 corners [x, y] in m",
         "tip_over_margin": "must be finite; it must lie between 0 and 10000 m",
@@ -116,6 +117,20 @@ def test_every_fault_is_named_at_once():
         "travel.cost": "must be greater than 0 and at most 1e+12",
         "travel.base": "must be a number, not text; it must lie between -1e+06 and 1e+06 m or rad",
     }
+
+
+@pytest.mark.parametrize(
+    ("areas", "words"),
+    [([-6.0, 2.7], "must be a list of areas, m: "), ([[0.0, 1.0], 3.0], "entry 1 must be ")],
+)
+@pytest.mark.parametrize("field", ["region", "keep_out"])
+def test_areas_that_may_be_of_a_planar_machine_or_not_are_told_both_forms(field, areas, words):
+    with pytest.raises(ModelError) as caught:
+        read_constraints({field: areas})
+    assert words in str(caught.value)
+    assert "[lower, upper]" in str(caught.value)
+    assert "[[x, y], …]" in str(caught.value)
+    assert getattr(read_constraints({field: [[-6.0, 2.7]]}), field) == ((-6.0, 2.7),)
 
 
 @pytest.mark.parametrize(
