@@ -32,6 +32,7 @@ WIDE = 4.0  # radius of gyration over what is known of a body's size
 MASS_PER_AREA = (0.7, 2e4)  # kg/m²: total mass over the square of the reach
 SAG = 0.1  # of the reach, under the machine's own weight
 TILT = 0.7  # rad, under its weight at full reach
+PREFIXES = ((1e3, "k", "N/mm"), (1e6, "M", "kN/mm"))  # what stiffnesses may be in; per metre and per millimetre
 WEAK = 0.01  # of the torque or force that holds the weight beyond a joint at full reach
 TIP_SPEED_MAX = 100.0  # m/s
 GRAVITY = (0.5, 30.0)  # m/s², where there is any
@@ -272,15 +273,17 @@ def _springs(part: BodyNumbers, gravity: float, reach: float) -> Iterator[Implau
     mass, moment = part.weight
     g = gravity or 9.81
     for name, (turns, stiffness, bears) in part.springs.items():
-        unit, hint = ("N m/rad", "kN m/rad") if turns else ("N/m", "kN/m or N/mm")
+        unit, most = ("N m/rad", TILT) if turns else ("N/m", SAG * reach)
         give = bears * (moment if turns else mass) * g / stiffness
-        if give > (TILT if turns else SAG * reach):
+        if give > most:
+            factor, prefix, per_mm = next((each for each in PREFIXES if give / each[0] <= most), PREFIXES[-1])
+            hint = f"{prefix}{unit}" + ("" if turns else f" or {per_mm}")
             what = f"turns by {give:.3g} rad" if turns else f"gives by {give:.3g} m"
             yield ImplausibleNumber(
                 name,
                 f"{stiffness:g} {unit}",
                 f"the spring {what} under {_pushed(bears)}the {mass:.4g} kg that it carries",
-                f"probably in {hint}: {1000 * stiffness:g} {unit}",
+                f"probably in {hint}: {factor * stiffness:g} {unit}",
             )
 
 

@@ -251,6 +251,22 @@ def test_slips_in_shipped_machines(name: str, slip: str) -> None:
     assert any(re.search(word, sentence) for sentence in sentences), sentences
 
 
+@pytest.mark.parametrize(("prefix", "factor", "per_mm"), [("k", 1e-3, "N/mm"), ("M", 1e-6, "kN/mm")])
+@pytest.mark.parametrize("name", ["excavator", "boom-stick-bucket"])
+def test_the_prefix_of_a_stiffness_is_that_at_which_the_machine_stands(
+    name: str, prefix: str, factor: float, per_mm: str
+) -> None:
+    """Of a stiffness in MN/m, kN/m would let it sink by metres."""
+    for key, unit in (("y", f"N/m or {per_mm}"), ("rotation", "N m/rad")):
+        data = shipped(name)
+        if key not in (table := data["base"]["stiffness"]):
+            continue
+        own = table[key]
+        table[key] = factor * own
+        (sentence,) = [each for each in told(data) if f"base.stiffness.{key} = " in each]
+        assert f"probably in {prefix}{unit}: {own:g} " in sentence
+
+
 @pytest.mark.parametrize(("key", "factor", "word"), [("force", 1e-3, "in kN"), ("speed", 1e3, "in mm/s")])
 @pytest.mark.parametrize("name", ["boom-stick-bucket", "slewing-excavator"])
 def test_slips_of_cylinders(name: str, key: str, factor: float, word: str) -> None:
