@@ -476,7 +476,7 @@ def _no_solution(
     iterate = _named(problem, z)
     where = ", ".join(f"{name} = {value:.6g}" for name, value in iterate.items())
     advice = "" if infeasible(single(problem), z) else f"; {_advice(problem)}"
-    missed = kept_by_none(problem)
+    missed = "".join(f"; {sentence}" for sentence in [kept_by_none(problem)] if sentence)
     return NoSolutionFound(
         f"{heading}; the best iterate ({where}) violates {sizes}{missed}{in_the_way(problem.assumed)}{advice}",
         violations=proof.violations,

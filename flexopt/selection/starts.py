@@ -130,32 +130,43 @@ def sample_configurations(problem: SelectionProblem, starts: int) -> tuple[Scan,
 
 def violated(problem: SelectionProblem, z: Vector) -> Vector:
     """The largest violation of any row at points z (n_z, N), in units of the scales; infinite where it is no number."""
-    worst = np.maximum(_beyond(problem, z).max(axis=1), _short(problem, z))
+    worst = np.maximum(beyond_rows(problem, z).max(axis=1), _short(problem, z))
     return np.where(np.isfinite(worst), worst, np.inf)
 
 
-def _beyond(problem: SelectionProblem, z: Vector) -> Vector:
-    """The violation of every row at points z (n_z, N), in units of the scales, (N, rows)."""
+def beyond_rows(problem: SelectionProblem, z: Vector) -> Vector:
+    """The violation of every row at points z (n_z, N), in units of the scales, (N, rows): ∞, no number."""
     lower, upper, scale = problem.row_bounds
     at = [*problem.quantities.at(z), problem.constants]
     rows = problem.configuration.rows_alone.call(at)[0].full().T
-    return np.maximum(np.maximum(lower - rows, rows - upper) / scale, 0.0)
+    found = np.maximum(np.maximum(lower - rows, rows - upper) / scale, 0.0)
+    return np.where(np.isnan(found), np.inf, found)
 
 
 def kept_by_none(problem: SelectionProblem) -> str:
     """Which constraints, each by itself, no configuration of the scan keeps, in words; empty where none is so."""
     if not problem.scan.size:
         return ""
-    least = _beyond(problem, problem.scan.z).min(axis=0)
-    short = dict[str, tuple[float, str]]()
+    configurations = f"{problem.scan.size} configurations at the target"
+    return short_told(problem, beyond_rows(problem, problem.scan.z), configurations)
+
+
+def short_told(problem: SelectionProblem, beyond: Vector, what: str) -> str:
+    """Which rows are violated by all of `what`, in words; empty where none is so.
+
+    `beyond`: the violation of every row by each of them, in units of the scales, (N, rows).
+    """
+    least, short = beyond.min(axis=0), dict[str, tuple[float, str]]()
     for row, size in zip(problem.constraints, least.tolist(), strict=True):
         if size > FEASIBLE:
             # Several rows, of corners, too, may be one constraint, which is short by the most of them.
             name = row.name.removesuffix(row.corner)
             short[name] = max(short.get(name, (0.0, "")), (size * row.scale, row.unit))
-    told = [f"{name}, {off:.3g} {unit}".rstrip() + " short at best" for name, (off, unit) in short.items()]
-    counted = f"of {problem.scan.size} configurations at the target that were looked at"
-    return f"; {counted} none keeps {listed(told)}" if told else ""
+    told = [
+        f"{name}, {off:.3g} {unit}".rstrip() + " short at best" if math.isfinite(off) else f"{name}, no number"
+        for name, (off, unit) in short.items()
+    ]
+    return f"of {what} that were looked at none keeps {listed(told)}" if told else ""
 
 
 def _short(problem: SelectionProblem, z: Vector) -> Vector:

@@ -6,6 +6,7 @@ where no start led to one that violates nothing.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -35,6 +36,7 @@ from flexopt.selection.proof.check import infeasible, prove_program
 from flexopt.selection.seen import BETTER
 from flexopt.selection.several.results import TargetConfiguration
 from flexopt.selection.solve import constraint_values
+from flexopt.selection.starts import kept_by_none
 
 # Points that were seen and are better than every optimum: how many are tried. Ends that pass no proof, and are behind
 # the best optimum or off the rows: how many of either are climbed from.
@@ -140,11 +142,11 @@ def _told(program: Program, found: SolveOutcome) -> End:
     return End(x, violations, 0.0 if proof.unsurpassed else proof.stationarity, proof.kinks, status)
 
 
-def verified(program: Program, ends: list[End], what: str) -> list[End]:
+def verified(program: Program, ends: list[End], what: str, short: Callable[[], str] = str) -> list[End]:
     """The ends that violate nothing, best first.
 
     Raises:
-        NoSolutionFound: there is none; `what` was looked for.
+        NoSolutionFound: there is none; `what` was looked for, and `short` tells what none keeps that was looked at.
     """
     good = sorted((end for end in ends if not end.violations), key=lambda end: -program.worth(end.x))
     if good:
@@ -162,9 +164,11 @@ def verified(program: Program, ends: list[End], what: str) -> list[End]:
         for name, value in zip(names, program.of(nearest.x, k), strict=True)
     }
     outcomes = ", ".join(sorted({end.status for end in ends}))
+    missed = [f"target {k}: {each}" for k, each in enumerate(map(kept_by_none, program.problems), start=1) if each]
+    missed = "".join(f"; {sentence}" for sentence in (missed or [short()]) if sentence)
     raise NoSolutionFound(
         f"no {what} passed the checks in {counted(len(ends), 'start')} ({outcomes}); the best iterate violates {sizes}"
-        f"{in_the_way(program.first.assumed)}",
+        f"{missed}{in_the_way(program.first.assumed)}",
         violations=nearest.violations,
         iterate=iterate,
     )

@@ -5,6 +5,7 @@ In: problems, and what their postures are worth from a sample of placements. Out
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -20,6 +21,7 @@ from flexopt.selection.several.alone import placements_alone
 from flexopt.selection.several.postures import Reached, climbed_held, joined, reached_by, reached_from
 from flexopt.selection.several.solving import End, end_from, ends_from, not_below, taken_up, verified
 from flexopt.selection.several.targets import none_reaches_all
+from flexopt.selection.starts import beyond_rows, short_told
 
 # V stands in for where a target has no allowed posture in a sum.
 NOTHING = -1e300
@@ -120,7 +122,7 @@ def best_placements(
     """
     begins = _starts(program, bases, found, starts, seed)
     ends = ends_from(program, begins, workers, progress)
-    good = verified(program, ends, "placement")
+    good = verified(program, ends, "placement", partial(_kept_from_none, program, found))
     worths = [program.worth(end.x) for end in good]
     if further and (chance(how_often(program.first, worths)) or 0.0) > LEFT_OPEN:
         ends += ends_from(program, _starts_alone(program, good[0].x, seed, workers), workers, None)
@@ -185,6 +187,21 @@ def _starts_alone(program: Program, best: Vector, seed: int, workers: int) -> li
         for problem in program.problems
     ]
     return _starts(program, bases, found, FURTHER, seed) if np.isfinite(_worth(program, found)).any() else []
+
+
+def _kept_from_none(program: Program, found: list[Reached]) -> str:
+    """Which constraints, each by itself, none of the placements keeps at all targets; empty where none is so."""
+    first, each = program.first, list[Vector]()
+    for problem, reached in zip(program.problems, found, strict=True):
+        z = reached.z.reshape(reached.z.shape[0], -1)
+        inside = np.isfinite(reached.violation).ravel() & (z >= first.lower[:, None]).all(axis=0)
+        inside &= (z <= first.upper[:, None]).all(axis=0)
+        beyond = np.where(inside[:, None], beyond_rows(problem, z), np.inf)
+        each.append(beyond.reshape(*reached.violation.shape, -1).min(axis=1))
+    worst = np.max(each, axis=0)
+    # Those from which the targets are reached within the joints' limits: there the target's own rows hold.
+    worst = worst[np.isfinite(worst[:, : first.target.size]).all(axis=1)]
+    return short_told(first, worst, f"{len(worst)} placements that reach all targets") if len(worst) else ""
 
 
 def _picks(reached: Reached) -> NDArray[np.int64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -291,3 +292,29 @@ def test_a_window_of_a_whole_turn_holds_the_stands_of_a_free_joint(excavator: fl
     held = select_stand(flexopt.machine_from_dict(data), targets, assume="limits", **asked)
     worths = [[found.worth, *(worth for worth, _ in found.alternatives)] for found in (held, free)]
     np.testing.assert_allclose(*worths, rtol=1e-6)
+
+
+def test_what_no_placement_keeps_at_all_targets_is_named(excavator: flexopt.Machine) -> None:
+    """Beside a dense look at placements, with elbows in closed form: each target alone is reached with the angle."""
+    data, targets, (low, high) = excavator.to_dict(), np.array([[0.0, 1.6], [0.8, 0.6]]), (-0.3, -0.2)
+    (one, other), base = (link["length"] for link in data["links"]), data["base"]
+    shoulder = base["length"] * np.array([math.cos(base["rest_angle"]), math.sin(base["rest_angle"])])
+    x = np.linspace(-4.0, 4.0, 8001)
+    away = targets[:, :, None] - shoulder[:, None] - np.array([x, 0 * x])
+    cosine = ((away**2).sum(axis=1) - one**2 - other**2) / (2 * one * other)
+    elbow = np.arccos(np.where(abs(cosine) < 1, cosine, np.nan))
+    short = np.inf
+    for turn in (elbow, -elbow):
+        arm = np.arctan2(away[:, 1], away[:, 0]) - np.arctan2(other * np.sin(turn), one + other * np.cos(turn))
+        angle = np.angle(np.exp(1j * (arm + turn)))
+        short = np.fmin(short, np.maximum(np.maximum(low - angle, angle - high), 0.0))
+    short = np.where(np.isnan(elbow), np.inf, short)
+    assert (short.min(axis=1) == 0).all()
+    with pytest.raises(flexopt.NoSolutionFound) as caught:
+        select_stand(excavator, targets, base=0.0, constraints={"tool_angle": (low, high)}, starts=2)
+    found = re.search(r"placements that reach all .* none keeps tool angle, (\S+) rad short at best", str(caught.value))
+    assert found is not None
+    least = short.max(axis=0).min()
+    assert least - 1e-3 < float(found[1]) < 1.2 * least
+    with pytest.raises(flexopt.NoSolutionFound, match=r"target 1: of \d+ .* none keeps tool angle"):
+        select_stand(excavator, targets, base=0.0, constraints={"tool_angle": (-1.5, -1.4)}, starts=2)
