@@ -423,6 +423,31 @@ def test_a_self_motion_that_nothing_brakes_is_told(
 
 
 @pytest.mark.long
+def test_what_the_loop_was_proposed_is_named_where_nothing_can_be_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The servo gain, unless it is given; and the damper of a self-motion that drifts away."""
+    data = flexopt.load("boom-stick-bucket").to_dict() | {"cylinders": []}
+    # The weakest joint: its effort over its speed is what a servo gain for all can be.
+    data["links"] = [*data["links"][:2], data["links"][2] | {"effort": 300.0, "speed": 1.0}]
+    machine = flexopt.machine_from_dict(data)
+    selection = flexopt.select(machine, (7.0, 1.0), base=0.0, starts=2, workers=1)
+    few: dict[str, Any] = {"members": 2, "runs": 0}
+    found = flexopt.verdict(selection, loop={"drive": "velocity"}, **few)
+    words = "servo gain, 300 N m s/rad, is what the weakest joint bears: with loop.servo_gain, the number of"
+    monkeypatch.setattr(page, "_png", lambda figure: "")
+    for word in ("cannot tell", "move"):
+        told = replace(found, word=word, place="candidate 1")
+        told.to_html(tmp_path / "verdict.html")
+        assert (words in repr(told)) == (words in (tmp_path / "verdict.html").read_text(encoding="utf-8"))
+        assert (words in repr(told)) == (word == "cannot tell")
+    given = flexopt.verdict(selection, loop={"drive": "velocity", "servo_gain": 300.0}, **few)
+    assert "weakest joint" not in repr(replace(given, word="cannot tell"))
+    drifting = replace(found, places=tuple(replace(place, drift=0.5) for place in found.places))
+    assert re.search(r"drifts away: .* loop\.nullspace_damping says how the controller brakes it", repr(drifting))
+
+
+@pytest.mark.long
 def test_a_target_that_grows_grows() -> None:
     """At the first of these targets the present place grows with these gains, at the second it decays."""
     machine = flexopt.load("excavator")

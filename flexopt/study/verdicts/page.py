@@ -97,6 +97,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "left_out": sentence(verdict.left_out),
         "sought_by": sentence(verdict.sought_by),
         "unverified": "",
+        "servo_proposed": sentence(verdict.servo_proposed),
         "drifts": sentence(verdict.drifts),
         "falls": sentence(verdict.falls),
         "unseen": sentence(verdict.unseen),

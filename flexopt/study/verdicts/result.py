@@ -526,6 +526,15 @@ class Verdict(Pictured, Printed, Result):
         return f"{told} the feedback holds the weight, which the controller does not know, nowhere"
 
     @property
+    def servo_proposed(self) -> str:
+        """Where nothing can be told: that the weakest joint decides the servo gain, a sentence; else empty."""
+        settings = self.settings
+        if self.word != "cannot tell" or "servo_gain" not in settings.sources:
+            return ""
+        gain = f"the servo gain, {settings.servo_gain:.3g} {settings.damping_unit}, is what the weakest joint bears"
+        return f"{gain}: with loop.servo_gain, the number of your drives, it may be told"
+
+    @property
     def drifts(self) -> str:
         """That nothing brakes the arm's self-motion, or too little, a sentence; empty where that is not so."""
         if not self.settings.lets_drift:
@@ -538,7 +547,8 @@ class Verdict(Pictured, Printed, Result):
             most = "fastest " if grows and len(own) > 1 else ""
             how = "drifts away: it grows e-fold" if grows else "dies away more slowly: e-fold"
             told = f"{how} in {1 / abs(own[first]):.3g} s, {most}in {spoken(first)}"
-            return f"the arm's self-motion, which is no part of the decay, {told}"
+            brakes = "loop.nullspace_damping says how the controller brakes it"
+            return f"the arm's self-motion, which is no part of the decay, {told}; {brakes}"
         where = "in the linear loop"
         if any(place.runs for place in self.places):
             where = "neither in these runs nor in the linear loop"
@@ -586,8 +596,8 @@ class Verdict(Pictured, Printed, Result):
         lines += [f"  {place.rest}" for place in self.places if place.rest]
         doubts = self.doubts
         lines += [f"  {each}" for place in self.places for each in (place.broken, doubts.get(place.name)) if each]
-        lines += [f"  {self.drifts}"] * bool(self.drifts)
-        lines += [f"  {sentence}" for sentence in (self.falls, self.unseen, self.weightless) if sentence]
+        whole = (self.servo_proposed, self.drifts, self.falls, self.unseen, self.weightless)
+        lines += [f"  {sentence}" for sentence in whole if sentence]
         lines += [f"  {sentence}" for sentence in self.assumed]
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
         return "\n".join([*lines, *filter(None, (self.drawbacks, self.passed_over, self.measure))])
