@@ -34,6 +34,7 @@ from flexopt.selection.objective import (
     quantities,
     read_objectives,
 )
+from flexopt.selection.places import placed
 from flexopt.selection.problem import DecisionVariable, SelectionProblem, StartRegion, TravelCost
 from flexopt.selection.scan import Scan, empty_scan, scan_redundancy
 from flexopt.selection.starts import STARTS, sample_configurations, with_kept
@@ -187,19 +188,19 @@ def build_one(
         bounding=len(own),
     )
 
-    def looked(seed: int) -> tuple[Scan, float]:
+    def looked(seed: int, areas: Constraints) -> tuple[Scan, float]:
         if not plant.closed_form:
-            return sample_configurations(replace(problem, seed=seed), asked.starts or STARTS)
+            return sample_configurations(replace(problem, seed=seed), asked.starts or STARTS, areas)
         sine_squared = math.sin(margin) ** 2
         return scan_redundancy(
-            functions, target, intervals, objectives[0], sine_squared, limits, constraint_set, seed
+            functions, target, intervals, objectives[0], sine_squared, limits, constraint_set, seed, areas
         ), 0.0
 
-    scan, off = looked(asked.seed)
+    scan, off = looked(asked.seed, kept)
     if scan.size == 0:
         raise _nothing_found(functions, target, ranges, margin, scan, off)
-    # What travel costs is in these units: no matter of chance.
-    usual = scan if asked.seed == FIRST_SEED else looked(FIRST_SEED)[0]
+    # What travel costs is in these units: no matter of chance, nor of areas that the machine may stand in.
+    usual = scan if asked.seed == FIRST_SEED and not placed(kept) else looked(FIRST_SEED, Constraints())[0]
     usual = usual if usual.size else scan
     _confirm_own(functions, problem.objectives, usual)
     sizes = [_typical(functions, objective, usual) for objective in problem.objectives]

@@ -11,8 +11,8 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.nlp.program import values_of
+from flexopt.selection.places import FEASIBLE
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.scan import FEASIBLE
 from flexopt.selection.starts import apart, bounds, climbed, onto_target
 
 # Chance that more starts would show other values from which on rounds follow the first starts; after how many in a row

@@ -16,18 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Interval, Vector
+from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, held_on, low_discrepancy
 from flexopt.selection.constraints import ConstraintSet
 from flexopt.selection.objective import Objective, Quantities
+from flexopt.selection.places import FEASIBLE, places_left_out
 
 # Points a branch. Local maxima of the excavator's w1 stand 0.1 m apart and more; the grid resolves a few millimetres.
 GRID_POINTS = 1001
 SAMPLE_POINTS = 2048
 GRID_POINTS_MIN = 65
 NEIGHBOURS_PER_DEGREE = 3
-# Largest violation, in units of the rows' scales, of a point that counts as feasible.
-FEASIBLE = 1e-7
+# Postures of a placement in an area that the sample left out.
+POSTURES_EACH = 4
+NOWHERE: Vector = np.zeros((1, 0))
 # Rounding on the very edge of the margin.
 EDGE = 1e-10
 
@@ -151,14 +154,19 @@ def scan_redundancy(
     limits: Vector,
     constraint_set: ConstraintSet | None,
     seed: int,
+    areas: Constraints,
 ) -> Scan:
     """Evaluate the measures over all configurations that reach `target` with the base in `intervals`.
 
-    `limits` (n, 2) are those of the joints.
+    `limits` (n, 2) are those of the joints; `areas` that the sample leaves out are looked at, too.
     """
     plant = functions.measures.plant
     p = plant.parameter_values
-    unit, bases, joints, numbers = _sample(intervals, plant.n_actuated - 2, seed)
+    leading = plant.n_actuated - 2
+    unit, bases, joints, numbers = _sample(intervals, leading, seed)
+    more = [places_left_out(plant, areas, np.array([a]), np.array([b]), bases, seed) for a, b in intervals]
+    if any(places.size for places in more):
+        unit, bases, joints, numbers = _sample(intervals, leading, seed, np.concatenate(more, axis=1))
 
     kept: list[tuple[NDArray[Any], ...]] = []
     reached = False
@@ -195,26 +203,37 @@ def _violation(constraint_set: ConstraintSet | None, bases: Vector, postures: Ve
     return cast(Vector, np.maximum(beyond, 0.0).max(axis=1))
 
 
-def _sample(intervals: list[Interval], leading: int, seed: int) -> tuple[Vector, Vector, Vector, NDArray[np.int64]]:
-    """Unit coordinates (d, N), placements (1, N), unit coordinates of the arm (n − 2, N), and grid numbers (N,)."""
+def _sample(
+    intervals: list[Interval], leading: int, seed: int, more: Vector = NOWHERE
+) -> tuple[Vector, Vector, Vector, NDArray[np.int64]]:
+    """Unit coordinates (d, N), placements (1, N), unit coordinates of the arm (n − 2, N), and grid numbers (N,).
+
+    `more`: placements (1, M) inside the intervals that are among them.
+    """
     moves = any(high > low for low, high in intervals)
     degrees = leading + (1 if moves else 0)
     if not intervals:
         return np.zeros((degrees, 0)), np.zeros((1, 0)), np.zeros((leading, 0)), np.zeros(0, dtype=np.int64)
     if degrees == 1 and moves:
-        unit, bases, numbers = _curve(intervals)
+        unit, bases, numbers = _curve(intervals, more[0])
         return unit, bases, np.zeros((0, numbers.size)), numbers
     count = SAMPLE_POINTS if degrees > 1 else GRID_POINTS if degrees else 1
     unit = low_discrepancy(degrees, count, seed) if degrees > 1 else np.linspace(0.0, 1.0, count)[None, :][:degrees]
     bases = _placements(intervals, unit[0] if moves else np.zeros(count))
+    if more.size:
+        beside = np.repeat(more, POSTURES_EACH, axis=1)
+        bases, along = np.concatenate([bases, beside], axis=1), _along(intervals, beside[0])
+        count += beside.size
+        unit = np.concatenate([unit, [along, *low_discrepancy(leading, beside.size, seed)]], axis=1)
     return unit, bases, unit[degrees - leading :], np.arange(count, dtype=np.int64)
 
 
-def _curve(intervals: list[Interval]) -> tuple[Vector, Vector, NDArray[np.int64]]:
+def _curve(intervals: list[Interval], more: Vector) -> tuple[Vector, Vector, NDArray[np.int64]]:
     """Unit coordinate (1, N), placements (1, N) and numbers (N,) along the intervals, denser at their ends.
 
     Near the ends the arm straightens and its posture changes with the square root of the placement; a cosine makes the
-    steps of the posture even. Numbers of neighbours differ by one, those of separate intervals by more.
+    steps of the posture even. Numbers of neighbours differ by one, those of separate intervals by more. `more`:
+    placements (M,) that are among them.
     """
     total = sum(high - low for low, high in intervals)
     placements: list[Vector] = []
@@ -222,7 +241,12 @@ def _curve(intervals: list[Interval]) -> tuple[Vector, Vector, NDArray[np.int64]
     first = 0
     for low, high in intervals:
         count = max(GRID_POINTS_MIN, round(GRID_POINTS * (high - low) / total))
-        placements.append((low + high) / 2 - (high - low) / 2 * np.cos(np.linspace(0.0, math.pi, count)))
+        grid = (low + high) / 2 - (high - low) / 2 * np.cos(np.linspace(0.0, math.pi, count))
+        among = more[(more >= low) & (more <= high)]
+        if among.size:
+            grid = np.unique(np.concatenate([grid, among]))
+            count = grid.size
+        placements.append(grid)
         numbers.append(np.arange(first, first + count, dtype=np.int64))
         first += count + 1
     along, number = np.concatenate(placements), np.concatenate(numbers)
@@ -236,6 +260,13 @@ def _placements(intervals: list[Interval], unit: Vector) -> Vector:
     along = unit * edges[-1]
     part = cast(NDArray[np.int64], np.digitize(along, edges[1:-1]))
     return (ends[part, 0] + along - edges[part])[None, :]
+
+
+def _along(intervals: list[Interval], placements: Vector) -> Vector:
+    """The coordinates in [0, 1] of placements (N,), see `_placements`."""
+    lengths = [np.clip(placements - low, 0.0, high - low) for low, high in intervals]
+    along: Vector = np.sum(lengths, axis=0) / sum(high - low for low, high in intervals)
+    return along
 
 
 def peaks(scan: Scan, score: Vector | None = None, among: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:

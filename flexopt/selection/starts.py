@@ -22,10 +22,12 @@ from flexopt.algebra.feasible import repeated
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
 from flexopt.foundation.processes import in_parallel
+from flexopt.model.constraints import Constraints
 from flexopt.plant.inverse_kinematics import held_on, low_discrepancy, reach_steps
 from flexopt.selection.nlp.program import values_of
+from flexopt.selection.places import FEASIBLE, places_left_out
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.scan import FEASIBLE, Scan, empty_scan, peaks, scanned
+from flexopt.selection.scan import POSTURES_EACH, Scan, empty_scan, peaks, scanned
 
 # Enough for every peak of a curve; the redundancy of longer arms has maxima without end.
 STARTS_OF_SCAN = 64
@@ -64,32 +66,38 @@ ValuesAt = Callable[[SelectionProblem, Vector], Vector]
 SeedNumbers = tuple[int, ...]
 
 
-def bounds(problem: SelectionProblem) -> tuple[Vector, Vector, Vector, Vector]:
-    """What `feasible_steps` takes of z: bounds, what is free, scales."""
+def bounds(problem: SelectionProblem, *, standing: bool = False) -> tuple[Vector, Vector, Vector, Vector]:
+    """What `feasible_steps` takes of z: bounds, what is free, scales. `standing`: the base stays where each has it."""
     lower, upper = problem.lower, problem.upper
-    return lower, upper, (lower < upper).astype(float), problem.scale
+    free = (lower < upper).astype(float)
+    free[: problem.measures.plant.n_base * standing] = 0.0
+    return lower, upper, free, problem.scale
 
 
-def moved(problem: SelectionProblem, z: Vector, enough: int) -> tuple[Vector, Vector]:
+def moved(
+    problem: SelectionProblem, z: Vector, enough: int | None = None, *, standing: bool = False
+) -> tuple[Vector, Vector]:
     """Points z (n_z, N) moved to where the rows hold, and what stays violated at most, (N,), in units of the scales.
 
-    No more steps are made once `enough` of the points are done.
+    No more steps are made once `enough` of the points are done. `standing`: as of `bounds`.
     """
     others = [problem.measures.plant.parameter_values, problem.constants]
-    steps = problem.configuration.feasible
-    return repeated(steps, z, bounds(problem), problem.row_bounds, others, FEASIBLE / 100, ROUNDS, enough)
+    of_z, steps = bounds(problem, standing=standing), problem.configuration.feasible
+    return repeated(steps, z, of_z, problem.row_bounds, others, FEASIBLE / 100, ROUNDS, enough)
 
 
-def onto_target(problem: SelectionProblem, z: Vector) -> tuple[Vector, Vector]:
+def onto_target(problem: SelectionProblem, z: Vector, *, standing: bool = False) -> tuple[Vector, Vector]:
     """As `moved`, for the target alone: quicker steps, made until all are done."""
     n_task, others = problem.target.size, [problem.measures.plant.parameter_values]
     lower, upper, scale = (x[:n_task] for x in problem.row_bounds)
-    steps = reach_steps(problem.machine)
-    return repeated(steps, z, bounds(problem), (lower, upper, scale), others, FEASIBLE / 100, ROUNDS)
+    of_z, steps = bounds(problem, standing=standing), reach_steps(problem.machine)
+    return repeated(steps, z, of_z, (lower, upper, scale), others, FEASIBLE / 100, ROUNDS)
 
 
-def sample_configurations(problem: SelectionProblem, starts: int) -> tuple[Scan, float]:
+def sample_configurations(problem: SelectionProblem, starts: int, areas: Constraints) -> tuple[Scan, float]:
     """A low-discrepancy sample moved onto the target and, as far as can be, into the constraints.
+
+    Where the sample leaves out areas that the machine may stand in, more is looked at there.
 
     Returns:
         The points that reach the target, and the smallest violation of a target row among all, m.
@@ -98,10 +106,22 @@ def sample_configurations(problem: SelectionProblem, starts: int) -> tuple[Scan,
     n_b = plant.n_base
     loose = problem.lower < problem.upper
     size = int(np.clip(SAMPLES_EACH * starts, SAMPLES_MIN, SAMPLES_MAX))
-    unit = low_discrepancy(int(loose.sum()), size, problem.seed) if loose.any() else np.zeros((0, 1))
-    z = np.repeat(region.low[:, None], unit.shape[1], axis=1)
-    z[loose] += (region.high - region.low)[loose, None] * unit
+
+    def sampled(count: int) -> tuple[Vector, Vector]:
+        unit = low_discrepancy(int(loose.sum()), count, problem.seed) if loose.any() else np.zeros((0, 1))
+        z = np.repeat(region.low[:, None], unit.shape[1], axis=1)
+        z[loose] += (region.high - region.low)[loose, None] * unit
+        return z, unit
+
+    z, unit = sampled(size)
     z, off = onto_target(problem, z)
+    there = z[:n_b, off <= FEASIBLE]
+    places = places_left_out(plant, areas, region.low[:n_b], region.high[:n_b], there, problem.seed)
+    if places.size and loose.any():
+        more, of_more = sampled(places.shape[1] * POSTURES_EACH)
+        more[:n_b] = np.tile(places, POSTURES_EACH)
+        more, far = onto_target(problem, more, standing=True)
+        z, unit, off = (np.concatenate(pair, axis=-1) for pair in ((z, more), (unit, of_more), (off, far)))
     reaches = off <= FEASIBLE
     if not reaches.any():
         return empty_scan(plant, reached=False), float(np.nanmin(off) * problem.row_bounds[2][0])
@@ -111,7 +131,8 @@ def sample_configurations(problem: SelectionProblem, starts: int) -> tuple[Scan,
         held = held_on(plant, problem.target, z[:n_b], z[n_b:])
         z[n_b:] = np.clip(held.T, problem.lower[n_b:], problem.upper[n_b:]).T
     left = violated(problem, z)
-    missing = ENOUGH * starts - int(np.sum(left <= FEASIBLE))
+    # Those of areas that were left out are beside these.
+    missing = ENOUGH * starts - int(np.sum(left[: int(reaches[:size].sum())] <= FEASIBLE))
     if missing > 0:
         # Those that break the constraints least. Where that fails too, the point on the target shows what is broken.
         order = np.argsort(left, kind="stable")
@@ -197,8 +218,9 @@ def starting_points(problem: SelectionProblem, workers: int = 1) -> list[Vector]
     scan, z = problem.scan, problem.scan.z
     if problem.measures.plant.closed_form:
         points = [z[:, k] for k in peaks(scan, among=scan.feasible)]
-        if not scan.feasible.all():
-            points += _onto_constraints(problem)
+        points += between_points(problem)
+        # Those that break the constraints least show what is broken.
+        points = points or list(_nearest_to_constraints(problem).T)
         return points[: problem.starts or STARTS_OF_SCAN]
     # What breaks a constraint is started from only where nothing else is left.
     count, good = problem.starts or STARTS, scan.violation <= 0
@@ -415,15 +437,18 @@ def _feasible(problem: SelectionProblem, z: Vector, values_at: ValuesAt, above: 
     return values
 
 
-def _onto_constraints(problem: SelectionProblem) -> list[Vector]:
-    """Points where the scan comes nearest to the constraints, moved into them; all of them where none is inside."""
-    z, feasible = problem.scan.z, problem.scan.feasible
-    near = peaks(problem.scan, -problem.scan.violation, ~feasible)[:STARTS_OF_SCAN]
-    there, left = moved(problem, z[:, near], near.size)
-    good = left <= FEASIBLE
-    if not good.any() and not feasible.any():
-        return list(z[:, near].T)
-    return list(there[:, good].T)
+def between_points(problem: SelectionProblem) -> list[Vector]:
+    """Configurations where the scan comes nearest to the constraints, moved into them: what they leave may be thin."""
+    near = _nearest_to_constraints(problem)
+    if not near.size:
+        return []
+    there, left = moved(problem, near)
+    return list(there[:, left <= FEASIBLE].T)
+
+
+def _nearest_to_constraints(problem: SelectionProblem) -> Vector:
+    scan = problem.scan
+    return scan.z[:, peaks(scan, -scan.violation, ~scan.feasible)[:STARTS_OF_SCAN]]
 
 
 def idle_joints(problem: SelectionProblem, z: Vector) -> list[int]:

@@ -19,9 +19,11 @@ from itertools import pairwise
 from typing import Any, cast
 
 import casadi as ca
+import numpy as np
 
 from flexopt.algebra import same_distance
 from flexopt.errors import Fault
+from flexopt.foundation.arrays import Vector
 from flexopt.model.constraints import Area, Constraints
 from flexopt.model.polygons import Corners
 from flexopt.plant import Plant
@@ -38,6 +40,8 @@ from flexopt.selection.constraints.polygon_distance import (
 # A constraint as people see it, and as rows for a solver.
 ValueAndRows = tuple[ca.SX, list[ca.SX]]
 INSIDE = "distance inside region"
+Ends = tuple[float, float]
+ANYWHERE: Ends = (-math.inf, math.inf)
 # Rows of what has many parts, the least of all: a placement's three coordinates are held by three, and one may tie.
 FEW = 4
 
@@ -74,6 +78,31 @@ def _interval(plant: Plant, area: tuple[float, float], *, whole: bool, inside: b
     ends = [x for (x,) in plant.machine.support_points] if whole else [0.0, 0.0]
     rear, front = ends if inside else reversed(ends)
     return area[0] - rear, area[1] - front
+
+
+def area_ranges(plant: Plant, constraints: Constraints, low: Vector, high: Vector) -> list[tuple[Vector, Vector]]:
+    """Between which placements (n_b,) each allowed area lies, of those from low to high.
+
+    In the plane the intervals that are allowed; in space the ends of each polygon of `region`, without one all.
+    """
+    names, plane, whole = plant.machine.base_coordinates, plant.frames.dimension == 2, _whole(plant, constraints)
+    areas: list[dict[str, tuple[float, float]]] = [{}]
+    if constraints.region is not None and plane:
+        areas = [{"x": _interval(plant, cast(Ends, area), whole=whole, inside=True)} for area in constraints.region]
+    elif constraints.region is not None:
+        corners = [np.array(area).T for area in constraints.region]
+        areas = [{"x": (x.min(), x.max()), "y": (y.min(), y.max())} for x, y in corners]
+    for area in (constraints.keep_out or ()) if plane else ():
+        off, on = _interval(plant, cast(Ends, area), whole=whole, inside=False)
+        ends = [each.get("x", ANYWHERE) for each in areas]
+        areas = [{"x": part} for a, b in ends for part in ((a, min(b, off)), (max(a, on), b)) if part[0] <= part[1]]
+    found = list[tuple[Vector, Vector]]()
+    for area in areas:
+        own = np.array([area.get(name, ANYWHERE) for name in names])
+        least, most = np.maximum(low, own[:, 0]), np.minimum(high, own[:, 1])
+        if np.all(least <= most):
+            found.append((least, most))
+    return found
 
 
 def _in_interval(scene: Scene, c: ca.SX) -> ca.SX:

@@ -34,11 +34,11 @@ from flexopt.selection.outcomes.climb import Climbed, climbed, first_order
 from flexopt.selection.outcomes.program import OutcomeProgram, least_over, worst_of
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import ALIKE, Seed, lifted, separation, starting_points
+from flexopt.selection.places import FEASIBLE
 from flexopt.selection.problem import SelectionProblem, reached
 from flexopt.selection.result import Attempt, Candidate, Kept
-from flexopt.selection.scan import FEASIBLE
 from flexopt.selection.solve import constraint_values, solved
-from flexopt.selection.starts import violated
+from flexopt.selection.starts import between_points, violated
 
 # How often the worst member that is found behind a climb is added and climbed again.
 ROUNDS = 10
@@ -79,11 +79,12 @@ def outcome_selection(
         InputError: the uncertainty does not go with the loop or the measure; a measure of gains without one.
         NoSolutionFound: no climb ended at a feasible, stationary point.
     """
-    pool, machine = _feasible(problem, initial, workers), problem.machine
+    thin = [z for z in between_points(problem) if violated(problem, z[:, None])[0] <= FEASIBLE]
+    pool, machine = _feasible(problem, thin, initial, workers), problem.machine
     stand = initial or problem.quantities.evaluated(pool[0])
     program = OutcomeProgram(**asked.parts(problem, stand, bounds))
     count = workers or available_cores()
-    program, starts = starting_points(program, pool, count, seeds)
+    program, starts = starting_points(program, pool, count, [*seeds, *map(Seed, thin)])
     if initial is not None and not program.ranges:
         now = initial.z / problem.scale
         if math.isfinite(program.value(now)) and all(separation(program, now, y) > ALIKE for y in starts):
@@ -197,8 +198,8 @@ def _as_much(program: OutcomeProgram, end: Climbed, other: Climbed) -> bool:
     return bool(same) and abs(end.value - other.value) <= EQUAL * abs(end.value)
 
 
-def _feasible(problem: SelectionProblem, initial: Evaluation | None, workers: int | None) -> Vector:
-    """Feasible configurations (N, n_z): the present one, if it is, and those that were scanned.
+def _feasible(problem: SelectionProblem, thin: list[Vector], initial: Evaluation | None, workers: int | None) -> Vector:
+    """Feasible configurations (N, n_z): the present one, if it is, and those that were scanned, or lie between these.
 
     Where none of these is, the best by the problem's own objective, whose solver goes along constraints to where all
     are kept.
@@ -206,7 +207,7 @@ def _feasible(problem: SelectionProblem, initial: Evaluation | None, workers: in
     Raises:
         NoSolutionFound: it finds none, and the present one is not feasible either; what is short is named.
     """
-    pool = problem.scan.z[:, problem.scan.feasible].T
+    pool = np.concatenate([problem.scan.z[:, problem.scan.feasible].T, *(z[None] for z in thin)])
     now = [each.z for each in [initial] if each is not None and violated(problem, each.z[:, None])[0] <= FEASIBLE]
     if not len(pool):
         try:

@@ -18,8 +18,8 @@ from flexopt.foundation.arrays import Vector
 from flexopt.selection.broken import falls_within
 from flexopt.selection.outcomes.branches import Branches
 from flexopt.selection.outcomes.program import MEETING, OutcomeProgram, ProgramPoint
+from flexopt.selection.places import FEASIBLE
 from flexopt.selection.proof.nonnegative import nonnegative_least_squares
-from flexopt.selection.scan import FEASIBLE
 
 # Steps at most, how exactly t is sought, and how often the search begins anew from where it came to.
 STEPS, EXACT, AGAIN = 60, 1e-12, 3

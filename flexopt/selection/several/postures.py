@@ -16,10 +16,12 @@ from flexopt.plant.inverse_kinematics import ELBOW_SIGN, REACHED, branch, held_o
 from flexopt.plant.reach import arm_length, sampled_ranges
 from flexopt.selection.nlp.program import values_of
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.starts import LONGER, SHORTER, STEP, STEP_LEAST, STEP_MOST, violated
+from flexopt.selection.starts import LONGER, SHORTER, STEP, STEP_LEAST, STEP_MOST, moved, violated
 
 # Postures tried from each placement: coordinates of a longer planar arm for each elbow; starts of the iteration.
 REDUNDANT, NEAR, FAR = 24, 4, 3
+# Of a placement from which no posture keeps every constraint so many, the nearest to these, are moved into them.
+MOVED = 4
 # Postures of a placement that climb at random, and their steps.
 CLIMBED, STEPS = 3, 30
 # Rounding on the edge of a constraint, in units of its scale.
@@ -58,8 +60,27 @@ def reached_from(problem: SelectionProblem, bases: Vector, seed: int, finer: int
         postures = np.concatenate([p.reshape(n, count, each) for p, _ in found], axis=2)
         reaches = np.concatenate([mask.reshape(count, each) for _, mask in found], axis=1)
         z = np.concatenate([np.repeat(bases[:, :, None], postures.shape[2], axis=2), postures])
-        return _valued(problem, z, reaches)
-    return reached_by(problem, bases, _starts(problem, bases, seed, finer))
+        return _with_moved(problem, _valued(problem, z, reaches))
+    return _with_moved(problem, reached_by(problem, bases, _starts(problem, bases, seed, finer)))
+
+
+def _with_moved(problem: SelectionProblem, reached: Reached) -> Reached:
+    """What is reached, and where postures lead that are moved into the constraints, each placement held.
+
+    They are moved where none keeps all: what a constraint leaves may be thinner than the spacing of any sample.
+    """
+    reaches = np.isfinite(reached.violation)
+    places = np.flatnonzero(reaches.any(axis=1) & ~np.isfinite(reached.value).any(axis=1))
+    if not places.size:
+        return reached
+    nearest = np.argsort(reached.violation[places], axis=1, kind="stable")[:, :MOVED]
+    near = reached.z[:, places[:, None], nearest]
+    there = moved(problem, near.reshape(len(near), -1), standing=True)[0].reshape(near.shape)
+    found = _valued(problem, there, reaches[places[:, None], nearest])
+    shape = len(reached.value), nearest.shape[1]
+    more = Reached(np.repeat(reached.z[:, :, :1], shape[1], axis=2), np.full(shape, -np.inf), np.full(shape, np.inf))
+    more.z[:, places], more.value[places], more.violation[places] = found.z, found.value, found.violation
+    return joined(reached, more)
 
 
 def reached_by(problem: SelectionProblem, bases: Vector, starts: Vector) -> Reached:

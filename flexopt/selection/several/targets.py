@@ -19,8 +19,8 @@ from flexopt.model import AnyMachine
 from flexopt.model.choices import asks_for_loop, of_loop
 from flexopt.model.constraints import AnyConstraints
 from flexopt.model.problem import SelectionOptions
-from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.selection.build import build_one
+from flexopt.selection.places import even_places, places_left_out
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.solve import without_loop
 
@@ -81,21 +81,17 @@ def single_measure(arguments: Arguments, given: Mapping[str, Any]) -> None:
 def sample_bases(problems: tuple[SelectionProblem, ...], on_line: int, elsewhere: int, seed: int) -> Vector:
     """Placements (n_b, N) within the ranges of all problems, N = 0 where they have no point in common.
 
-    Evenly spaced, `on_line` of them, where one coordinate is free; a low-discrepancy sample where more are.
+    Even ones, see `even_places`, and more in areas of a region that these leave out.
     """
-    n_b = problems[0].measures.plant.n_base
+    first = problems[0]
+    plant = first.measures.plant
+    n_b = plant.n_base
     low = np.max([problem.region.low[:n_b] for problem in problems], axis=0)
     high = np.min([problem.region.high[:n_b] for problem in problems], axis=0)
     if np.any(low > high):
         return np.zeros((n_b, 0))
-    loose = low < high
-    free = int(loose.sum())
-    if free == 0:
-        return low[:, None]
-    unit = np.linspace(0.0, 1.0, on_line)[None, :] if free == 1 else low_discrepancy(free, elsewhere, seed)
-    bases = np.repeat(low[:, None], unit.shape[1], axis=1)
-    bases[loose] += (high - low)[loose, None] * unit
-    return bases
+    bases = even_places(low, high, on_line, elsewhere, seed)
+    return np.concatenate([bases, places_left_out(plant, first.asked, low, high, bases, seed)], axis=1)
 
 
 def none_reaches_all(count: int, missing: list[int] | None = None) -> UnreachableTarget:

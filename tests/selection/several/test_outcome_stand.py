@@ -248,3 +248,69 @@ def test_what_keeps_targets_from_one_placement_is_told() -> None:
         flexopt.select_stand(machine, [(0.0, 1.6), (0.3, 1.3)], constraints={"manipulability": 100.0}, **asked)
     with pytest.raises(flexopt.UnreachableTarget, match="the best reaches all but number 2"):
         flexopt.select_stand(machine, [(0.0, 1.6), (7.0, 1.3)], base_range=(-4.0, 5.0), **asked)
+
+
+@pytest.mark.parametrize("objective", ["decay", "w1"])
+@pytest.mark.parametrize("several", [True, False])
+def test_a_wider_region_has_no_worse_an_answer(*, several: bool, objective: str) -> None:
+    """A good slot of 3 mm, alone and beside a wide part that is worse."""
+    asked: dict[str, Any] = {"base": 0.0, "objective": objective, "workers": 1}
+    asked |= {"loop": {"kp": 1e4, "kv": 1e3}} if objective == "decay" else {}
+
+    def worth(*region: tuple[float, float]) -> float:
+        given: dict[str, Any] = asked | {"constraints": {"region": region}}
+        if several:
+            return flexopt.select_stand(EXCAVATOR, TARGETS, **given).worth
+        return flexopt.select(EXCAVATOR, TARGETS[0], **given).best.objective
+
+    slot = worth((-1.703, -1.7))
+    assert worth((-1.703, -1.7), (0.0, 0.5)) >= slot - 1e-5 * abs(slot)
+
+
+def test_a_slot_between_keep_outs_is_looked_into() -> None:
+    """What areas to keep out of leave between them is one to stand in."""
+    asked: dict[str, Any] = {"base": 0.0, "objective": "decay", "loop": {"kp": 1e4, "kv": 1e3}, "workers": 1}
+    inside = flexopt.select_stand(EXCAVATOR, TARGETS, constraints={"region": [(-1.703, -1.7)]}, **asked)
+    outside = {"keep_out": [(-9.0, -1.703), (-1.7, 0.0), (0.5, 9.0)]}
+    between = flexopt.select_stand(EXCAVATOR, TARGETS, constraints=outside, **asked)
+    assert between.worth == pytest.approx(inside.worth, rel=1e-6)
+
+
+@pytest.mark.parametrize("tolerance", [0.083244, 0.05])
+def test_a_wider_tool_angle_has_no_worse_an_answer(tolerance: float) -> None:
+    """Few placements of a sample keep a thin angle: beside an even thinner one, and configurations that keep both."""
+    digger, top = flexopt.load("boom-stick-bucket"), -1.001276
+    targets, loop = [(6.2693, 1.7306), (5.4746, -0.1475)], {"kp": 10157.87, "kv": 219.498}
+
+    def worth(tolerance: float) -> float:
+        angle = {"tool_angle": (top - tolerance, top)}
+        asked: dict[str, Any] = {"base": 0.0, "objective": "decay", "loop": loop, "workers": 1, "constraints": angle}
+        return flexopt.select_stand(digger, targets, **asked).worth
+
+    found = worth(tolerance)
+    assert found >= worth(0.01) * (1 - 1e-5)
+    if tolerance > 0.0833 - 1e-3:
+        postures = (-0.77682357, -1.7211117, 0.03355938), (-1.06655898, -1.98670577, 0.50564462)
+        known = [flexopt.outcome(digger, posture, base=[-0.61390439], loop=loop).decay for posture in postures]
+        assert found >= min(known)
+
+
+@pytest.mark.parametrize(
+    ("target", "angle", "tolerance"),
+    [
+        ((-0.004564912908059049, 1.2494910647887383), -0.5452210818317111, 0.0023236464709276102),
+        ((0.262280082457942, 0.8021060533511107), -1.1638384178355956, 0.001460898681179782),
+    ],
+)
+def test_a_window_that_no_point_of_the_scan_is_in_counts_beside_one_that_some_are_in(
+    target: tuple[float, float], angle: float, tolerance: float
+) -> None:
+    """Of a tool angle whose windows along the placements are narrower than the scan's spacing."""
+    asked: dict[str, Any] = {"base": 0.0, "objective": "decay", "loop": {"kp": 1e4, "kv": 1e3}, "workers": 1}
+
+    def decay(tolerance: float) -> float:
+        given = {"tool_angle": (angle - tolerance, angle)}
+        return flexopt.select(EXCAVATOR, target, constraints=given, **asked).best.objective
+
+    tight = decay(tolerance / 10)
+    assert decay(tolerance) >= tight * (1 - 1e-5)
