@@ -20,7 +20,7 @@ from flexopt.selection.outcomes.borders import Line
 from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.selection.scan import FEASIBLE
+from flexopt.selection.places import FEASIBLE
 from flexopt.selection.starts import moved
 from tests.selection.loops import EXCAVATOR, POSTURE, TARGET, posture_at, told, worth
 

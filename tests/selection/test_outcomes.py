@@ -19,11 +19,12 @@ from flexopt.loop.settings import loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model import machine_from_dict, tree_from_dict
 from flexopt.model.loop import Loop
+from flexopt.selection.outcomes.choice import climbs
 from flexopt.selection.outcomes.climb import first_order
 from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.outcomes.program import OutcomeProgram, worst_of
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.selection.scan import FEASIBLE
+from flexopt.selection.places import FEASIBLE
 from flexopt.selection.starts import moved
 from tests.cli.command import Command
 from tests.oracles.spatial import in_space
@@ -316,6 +317,21 @@ def test_the_worst_of_a_gain_and_of_a_margin_is_that_of_the_verdict(objective: s
     assert worst == pytest.approx(getattr(loop.outcome(where), objective)().value, rel=1e-9)
     drawn = np.random.default_rng(0).random((60, len(ground)))
     assert worst <= min(getattr(loop.outcome(u), objective)().value for u in drawn)
+
+
+def test_no_joint_is_held_whole_turns_away() -> None:
+    """A climb may wind joints without limits; what is told is within half a turn of 0, and as good."""
+    asked: dict[str, Any] = {"objective": "decay", "loop": {"kp": 1e4, "kv": 1e3}, "workers": 1}
+    found = flexopt.select(EXCAVATOR, (0.0, 1.6), base=1.3, constraints={"region": [(-1.75, -1.649999999)]}, **asked)
+    assert isinstance(found, OutcomeSelection)
+    program = OutcomeProgram(**found.asked.parts(found.problem, found.best.evaluation))
+    start = found.best.z / found.problem.scale
+    # Where a climb begins two turns away it ends there, too.
+    far = start + np.array([0.0, 2 * math.tau, -math.tau])
+    (end,) = climbs(program, [far], 1, None)
+    assert np.abs(end.y[1:]).max() <= math.pi
+    assert end.value == pytest.approx(found.best.objective, rel=1e-6)
+    assert np.abs([candidate.z[1:] for candidate in found.candidates]).max() <= math.pi
 
 
 def test_the_present_configuration_is_climbed_from() -> None:

@@ -227,7 +227,7 @@ def _climbed(program: OutcomeProgram, starts: list[Vector], number: int) -> Clim
         if found is None or again is None or not again.holds or again.value <= found.value + EQUAL * abs(found.value):
             break
         found = replace(again, steps=found.steps + again.steps)
-    return found
+    return found and replace(found, y=program.wrapped(found.y))
 
 
 def _climbed_once(program: OutcomeProgram, start: Vector) -> Climbed | None:

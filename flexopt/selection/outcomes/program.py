@@ -95,6 +95,10 @@ class OutcomeProgram:
         """The configuration."""
         return y[: self.n_z] * self.problem.scale
 
+    def wrapped(self, y: Vector) -> Vector:
+        """The same point with unlimited angles near the present ones, see `SelectionProblem.wrapped`."""
+        return np.append(self.problem.wrapped(self.z(y)) / self.problem.scale, y[self.n_z :])
+
     def past_stops(self, y: Vector) -> Vector | None:
         """The point with joints that rest at an end of their angles whole turns away; see `continua.past_stops`."""
         z = past_stops(self.problem, self.z(y))

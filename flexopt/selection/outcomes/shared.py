@@ -86,6 +86,14 @@ class SharedProgram(OutcomeProgram):
         found: Vector = self._spread([target.z(y[place]) for target, place in self._each], self.n_z)
         return found
 
+    def wrapped(self, y: Vector) -> Vector:
+        """See `OutcomeProgram`; along a way, whose steps count turns, all of it by those of its beginning."""
+        near = [target.wrapped(own) for target, own in self.parts(y)]
+        if self.coupling.pairs:
+            first, *others = (own for _, own in self.parts(y))
+            near = [near[0], *(own + (near[0] - first) for own in others)]
+        return self.joined(near)
+
     def past_stops(self, y: Vector) -> Vector | None:
         """See `OutcomeProgram`; none along a way, whose steps count turns."""
         found = [(own, target.past_stops(own)) for target, own in self.parts(y)]
