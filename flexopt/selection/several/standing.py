@@ -154,7 +154,8 @@ def kept_somewhere(
         UnreachableTarget, NoSolutionFound: as `best_placements`; what is short is named.
     """
     program = one_placement(problems, np.full(len(problems), 1 / len(problems)), weighted=False)
-    good = best_placements(program, bases, found, default_starts(program), problems[0].seed, workers, None)[0]
+    count = program.first.starts or default_starts(program)
+    good = best_placements(program, bases, found, count, program.first.seed, workers, None)[0]
     zs = [np.array([program.of(end.x, k) for end in good]).T[:, :, None] for k in range(len(problems))]
     kept = np.zeros((len(good), 1))
     return zs[0][: bases.shape[0], :, 0], [Reached(z, kept, kept) for z in zs]
