@@ -7,6 +7,8 @@ from typing import Any, cast
 
 from flexopt.foundation.quantities import COORDINATE, each, each_named, pair, several, vector
 
+# Of a machine that stands where it is built.
+NO_PLACEMENT = "must be left out: the machine has no placement coordinates"
 # A point in the plane, inertial frame, m.
 check_point = vector("two numbers x, y in m, inertial frame", COORDINATE["m"], "xy")
 
@@ -28,11 +30,7 @@ def check_placement(
     if len(parts) != len(names):
         count = "one number" if len(names) == 1 else f"{len(names)} numbers"
         listed = ", ".join(f"{name}, in {unit}" for name, unit in zip(names, units, strict=True))
-        raise ValueError(
-            f"must be {count}: the machine is {what} by {listed}"
-            if names
-            else f"must be left out: the machine is {what} by nothing"
-        )
+        raise ValueError(f"must be {count}: the machine is {what} by {listed}" if names else NO_PLACEMENT)
     return each_named(lambda part: COORDINATE[part[0]](part[1]), list(zip(units, parts, strict=True)), names)
 
 
@@ -40,8 +38,9 @@ def check_base_range(value: Any, names: Sequence[str], units: Sequence[str]) -> 
     """A range [lower, upper] for some of the placement coordinates, by name; of a single one the pair alone."""
     if not isinstance(value, Mapping):
         if len(names) != 1:
-            listed = ", ".join(f"{name} = [lower, upper]" for name in names) or "nothing"
-            raise ValueError(f"must be a table with ranges of the placement coordinates: {listed}")
+            listed = ", ".join(f"{name} = [lower, upper]" for name in names)
+            ranges = f"must be a table with ranges of the placement coordinates: {listed}"
+            raise ValueError(ranges if names else NO_PLACEMENT)
         value = {names[0]: value}
     unit_of, table = dict(zip(names, units, strict=True)), cast(Mapping[Any, Any], value)
 

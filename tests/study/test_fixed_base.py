@@ -60,6 +60,9 @@ def test_reports(machine: Any, loop: Any) -> None:
 def test_several_targets_regions_and_loops_at_many_points(machine: Any, placed: Any) -> None:
     stand = flexopt.select_stand(machine, [TARGET, OTHER], objective="decay", loop=LOOP, starts=2)
     assert stand.base.size == 0
+    head = str(stand).splitlines()[0]
+    assert head.startswith(f"{machine.name}: 2 targets, Jacobian inverse control")
+    assert "led to a verified posture at each of 2 targets" in head
     posture = stand.places[0].evaluation.posture
     here = flexopt.stable_region(machine, posture, loop=LOOP, points=16, boxes=4)
     there = flexopt.stable_region(placed, posture, base=0.0, loop=LOOP, points=16, boxes=4)
@@ -85,5 +88,6 @@ def test_studies(tmp_path: Path, quantities: dict[str, Any]) -> None:
 
 
 def test_a_place_for_it_is_refused(machine: Any) -> None:
-    with pytest.raises(flexopt.InputError, match=r"base = 0\.0: must be left out: the machine is placed by nothing"):
-        flexopt.select(machine, TARGET, base=0.0)
+    for field, given in (("base", 0.0), ("base_range", (0, 1))):
+        with pytest.raises(flexopt.InputError, match=f"{field} = .*: must be left out: .* no placement coordinates"):
+            flexopt.select(machine, TARGET, **{field: given})

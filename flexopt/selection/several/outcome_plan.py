@@ -14,17 +14,20 @@ from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.plant.inverse_kinematics import low_discrepancy
+from flexopt.selection.assumed import in_the_way
 from flexopt.selection.nlp.program import Program
 from flexopt.selection.outcomes.asked import Asked
 from flexopt.selection.outcomes.climb import Climbed, climbed
 from flexopt.selection.outcomes.program import least_over
 from flexopt.selection.outcomes.shared import SharedProgram, ShortestWay
 from flexopt.selection.outcomes.starting import values_at
+from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.several.by_loop import ByLoop, climbs_from, places_by_loop, shared_program
 from flexopt.selection.several.postures import Reached
 from flexopt.selection.several.results import BasePlan, FixedPlacement
 from flexopt.selection.several.standing import standing_along
 from flexopt.selection.several.ways import Layer, coarse_ways, no_way, nodes_of, on_lines, travelled
+from flexopt.selection.starts import kept_by_none
 
 # Gains with which coarse ways are looked for, where they are chosen; ways for each.
 GAINS, WAYS = 6, 3
@@ -86,8 +89,7 @@ def outcome_plan(
     problems = along.problems
     layers = [nodes_of(reached) for reached in found]
     if any(not values.size for _, values in layers):
-        sentence = "at one of the targets no configuration that was looked at keeps every constraint"
-        raise NoSolutionFound(f"plan_base: {sentence}", violations={}, iterate={})
+        raise _kept_nowhere(problems, layers)
     program = shared_program(asked, problems, along.coupling, along.steps, layers[0][0][:, 0], begin)
     still = _standing(program, along, common, found, workers)
     looked = _looked(program, along, [_thinned(layer, _most(program)) for layer in layers], workers)
@@ -127,6 +129,17 @@ def outcome_plan(
         settings=chosen.at(y).settings,
         unverified=unverified,
     )  # fmt: skip
+
+
+def _kept_nowhere(problems: tuple[SelectionProblem, ...], layers: list[Layer]) -> NoSolutionFound:
+    """The error where a target has no configuration that keeps every constraint; which are short is told of each."""
+    told = list[str]()
+    for k, (problem, (_, values)) in enumerate(zip(problems, layers, strict=True), start=1):
+        if not values.size:
+            short = kept_by_none(problem) or "no configuration that was looked at keeps every constraint"
+            told.append(f"target {k}: {short}")
+    sentence = f"plan_base: {'; '.join(told)}{in_the_way(problems[0].assumed)}"
+    return NoSolutionFound(sentence, violations={}, iterate={})
 
 
 def _standing(

@@ -343,7 +343,7 @@ class Stand(Pictured, ConfigurationSet):
     @property
     def status(self) -> str:
         """A sentence."""
-        return self._found("placement for")
+        return self._found("placement for" if self.base.size else "posture at each of")
 
     def to_dict(self) -> Document:
         """JSON-ready dictionary.
@@ -370,7 +370,8 @@ class Stand(Pictured, ConfigurationSet):
         for k, names in enumerate(held, start=1):
             own = ", ".join(name for name in names if name not in shared)
             rests += [f"  target {k} rests on {own}"] if own else []
-        return "\n".join([*self._lines(f"{self._targets} from {base}", self.status), *rests])
+        what = f"{self._targets} from {base}" if base else self._targets
+        return "\n".join([*self._lines(what, self.status), *rests])
 
 
 @dataclass(frozen=True)

@@ -115,3 +115,11 @@ def test_what_is_refused() -> None:
         flexopt.plan_base(EXCAVATOR, PATH, objective="w1,decay", loop=LOOP)
     with pytest.raises(flexopt.InputError, match="goes with an objective of the loop"):
         flexopt.plan_base(EXCAVATOR, PATH, loop=LOOP)
+
+
+def test_what_keeps_a_target_from_every_configuration_is_told() -> None:
+    """The constraint, and by how much it is short, at each target."""
+    with pytest.raises(
+        flexopt.NoSolutionFound, match=r"target 1: .* none keeps manipulability, .* m\^2 short.*target 2"
+    ):
+        flexopt.plan_base(EXCAVATOR, PATH, objective="decay", loop=LOOP, constraints={"manipulability": 100.0})
