@@ -77,11 +77,14 @@ class ConstraintValue:
         return max([1.0, *(abs(bound) for bound in (self.lower, self.upper) if math.isfinite(bound))])
 
 
-def by_kind(names: Iterable[str]) -> dict[str, list[str]]:
-    """Names of constraints by what they are the same of: "clearance" of every body."""
+def by_kind(names: Iterable[str], cornerless: Mapping[str, str]) -> dict[str, list[str]]:
+    """Names of constraints by what they are the same of: "clearance" of every body, at every corner.
+
+    `cornerless`: as of `flexopt.selection.broken.cornerless`.
+    """
     kinds: dict[str, list[str]] = {}
     for name in names:
-        kinds.setdefault(re.split(" of | from |, ", name)[0], []).append(name)
+        kinds.setdefault(re.split(" of | from |, ", cornerless.get(name, name))[0], []).append(name)
     return kinds
 
 
@@ -128,7 +131,9 @@ def violations_told(
     )
 
 
-def nearest_told(asked: Constraints, places: Sequence[dict[str, ConstraintValue]]) -> str:
+def nearest_told(
+    asked: Constraints, places: Sequence[dict[str, ConstraintValue]], cornerless: Mapping[str, str]
+) -> str:
     """A sentence on the constraint of each kind that is nearest to its bound, over all targets.
 
     Empty where nobody asked for any. A margin of joints, which narrows their limits, has no value of its own.
@@ -136,12 +141,13 @@ def nearest_told(asked: Constraints, places: Sequence[dict[str, ConstraintValue]
     Args:
         asked: the constraints as they were given.
         places: at each target, by name; the same names at all.
+        cornerless: as of `flexopt.selection.broken.cornerless`.
     """
     margin = f"joint margin at least {asked.joint_margin:g} rad (slides: m)" if asked.joint_margin else ""
     if not any(getattr(asked, field, None) is not None for field in (*KINDS, "own")):
         return margin and f"constraints: {margin}"
     told = list[str]()
-    for names in by_kind(places[0]).values():
+    for names in by_kind(places[0], cornerless).values():
         _, k, name = min((values[name].nearness, k, name) for k, values in enumerate(places) for name in names)
         at = f" at target {k + 1}" if len(places) > 1 else ""
         told.append(f"{name} {places[k][name]}{at}")

@@ -389,7 +389,7 @@ class Selection(Pictured, Result):
     @property
     def constraints_told(self) -> tuple[str, ...]:
         """A sentence on those asked for at the best: of each kind that nearest to its bound; none where none was."""
-        told = nearest_told(self.problem.asked, [self.best.constraints])
+        told = nearest_told(self.problem.asked, [self.best.constraints], cornerless(self.problem))
         return (told,) if told else ()
 
     @property

@@ -24,7 +24,7 @@ ASKED = read_constraints({"manipulability": 2.0})
 @given(st.lists(st.lists(st.floats(-9, 9), min_size=4, max_size=4), min_size=1, max_size=3))
 def test_of_each_kind_the_nearest_is_told(values: list[list[float]]) -> None:
     places = [{name: ConstraintValue(x, -1.0, 1.0, "m") for name, x in zip(NAMES, row, strict=True)} for row in values]
-    told = nearest_told(ASKED, places)
+    told = nearest_told(ASKED, places, {})
     room = 1 - abs(np.array(values))
     for kind, part in (("clearance", room[:, :3]), ("tip-over", room[:, 3:])):
         found = re.search(rf"{kind}.*?(-?[\d.e-]+) m \(-1 to 1 m\)(?: at target (\d))?", told)
@@ -34,6 +34,20 @@ def test_of_each_kind_the_nearest_is_told(values: list[list[float]]) -> None:
         k = int(found[2] or 1) - 1
         assert part[k].min() == pytest.approx(part.min(), abs=1e-12)
         assert (found[2] is not None) == (len(values) > 1)
+
+
+def test_corners_of_a_constraint_are_of_one_kind() -> None:
+    """One's own constraint may be called so, too, and is no corner."""
+    names = (
+        "tool angle",
+        "tool angle where payload.mass is 9 kg",
+        "room where height is 2 m",
+        "room where height is 3 m",
+    )
+    places = [{name: ConstraintValue(x, -1.0, 1.0, "rad") for name, x in zip(names, (0.1, 0.9, 0.2, 0.3), strict=True)}]
+    told = nearest_told(ASKED, places, {names[1]: names[0]})
+    assert [name for name in names if f"{name} 0." in told] == [*names[1:]]
+    assert "tool angle 0." not in told
 
 
 @pytest.mark.parametrize(
@@ -71,10 +85,10 @@ def test_what_breaks_a_bound_is_not_told_as_that_bound(value: float, bounds: tup
 def test_nothing_is_told_where_nothing_was_asked() -> None:
     places = [{"singularity margin": ConstraintValue(0.5, 0.03, np.inf, "sin²")}]
     for asked in ({}, {"travel": {"cost": 0.1}}):
-        assert nearest_told(read_constraints(asked), places) == ""
+        assert nearest_told(read_constraints(asked), places, {}) == ""
     margin = "joint margin at least 0.1 rad (slides: m)"
-    assert nearest_told(read_constraints({"joint_margin": 0.1}), places) == f"constraints: {margin}"
-    both = nearest_told(read_constraints({"joint_margin": 0.1, "manipulability": 1.0}), places)
+    assert nearest_told(read_constraints({"joint_margin": 0.1}), places, {}) == f"constraints: {margin}"
+    both = nearest_told(read_constraints({"joint_margin": 0.1, "manipulability": 1.0}), places, {})
     assert both.startswith("constraints, of each kind that nearest to its bound: singularity margin 0.5 sin²")
     assert both.endswith(f"; {margin}")
 

@@ -19,7 +19,7 @@ from flexopt.foundation.results import Tabled
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import EXCITES, Evaluation, excites_rigid
 from flexopt.robustness.residues import residue_unit, unit_in_words
-from flexopt.selection.broken import resting
+from flexopt.selection.broken import cornerless, resting
 from flexopt.selection.constraint_values import ConstraintValue, nearest_told
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.result import (
@@ -193,7 +193,7 @@ class ConfigurationSet(Tabled):
         """A heading, and a line for each target."""
         first = self.problems[0]
         how = f"Jacobian {first.control} control, objective {self.objective}: {status}"
-        kept = nearest_told(first.asked, [place.constraints for place in self.places])
+        kept = nearest_told(first.asked, [place.constraints for place in self.places], cornerless(first))
         named = [f"  {assumption}" for assumption in first.assumed]
         named += [f"  {self.unused_posture}"] * bool(self.unused_posture)
         return [

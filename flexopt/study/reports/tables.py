@@ -16,6 +16,7 @@ from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import Evaluation, unreached
 from flexopt.robustness.residues import residue_unit, written_unit
 from flexopt.selection import Selection
+from flexopt.selection.broken import cornerless
 from flexopt.selection.constraint_values import by_kind
 from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
 from flexopt.study.page import PageTable, number, with_minus
@@ -65,7 +66,8 @@ def constraints(report: Report) -> ConstraintTables | None:
     shown = [each for _, each in numbered]
     if not shown[0].constraints:
         return None
-    kinds = by_kind(shown[0].constraints)
+    problem = selection.problem if isinstance(selection, Selection) else selection.problems[0]
+    kinds = by_kind(shown[0].constraints, cornerless(problem))
     near, far = list[str](), list[str]()
     for names in kinds.values():
         if len(names) > MANY:
