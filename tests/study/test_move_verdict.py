@@ -276,7 +276,35 @@ def test_where_no_gains_are_found_it_says_which_were_tried_and_how_others_are() 
     assert found.word == "cannot tell"
     assert "nor with 0.01 to 10 times these; kp_range and kv_range of the loop have others tried" in found.sentence
     ranges = {"kp_range": (1.0, 1e7), "kv_range": (1.0, 1e5)}
-    assert judged("article", loop=loop | ranges, runs=0, members=4).word == "change gains"
+    other = judged("article", loop=loop | ranges, runs=0, members=4)
+    assert other.word == "change gains"
+    # What the new gains bear is told as it is where they are asked for.
+    new = other.with_gains
+    again = judged("article", loop=loop | {name: values[0] for name, values in other.gains.items()}, runs=0, members=4)
+    asked = next(place for place in again.places if place.name == other.place)
+    for measure in ("decay", "allowed_gain", "delay_margin"):
+        assert getattr(new, measure).least == pytest.approx(getattr(asked, measure).least, rel=1e-4)
+    assert f"{1e3 * new.delay_margin.least:.4g} ms" in next(x for x in str(other).splitlines() if "new gains  " in x)
+
+
+@pytest.mark.long
+def test_what_new_gains_are_worse_by_is_told(tmp_path: Path) -> None:
+    """They are sought by the decay alone, which goes up to where little dead time more makes the loop grow."""
+    ranges = {"kp_range": (1e2, 1e6), "kv_range": (1e2, 1e5)}
+    machine, stands = flexopt.load("excavator"), {"base": 1.8625, "posture": (1.8982, -1.4650)}
+    loop = {"kp": 1e3, "kv": 1e3, "dead_time": 0.01} | ranges
+    found = flexopt.verdict(machine, (0.0, 1.6), **stands, loop=loop, members=4, runs=0, starts=4)
+    assert found.word == "change gains"
+    new, stay = found.with_gains, found.places[0]
+    assert new.delay_margin.least < 0.9 * stay.delay_margin.least
+    told = (
+        f"bears {1e3 * new.delay_margin.least:.4g} instead of {1e3 * stay.delay_margin.least:.4g} ms more of dead time"
+    )
+    assert told in found.drawbacks
+    assert found.to_dict()["with_gains"]["delay_margin"]["least"] == new.delay_margin.least
+    found.to_html(tmp_path / "verdict.html")
+    words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
+    assert "Left of the arrow: stay, with the gains as they are" in words
 
 
 @pytest.mark.long

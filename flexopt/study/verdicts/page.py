@@ -92,6 +92,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "measure": sentence(verdict.measure),
         "stand": _stand(verdict),
         "numbers": _numbers(verdict),
+        "before": f"{_beside(verdict)[0].name}, with the gains as they are" if verdict.with_gains else "staying",
         "bands": _pictures(verdict),
         "places": _places(verdict),
         "left_out": sentence(verdict.left_out),
@@ -170,9 +171,15 @@ def _stands(place: PlaceVerdict) -> list[tuple[str, list[float]]]:
     return [("" if len(stands) == 1 else f"target {k}", each) for k, each in enumerate(stands, start=1)]
 
 
-def _numbers(verdict: Verdict) -> list[tuple[str, list[BoxNumber]]]:
-    """Names, and the worst values of the present place and of the one that is told of."""
+def _beside(verdict: Verdict) -> list[PlaceVerdict]:
+    """The present place, and the one that is told of; where that has new gains, it alone stands beside what is."""
     places = [place for place in verdict.places if place.name in (STAY, verdict.place)]
+    return [*places[:1], verdict.with_gains] if verdict.with_gains else places
+
+
+def _numbers(verdict: Verdict) -> list[tuple[str, list[BoxNumber]]]:
+    """Names, and the worst values of the present place and of the one that is told of, with its new gains."""
+    places = _beside(verdict)
     if not places:
         return []
     found = [(_title(m), [_worst(place, m) for place in places]) for m in measures(verdict)]

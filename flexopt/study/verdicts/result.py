@@ -6,7 +6,7 @@ import math
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,6 +46,8 @@ GROUND_ASSUMED = (
 )
 # A self-motion that takes longer than this to e-fold, s, stays where it is while a machine works.
 STAYS = 3600.0
+# The place of a verdict with other gains, in a row of places.
+NEW_GAINS = "new gains"
 # Why a place is told of that is none of the best, if it is not the selection's first.
 MOST_OFTEN = "decays faster than the present place on the most grounds"
 
@@ -176,12 +178,14 @@ class Verdict(Pictured, Printed, Result):
     Attributes:
         word: `"move"`, `"stay"`, `"change gains"` or `"cannot tell"`;  sentence: it, with where to and why.
         place: which place it speaks of;  reason: why.
-        drawbacks: what is worse by a tenth or more where it sends the machine than where it stands, in the worst case,
-            and what it breaks as every place found does, in words; empty where nothing is.
+        drawbacks: what is worse by a tenth or more where it sends the machine, or with the gains to change to, than
+            where it stands with the present ones, in the worst case, and what it breaks as every place found does, in
+            words; empty where nothing is.
         passed_over: where it sends the machine: of the nearest place with less to drive that is better than staying on
             some grounds, or where there is no staying of any, why it does not send it there; else empty.
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
-        gains: those to change to.
+        gains: those to change to;  with_gains: `place` with these, judged as the places are with the present ones; None
+            where none are to be changed.
         rule: by which the word was found.
         places: the present one first, then the best of the candidates, candidate 1 where it is none of these, and where
             none of all these is better than staying on more than 5 % of the grounds, one that is, if there is any;
@@ -223,10 +227,11 @@ class Verdict(Pictured, Printed, Result):
     assumes_ground: bool = False
     passed_over: str = ""
     name: str = ""
+    with_gains: PlaceVerdict | None = None
 
     DOCUMENT = """
     word sentence place reason drawbacks passed_over measure gains rule targets[m] present_end_point[m] present_off[m]
-    present_breaks places assumed
+    present_breaks places with_gains assumed
     settings uncertainty=_uncertainty members judged excluded exclusions proven provenance
     """
 
@@ -238,13 +243,15 @@ class Verdict(Pictured, Printed, Result):
     @property
     def drawbacks(self) -> str:
         """See the class."""
-        stay, there = self._stay, next((place for place in self.places if place.name == self.place), None)
+        stay, now = self._stay, next((place for place in self.places if place.name == self.place), None)
+        there = self.with_gains or now
         if self.word == "cannot tell" or there is None:
             return ""
         # Else another place would keep them, and this one would be none to move to.
         no_better = f"every place found breaks constraints on some ground: {spoken(there.name)} {there.breaks}"
         no_better *= bool(there.breaks)
-        if stay is None or self.word != "move":
+        stay = now if self.with_gains and stay is None else stay
+        if stay is None or self.word not in ("move", "change gains"):
             return no_better
         highest = f"above {self.settings.highest_kp:.4g}"
         compared = (
@@ -265,7 +272,8 @@ class Verdict(Pictured, Printed, Result):
                 found.append(words.format(f"{factor * value:.4g} instead of {instead} {unit}"))
             elif measure == "settling" and math.isnan(value) and not math.isnan(before):
                 found.append(f"does not settle in a minute instead of in {before:.4g} s")
-        told = f"in the worst case it {', '.join(found)} there" if found else ""
+        how = "with the new gains it" if self.with_gains else "it"
+        told = f"in the worst case {how} {', '.join(found)} there" if found else ""
         return "; ".join(filter(None, (told, no_better)))
 
     @property
@@ -583,10 +591,11 @@ class Verdict(Pictured, Printed, Result):
             f"{'settling':>10} {'swing':>11}   nonlinear runs",
         ]
         highest = self.settings.highest_kp
-        lines += [_row(place, allowed(place.allowed_gain.least, unit, highest), wide) for place in self.places]
+        rows = [*self.places, *([replace(self.with_gains, name=NEW_GAINS)] if self.with_gains else [])]
+        lines += [_row(place, allowed(place.allowed_gain.least, unit, highest), wide) for place in rows]
         lines += [f"  {sentence}" for sentence in (self.left_out, self.sought_by, self.unverified) if sentence]
-        grows = any(place.decay.least <= 0 for place in self.places)
-        late = any(math.isnan(place.settling.greatest) and place.decay.least > 0 for place in self.places)
+        grows = any(place.decay.least <= 0 for place in rows)
+        late = any(math.isnan(place.settling.greatest) and place.decay.least > 0 for place in rows)
         if grows or late:
             whys = ["there is none, for on some ground it grows"] * grows
             whys += ["where it decays on all, on some it does not settle in a minute"] * (grows and late)

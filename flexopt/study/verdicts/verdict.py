@@ -228,6 +228,9 @@ def verdict(
         passed_over=decision.passed_over,
         measure=_measure(decision, box, points, known, stay) if decision.word == "cannot tell" and known else "",
         gains=gains if decision.word == "change gains" else {},
+        with_gains=_with_gains(changed, stands, points, drives, chosen, within)
+        if decision.word == "change gains"
+        else None,
         places=tuple(bands.values()),
         settings=settings,
         uncertainty=uncertain,
@@ -440,6 +443,25 @@ def _changed(
     place, loop = min(near, key=lambda each: each[0].drive)
     names = ("kp", "kv", *(["ki"] if loop.settings.feedback == "pid" else []))
     return (place, loop), {name: getattr(loop.settings, name).tolist() for name in names}
+
+
+def _with_gains(
+    changed: tuple[Place, PlaceLoops] | None,
+    stands: Mapping[str, Configurations],
+    points: Vector,
+    drives: Mapping[str, tuple[float, float]],
+    chosen: Chosen,
+    within: Mapping[str, str],
+) -> PlaceVerdict | None:
+    """The place with other gains, judged as the others are with the present ones."""
+    if changed is None:
+        return None
+    (place, loop), name = changed, changed[0].name
+    decays = loop.decays(points)
+    slowest, worst = loop.slowest(points, decays), decays.min(axis=0)
+    return _place(
+        name, stands[name], loop, points, worst, math.nan, slowest, drives[name], None, chosen, within[place.name]
+    )
 
 
 def _place(
