@@ -15,6 +15,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, REACHED, branch, held_on, low_discrepancy, solve_postures
 from flexopt.plant.reach import arm_length, sampled_ranges
 from flexopt.selection.nlp.program import values_of
+from flexopt.selection.places import FEASIBLE
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.starts import LONGER, SHORTER, STEP, STEP_LEAST, STEP_MOST, moved, violated
 
@@ -69,14 +70,15 @@ def _with_moved(problem: SelectionProblem, reached: Reached) -> Reached:
 
     They are moved where none keeps all: what a constraint leaves may be thinner than the spacing of any sample.
     """
-    reaches = np.isfinite(reached.violation)
-    places = np.flatnonzero(reaches.any(axis=1) & ~np.isfinite(reached.value).any(axis=1))
+    lost = ~np.isfinite(reached.value).any(axis=1)
+    places = np.flatnonzero(lost & np.isfinite(reached.violation).any(axis=1))
     if not places.size:
         return reached
     nearest = np.argsort(reached.violation[places], axis=1, kind="stable")[:, :MOVED]
     near = reached.z[:, places[:, None], nearest]
-    there = moved(problem, near.reshape(len(near), -1), standing=True)[0].reshape(near.shape)
-    found = _valued(problem, there, reaches[places[:, None], nearest])
+    there, left = moved(problem, near.reshape(len(near), -1), standing=True)
+    # What found no way into the constraints may have left the target.
+    found = _valued(problem, there.reshape(near.shape), (left <= FEASIBLE).reshape(nearest.shape))
     shape = len(reached.value), nearest.shape[1]
     more = Reached(np.repeat(reached.z[:, :, :1], shape[1], axis=2), np.full(shape, -np.inf), np.full(shape, np.inf))
     more.z[:, places], more.value[places], more.violation[places] = found.z, found.value, found.violation
