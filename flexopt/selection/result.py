@@ -268,7 +268,12 @@ class Selection(Pictured, Result):
         return _found_how_often(self.problem, self.attempts)
 
     def broken_along_redundancy(self) -> Mask:
-        """Which points of `problem.scan` break a constraint, (N,); all keep limits and the singularity margin."""
+        """Which points of `problem.scan` break a constraint, (N,); all keep limits and the singularity margin.
+
+        Example:
+            >>> bool(selection.broken_along_redundancy().any())  # none was asked for
+            False
+        """
         return ~self.problem.scan.feasible
 
     @property
