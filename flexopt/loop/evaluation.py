@@ -22,7 +22,7 @@ from flexopt.foundation.rounding import without_rounding
 from flexopt.loop.lag import LaggedModes, lagged_modes
 from flexopt.loop.outcome import HIGH, LOW, MEASURES, LoopPoint
 from flexopt.loop.settings import LoopSettings, loop_settings
-from flexopt.loop.spectrum import from_sample_to_sample, slow_self_motion
+from flexopt.loop.spectrum import UNBRAKED, drifting_self_motion, from_sample_to_sample, slow_self_motion
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.robustness import Evaluation, build_measures, evaluate
@@ -213,11 +213,9 @@ class Outcome(Result):
         lines.append(f"  sampled loop: {self._word}, {self.frequency_hz:.4g} Hz{why}")
         lines += [f"  {unseen_told('the loop')}"] * self.unseen
         if self.settings.lets_drift:
-            lines.append(
-                "  the loop does not brake the arm's self-motion, no part of the decay; loop.nullspace_damping does"
-            )
-        lines += [f"  the arm's self-motion drifts, e-fold in {1 / rate:.3g} s" for rate in self.drift if rate > 0]
-        lines += [f"  {sentence}" for sentence in slow_self_motion(self.drift, self.decay)]
+            lines.append(f"  {UNBRAKED}")
+        own_motion = (*drifting_self_motion(self.drift), *slow_self_motion(self.drift, self.decay))
+        lines += [f"  {sentence}" for sentence in own_motion]
         stable = ", ".join(self._stable) or "nowhere"
         most = f"above {self.settings.highest_kp:.4g}" if math.isinf(self.allowed_gain) else _told(self.allowed_gain)
         unit = f" {self.settings.gain_units[0]} (stable: {stable})"

@@ -226,6 +226,14 @@ class LoopPoint:
         slopes = self.smooth.slopes(by_matrix) if np.all(np.isfinite(by_matrix)) else None
         return Measured(float(np.angle(mu)) / self.period, slopes)
 
+    def drift(self) -> Measured:
+        """The largest growth rate of a redundant arm's self-motion, 1/s; NaN where nothing acts on it, or none is."""
+        if not self.loop.drift:
+            return UNDEFINED
+        mu, by_matrix = self._by_multiplier(self.loop.own[0], lambda mu: 1 / (mu * self.period))
+        slopes = self.smooth.slopes(by_matrix) if np.all(np.isfinite(by_matrix)) else None
+        return Measured(math.log(abs(mu)) / self.period, slopes)
+
     def decay(self) -> Measured:
         """How fast the loop's slowest motion decays, 1/s; negative where it grows."""
         return self.rate()

@@ -68,10 +68,14 @@ class LoopSettings(Result):
     sources: Mapping[str, str]
 
     @property
+    def redundant(self) -> bool:
+        """Whether the arm has more joints than task rows."""
+        return len(self.joint_units) > self.kp.size
+
+    @property
     def lets_drift(self) -> bool:
         """Whether the arm has a self-motion that the loop does not brake: drives that follow rates hold it."""
-        redundant = len(self.joint_units) > self.kp.size
-        return redundant and not self.nullspace_damping and self.drive != "velocity"
+        return self.redundant and not self.nullspace_damping and self.drive != "velocity"
 
     @property
     def braking(self) -> float:

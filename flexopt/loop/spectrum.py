@@ -5,8 +5,9 @@ In: Φ of x_{k+1} = Φ x_k. Out: `SampledLoop`, its multipliers, and of any of t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any
 
@@ -37,6 +38,8 @@ CAUSES = {
 }
 # Steps of inverse iteration: next to an eigenvalue one or two do.
 ITERATIONS = 3
+# Of a loop that lets a redundant arm drift.
+UNBRAKED = "the loop does not brake the arm's self-motion, no part of the decay; loop.nullspace_damping does"
 
 
 def too_much(
@@ -77,6 +80,11 @@ def from_sample_to_sample(names: Sequence[str], rate: float) -> str:
     return f", half the sampling rate: {listed(CAUSES[name] for name in names)} {verb} too much for {rate:g} Hz"
 
 
+def drifting_self_motion(drift: Sequence[float]) -> list[str]:
+    """A sentence for each growth rate above zero of a redundant arm's self-motion, 1/s."""
+    return [f"the arm's self-motion drifts, e-fold in {1 / rate:.3g} s" for rate in drift if rate > 0]
+
+
 def slow_self_motion(drift: Sequence[float], decay: float) -> list[str]:
     """A sentence where a redundant arm's self-motion, of growth rates `drift`, dies away more slowly than the loop."""
     slowest = -max(drift, default=0.0)
@@ -106,18 +114,26 @@ class SampledLoop:
         period: of a sample, s.
         neutral: how many eigenvalues 1 were taken out, of what nothing drives or brakes: the self-motion of a redundant
             arm, and directions without gain.
-        drift: growth rates of the self-motion where weight or damping act on it, 1/s; taken out, too: an arm that
-            drifts while its end-point stays is no oscillation.
+        own: eigenvalues of the self-motion where weight or damping act on it, largest first; taken out, too: an arm
+            that drifts while its end-point stays is no oscillation.
         integrator: how the plant is advanced between samples: `"exact"`, or the method asked for.
         rounding: of a growth rate, 1/s: what is nearer to zero is neither growth nor decay.
+        self_motion: share of its kinetic energy that the slowest motion has in the self-motion: of a drift that moves
+            the base so much that it is taken for the loop's, up to 0.9; NaN where no self-motion is told apart.
     """
 
     multipliers: ComplexArray
     period: float
     neutral: int = 0
-    drift: tuple[float, ...] = ()
+    own: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=np.complex128))
     integrator: str = EXACT
     rounding: float = 0.0
+    self_motion: float = math.nan
+
+    @property
+    def drift(self) -> tuple[float, ...]:
+        """Growth rates of the self-motion, those of `own`, 1/s, largest first."""
+        return tuple(poles_of(self.own, self.period).real.tolist())
 
     @property
     def growth_rate(self) -> float:
@@ -185,20 +201,25 @@ class OwnMotion:
         own = np.vstack([np.zeros((m, joints.shape[1])), joints])
         return cls(own, plant.mass.call([q, base, p])[0].full(), to_q)
 
-    def drifting(self, values: ComplexArray, vectors: ComplexArray, most: int) -> NDArray[np.bool_]:
-        """Which eigenvalues belong to an arm that drifts along it: real, and its the kinetic energy.
-
-        Weight makes the self-motion of an arm on a base that gives no longer neutral, nor does damping of it.
-        """
+    def shares(self, vectors: ComplexArray) -> Vector:
+        """Which share of the kinetic energy of each eigenvector is its."""
         n, own = len(self.to_q), self.directions
         rates = np.asarray(self.to_q @ vectors[n : 2 * n], dtype=np.complex128)
         along: ComplexArray = own.T @ self.mass @ rates
         part = np.einsum("ik,ik->k", along.conj(), np.linalg.solve(own.T @ self.mass @ own, along)).real
         whole = np.einsum("ik,ij,jk->k", rates.conj(), self.mass, rates).real
-        share = np.where((values.imag == 0) & (values.real > 0), part / np.maximum(whole, np.finfo(float).tiny), 0.0)
-        drifting = share > OWN
-        drifting[np.argsort(-share)[most:]] = False
-        return drifting
+        return np.asarray(part / np.maximum(whole, np.finfo(float).tiny), dtype=np.float64)
+
+
+def _drifting(values: ComplexArray, shares: Vector, most: int) -> NDArray[np.bool_]:
+    """Which eigenvalues belong to an arm that drifts along its self-motion: real, and its the kinetic energy.
+
+    Weight makes the self-motion of an arm on a base that gives no longer neutral, nor does damping of it.
+    """
+    share = np.where((values.imag == 0) & (values.real > 0), shares, 0.0)
+    drifting = share > OWN
+    drifting[np.argsort(-share)[most:]] = False
+    return drifting
 
 
 def neutral_directions(structure: LoopStructure, joints: int, kp: Any, ki: Any) -> int:
@@ -236,18 +257,17 @@ def spectrum(
     held, kept = without_neutral(balanced, most)
     removed = len(matrix) - len(held)
     if excess > 0 and removed < 2 * excess:
-        values, vectors = np.linalg.eig(held)
-        lifted = np.asarray(scale[:, None] * (kept.T @ vectors), dtype=np.complex128)
-        drifting = own().drifting(np.asarray(values, dtype=np.complex128), lifted, 2 * excess - removed)
+        found, vectors = np.linalg.eig(held)
+        shares = own().shares(np.asarray(scale[:, None] * (kept.T @ vectors), dtype=np.complex128))
     else:
-        values = np.asarray(np.linalg.eigvals(held), dtype=complex)
-        drifting = np.zeros(len(values), dtype=bool)
+        found = np.linalg.eigvals(held)
+        shares = np.full(len(found), np.nan)
     rounding = 10 * len(matrix) * np.finfo(float).eps * float(np.linalg.norm(balanced))
-    values = np.asarray(values, dtype=np.complex128)
-    apart, values = np.real(values[drifting]), values[~drifting]
-    values = values[np.argsort(-np.abs(values))]
-    drift = tuple(sorted((np.log(apart) / period).tolist(), reverse=True))
-    return SampledLoop(values, period, removed, drift, integrator, rounding / period)
+    order = np.argsort(-np.abs(found))
+    values, shares = np.asarray(found, dtype=np.complex128)[order], shares[order]
+    drifts = _drifting(values, shares, 2 * excess - removed)
+    slowest = float(np.append(shares[~drifts], np.nan)[0])
+    return SampledLoop(values[~drifts], period, removed, values[drifts], integrator, rounding / period, slowest)
 
 
 def balance(matrix: Vector) -> tuple[Vector, Vector]:

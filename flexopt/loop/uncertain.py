@@ -292,6 +292,29 @@ class UncertainLoop:
         members = self.box.members(MEMBERS)
         return self.slowest(members, self.decays(members))
 
+    def fastest_drift(self, members: Vector) -> ValueAt:
+        """The largest growth rate of a redundant arm's self-motion found in the box, 1/s, and where.
+
+        Among members (n, k), and by a search with exact gradients from the one that drifts fastest. NaN where nothing
+        acts on it. Where it moves the base so much that it is taken for a motion of the loop, its rate is the decay's.
+        """
+        middle = np.full(len(self.box.uncertainty), 0.5)
+        if not self.settings.redundant:
+            return math.nan, middle
+        rates = [max(self.outcome(u).loop.drift, default=-math.inf) for u in members]
+        fastest = max(rates)
+        if not math.isfinite(fastest):
+            return math.nan, middle
+        # Steps to where it is not told apart lead nowhere.
+        beyond = Measured(1.0 + abs(fastest))
+
+        def against(point: LoopPoint) -> Measured:
+            return point.drift().times(-1.0) if point.loop.drift else beyond
+
+        first = members[rates.index(fastest)]
+        found, there = self._least(against, first)
+        return max((fastest, first), (-found, there), key=lambda each: each[0])
+
     def slower(self, members: Vector) -> Vector:
         """Where a search with exact gradients leads from the slowest of these members (n, k): (k,)."""
         return self._least(LoopPoint.decay, members[int(np.argmin(self.decays(members)))])[1]

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import flexopt
+from flexopt.foundation.arrays import Vector
 from flexopt.loop.certified import characteristic_cells
 from flexopt.loop.certified.bernstein import bernstein
 from flexopt.loop.certified.certificate import DECAY, RegionProof, certified_radius, certify
 from flexopt.loop.certified.characteristic import Characteristic
 from flexopt.loop.certified.characteristic_cells import cells_of
-from flexopt.loop.evaluation import outcome
+from flexopt.loop.evaluation import outcome, settings_at
 from flexopt.loop.gains import rigid_gains
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import Uncertainty
 from tests.oracles.machines import NumpySource, Structure, draw_machine
 from tests.oracles.sampled_loop import multipliers
@@ -28,6 +31,16 @@ REDUNDANT = {
     "truck-crane": (0.3, 0.9, -1.1, 2.5),
 }  # fmt: skip
 PAYLOAD, LATE = {"of": "payload.mass", "value": (0.0, 50.0)}, {"of": "dead_time", "value": (0.005, 0.009)}
+SOFT = Uncertainty(of="stiffness", factor=(0.5, 2.0))
+# Of an arm that its weight lets drift.
+DRIFTS: dict[str, Any] = {
+    "drive": "torque",
+    "rate": 200.0,
+    "kp": 5.42e5,
+    "kv": 3.6e5,
+    "nullspace_damping": 200.0,
+    "dead_time": 0.0,
+}
 
 
 def uncertain(ranges: list[dict[str, Any]], machine: Any = EXCAVATOR, posture: Any = B, **loop: float) -> UncertainLoop:
@@ -335,3 +348,57 @@ def test_a_load_over_which_no_norm_bounds_the_aliases() -> None:
     assert [leaf.decays for leaf in proof.leaves] == [True] * len(proof.leaves)
     assert len(proof.leaves) > 1
     assert wrong(loop, proof) == 0
+
+
+def carried(posture: Vector) -> UncertainLoop:
+    """Three links over two rows under their weight, which the controller knows on springs as of the file."""
+    machine = flexopt.load("boom-stick-bucket")
+    settings, base = settings_at(machine, posture, None, None, Loop(**DRIFTS), gravity=True, call="test")
+    return UncertainLoop(settings, base, posture, True, UncertaintyBox(machine, (SOFT,), settings.dead_time))
+
+
+def eigenvalues(loop: UncertainLoop, factor: float) -> Any:
+    """Of one sample of a member, ln μ / T, all of them, the fastest growing first."""
+    at = loop.outcome(np.array([np.log(factor / 0.5) / np.log(4.0)]))
+    found = np.log(np.linalg.eigvals(at.sample.matrix).astype(complex)) / at.period
+    return found[np.argsort(-found.real)]
+
+
+# The drift grows faster on softer springs in the one posture, on stiffer ones in the other.
+@pytest.mark.parametrize("posture", [(-1.072, -1.225, -0.748), (-1.036, -1.776, -1.351)])
+def test_a_drift_over_the_ranges_is_told_with_where(posture: tuple[float, ...]) -> None:
+    """Beside eigenvalues of all motions on an even scan: what alone grows there is the arm along its self-motion."""
+    loop = carried(np.array(posture))
+    factors = np.geomspace(0.5, 2.0, 10)
+    rates = [float(eigenvalues(loop, factor)[0].real) for factor in factors]
+    fastest, where = max(zip(rates, factors, strict=True))
+    found = flexopt.stable_region(
+        loop.box.machine, posture, gravity=True, loop=DRIFTS, ranges=[SOFT], points=2, boxes=0
+    )
+    assert found.stable
+    assert found.decay > 0.5
+    assert found.drift == pytest.approx(fastest, rel=1e-6)
+    assert found.drift_critical == {"stiffness": pytest.approx(where)}
+    assert f"self-motion drifts, e-fold in {1 / fastest:.3g} s, the worst found, at stiffness {where:g}" in repr(found)
+    assert found.to_dict()["drift"] == found.drift
+    # A search leads there from the middle, too.
+    drift, u = loop.fastest_drift(np.array([[0.5]]))
+    assert (drift, loop.box.theta(u)[0]) == (pytest.approx(fastest, rel=1e-6), pytest.approx(where))
+
+
+def test_without_a_drift_none_is_told() -> None:
+    """A machine with as many joints as task rows, and an arm whose self-motion nothing acts on."""
+    found = flexopt.stable_region(EXCAVATOR, B, loop=GAINS, ranges=[SOFT], points=2, boxes=0)
+    assert np.isnan([found.drift, found.self_motion, found.radius_self_motion]).all()
+    assert found.drift_critical == {}
+    assert "self-motion" not in repr(found)
+    machine, posture = flexopt.load("boom-stick-bucket"), REDUNDANT["boom-stick-bucket"]
+    free = flexopt.stable_region(
+        machine, posture, loop=DRIFTS | {"nullspace_damping": 0.0}, ranges=[SOFT], points=2, boxes=0
+    )
+    assert np.isnan(free.drift)
+    assert "  the loop does not brake the arm's self-motion" in repr(free)
+    # Which motion the radius ends with is told where it is mostly the arm's self-motion.
+    ends = replace(found, radius=3.0, radius_critical={"stiffness": 0.33}, radius_self_motion=0.85)
+    assert "at stiffness 0.33 (to 85% of its kinetic energy the arm's self-motion" in repr(ends)
+    assert "self-motion" not in repr(replace(ends, radius_self_motion=0.2))

@@ -20,6 +20,7 @@ from flexopt.foundation.stages import Stages
 from flexopt.loop.certified.certificate import BOXES, DECAY, RegionProof, certified_radius, certify
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.settings import LoopSettings
+from flexopt.loop.spectrum import OWN, UNBRAKED, drifting_self_motion, slow_self_motion
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike
@@ -29,6 +30,8 @@ from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 LARGEST, EXACT, POINTS = 10.0, 1e-3, 64
 # How often the box that a guaranteed radius is looked for in is halved, as long as a smaller one may prove more.
 TRIES = 4
+# Share of the kinetic energy from which on a motion is told to be of the self-motion.
+MOSTLY = 0.5
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,12 @@ class Region(Result):
         radius_guaranteed: the largest s, at most `radius`, up to which that is proven; 1 where nothing is.
         radius_critical: the factors at which it grows first, just outside; empty where it never does, and where the
             nominal loop grows.
+        drift: the largest growth rate found within the ranges, 1/s, of a redundant arm's self-motion, which is no part
+            of decay, radius or proof; NaN where nothing acts on it, or there is none.
+        drift_critical: where that is, as `critical`.
+        self_motion, radius_self_motion: share of its kinetic energy that the slowest motion has in the arm's
+            self-motion, at `critical` and at `radius_critical`: of most a drift of the arm that is taken for the loop's
+            as it moves the base; NaN where nothing acts on the self-motion, or there is none.
         settings: the loop's numbers, and where those come from that were not given.
 
     Example:
@@ -73,32 +82,59 @@ class Region(Result):
     radius: float
     radius_guaranteed: float
     radius_critical: Mapping[str, float]
+    drift: float
+    drift_critical: Mapping[str, float]
+    self_motion: float
+    radius_self_motion: float
     settings: LoopSettings
 
     DOCUMENT = """
     stable guaranteed rests_on certified boxes points decay[1/s] critical frequency_hz[Hz] radius radius_guaranteed
-    radius_critical settings
+    radius_critical drift[1/s] drift_critical self_motion radius_self_motion settings
     """
 
     def __repr__(self) -> str:
         word = {True: "stable", False: "not stable", None: "undecided"}[self.stable]
-        at = ", ".join(f"{name} {value:.4g}" for name, value in self.critical.items())
         verb = "decays" if self.decay > 0 else "grows"
         how = f"{verb} at {abs(self.decay):.4g}/s" if self.decay else "does not decay"
         lines = [f"{word}, {'guaranteed' if self.guaranteed else 'not guaranteed'}: {self.rests_on}"]
-        lines.append(f"  slowest found: {how}, {self.frequency_hz:.4g} Hz, at {at}")
+        lines.append(
+            f"  slowest found: {how}, {self.frequency_hz:.4g} Hz, at {_at(self.critical)}{_own(self.self_motion)}"
+        )
         if self.stable is None:
             lines.append("  more `boxes` than it was allowed let the proof go on, in the shell --boxes")
         if not math.isnan(self.radius):
-            first = ", ".join(f"{name} {value:.4g}" for name, value in self.radius_critical.items())
+            first = _at(self.radius_critical)
             ends = "as it is in the file it does not decay"
             ends = f"none grows up to {self.radius:.4g}" if self.radius > 1 else ends
-            ends = f"grows just outside {self.radius:.4g}, at {first}" if first else ends
+            own = _own(self.radius_self_motion)
+            ends = f"grows just outside {self.radius:.4g}, at {first}{own}" if first else ends
             proven = self.radius_guaranteed
             bound = f"guaranteed up to a factor of {proven:.4g}" if proven > 1 else "no factor is guaranteed"
             lines.append(f"  radius, of the factors alone, all else as in the file: {bound}; {ends}")
+        lines += [f"  {sentence}" for sentence in self._drifts]
         loop = repr(self.settings).splitlines()[0]
         return "\n".join([*lines, f"  loop: {loop}", *self.settings.proposed])
+
+    @property
+    def _drifts(self) -> list[str]:
+        """What is told of the self-motion: that nothing brakes it, and how it drifts or lasts at worst."""
+        own = [self.drift]
+        worst = (*drifting_self_motion(own), *slow_self_motion(own, self.decay))
+        told = [f"{each}, the worst found, at {_at(self.drift_critical)}; no part of the radius" for each in worst]
+        return [UNBRAKED] * self.settings.lets_drift + told
+
+
+def _at(critical: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in critical.items())
+
+
+def _own(share: float) -> str:
+    """What the slowest motion is where it is mostly the self-motion; else empty."""
+    if not share > MOSTLY:
+        return ""
+    told = f"to {share:.0%} of its kinetic energy the arm's self-motion"
+    return f" ({told}, which below {OWN:.0%} counts as the loop's and is no drift)"
 
 
 @public(points=whole(2, 1_000_000), boxes=whole(0, 1_000_000))
@@ -156,10 +192,12 @@ def stable_region(
         here = (leaf.low + leaf.high) / 2
         decay = -whole_box.outcome(here).loop.growth_rate
         slowest, at = min((slowest, at), (decay, here), key=lambda each: each[0])
-    radius, first, more = _radius(whole_box, points)
+    radius, first, own, more = _radius(whole_box, points)
     stages.reach(boxes)
     radius_guaranteed = _radius_guaranteed(whole_box, radius, boxes, stages)
     stages.reach(stages.total)
+    drift, drifting = whole_box.fastest_drift(whole_box.box.members(points))
+    last = whole_box.outcome(at).loop
     guaranteed = proof is not None and proof.share(None) == 0 and not growing
     return Region(
         stable=_word(slowest, proof, guaranteed=guaranteed),
@@ -170,10 +208,14 @@ def stable_region(
         points=looked + more,
         decay=slowest,
         critical=box.told(at),
-        frequency_hz=whole_box.outcome(at).loop.frequency_hz,
+        frequency_hz=last.frequency_hz,
         radius=radius,
         radius_guaranteed=radius_guaranteed,
         radius_critical=first,
+        drift=drift,
+        drift_critical={} if math.isnan(drift) else box.told(drifting),
+        self_motion=last.self_motion,
+        radius_self_motion=own,
         settings=settings,
     )
 
@@ -235,15 +277,15 @@ def stability_radius(loop: UncertainLoop, points: int = POINTS) -> float:
     return _radius(loop, points)[0]
 
 
-def _radius(loop: UncertainLoop, points: int) -> tuple[float, dict[str, float], int]:
-    """Radius, the factors just outside at which the loop grows, and how many points were looked at."""
+def _radius(loop: UncertainLoop, points: int) -> tuple[float, dict[str, float], float, int]:
+    """Radius, the factors just outside at which it grows, `radius_self_motion`, how many points were looked at."""
     factors = tuple(each for each in loop.box.uncertainty if each.factor is not None)
     if not factors:
-        return math.nan, {}, 0
+        return math.nan, {}, math.nan, 0
     if not loop.outcome().loop.stable:
-        return 1.0, {}, 1
+        return 1.0, {}, math.nan, 1
 
-    low, high, looked, first = 0.0, math.log(LARGEST), 0, dict[str, float]()
+    low, high, looked, first, own = 0.0, math.log(LARGEST), 0, dict[str, float](), math.nan
     tried = high
     while high - low > EXACT:
         here = _scaled(loop, tried)
@@ -254,6 +296,6 @@ def _radius(loop: UncertainLoop, points: int) -> tuple[float, dict[str, float], 
             if tried == high:
                 break
         else:
-            high, first = tried, here.box.told(at)
+            high, first, own = tried, here.box.told(at), here.outcome(at).loop.self_motion
         tried = (low + high) / 2
-    return min(math.exp(low), LARGEST), first, looked
+    return min(math.exp(low), LARGEST), first, own, looked
