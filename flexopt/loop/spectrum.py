@@ -212,14 +212,17 @@ class OwnMotion:
 
 
 def _drifting(values: ComplexArray, shares: Vector, most: int) -> NDArray[np.bool_]:
-    """Which eigenvalues belong to an arm that drifts along its self-motion: real, and its the kinetic energy.
+    """Which eigenvalues belong to an arm that drifts along its self-motion: no swing, and its the kinetic energy.
 
-    Weight makes the self-motion of an arm on a base that gives no longer neutral, nor does damping of it.
+    Weight makes the self-motion of an arm on a base that gives no longer neutral, nor does damping of it. Two real ones
+    that meet become a pair, which drifts as long as it grows or dies away by e within a radian of its swing.
     """
-    share = np.where((values.imag == 0) & (values.real > 0), shares, 0.0)
+    swings = np.abs(np.angle(values)) > np.abs(np.log(np.abs(values) + (values == 0)))
+    share = np.where(swings | (values.real <= 0), 0.0, shares)
     drifting = share > OWN
     drifting[np.argsort(-share)[most:]] = False
-    return drifting
+    # Both of a pair, or none.
+    return drifting & np.isin(values.conj(), values[drifting])
 
 
 def neutral_directions(structure: LoopStructure, joints: int, kp: Any, ki: Any) -> int:

@@ -402,3 +402,19 @@ def test_without_a_drift_none_is_told() -> None:
     ends = replace(found, radius=3.0, radius_critical={"stiffness": 0.33}, radius_self_motion=0.85)
     assert "at stiffness 0.33 (to 85% of its kinetic energy the arm's self-motion" in repr(ends)
     assert "self-motion" not in repr(replace(ends, radius_self_motion=0.2))
+
+
+def test_two_drifts_that_meet_are_drifts_still() -> None:
+    """Where springs are soft they are a pair that dies away long before it swings; the decay goes on as it was."""
+    loop = carried(np.array((-1.44, -1.593, -1.366)))
+    soft, stiff = eigenvalues(loop, 0.5)[:4], eigenvalues(loop, 2.0)[:4]
+    assert 0 < soft[0].imag * np.sign(soft[0].imag) < -soft[0].real
+    assert not stiff[:2].imag.any()
+    for u, known in (([0.0], soft), ([1.0], stiff)):
+        found = loop.outcome(np.array(u)).loop
+        assert found.drift == pytest.approx(known[:2].real.tolist(), rel=1e-6)
+        assert -found.growth_rate == pytest.approx(-known[2].real, rel=1e-9)
+        # Not one of a pair is left behind.
+        assert sorted(found.multipliers.imag) == pytest.approx(sorted(-found.multipliers.imag))
+    drift, u = loop.fastest_drift(np.array([[0.0]]))
+    assert (drift, u.tolist()) == (pytest.approx(soft[0].real), [0.0])

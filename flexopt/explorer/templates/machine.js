@@ -279,7 +279,8 @@ class Loop {
     };
   }
 
-  // Which eigenvalues belong to an arm that drifts along its self-motion: real ones, and its the kinetic energy.
+  // Which eigenvalues belong to an arm that drifts along its self-motion: real ones, and its the kinetic energy. Pairs are
+  // none where the controller knows the weight, as here.
   drifting(base, posture, M, U, scale, values, most) {
     const { m, r, n } = this.model, data = this.model.data, q = m + n;
     const at = this.model.about("own", base, posture), mass = new Matrix(q, q, at.M.slice());
