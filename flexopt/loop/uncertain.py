@@ -8,7 +8,7 @@ stand on.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -203,6 +203,11 @@ class UncertaintyBox:
     def told(self, u: Vector) -> dict[str, float]:
         """A member by the names of its intervals: factors and values."""
         return dict(zip(self.names, self.theta(u).tolist(), strict=True))
+
+
+def member_in_words(told: Mapping[str, float]) -> str:
+    """A member as `UncertaintyBox.told` has it."""
+    return ", ".join(f"{name} {value:.4g}" for name, value in told.items())
 
 
 def _between(ends: tuple[float, float] | None, x: float) -> float:

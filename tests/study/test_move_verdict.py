@@ -26,6 +26,7 @@ from flexopt.study import page
 from flexopt.study.page import with_minus
 from flexopt.study.verdicts.broken_places import broken_within
 from flexopt.study.verdicts.confirmation import nonlinear_runs
+from flexopt.study.verdicts.decision import spoken
 from flexopt.study.verdicts.place_loops import configurations_of, unreached
 from flexopt.study.verdicts.places import allowed, told
 from flexopt.study.verdicts.result import GROUND_ASSUMED, PlaceVerdict
@@ -473,6 +474,34 @@ def test_what_the_loop_was_proposed_is_named_where_nothing_can_be_told(
     assert "weakest joint" not in repr(replace(given, word="cannot tell"))
     drifting = replace(found, places=tuple(replace(place, drift=0.5) for place in found.places))
     assert re.search(r"drifts away: .* loop\.nullspace_damping says how the controller brakes it", repr(drifting))
+
+
+@pytest.mark.long
+def test_the_drift_that_is_told_is_the_worst() -> None:
+    """Beside eigenvalues of samples on an even scan of the springs: the arm drifts fastest at an end of their range."""
+    machine = flexopt.load("boom-stick-bucket")
+    loop = {"drive": "torque", "rate": 200.0, "kp": 5.42e5, "kv": 3.6e5, "nullspace_damping": 200.0, "dead_time": 0.0}
+    selection = flexopt.select(machine, (7.0, 1.0), base=0.0, gravity=True, starts=2, workers=1)
+    found = flexopt.verdict(selection, loop=loop, ranges={"stiffness": (0.5, 2.0)}, members=2, runs=0)
+    springs = [".stiffness" in parameter.name for parameter in machine.parameters]
+    sentences = dict[float, str]()
+    for place in found.places:
+        rates = dict[float, float]()
+        for factor in (0.5, 0.7, 0.9, 1.1, 1.4, 2.0):
+            p = np.array([each.value for each in machine.parameters]) * np.where(springs, factor, 1.0)
+            at = found.settings.outcome(
+                machine, place.base, place.posture, gravity=True, parameters=p, dead_time=0.0, own_model=True
+            )
+            rates[factor] = float(np.log(np.abs(np.linalg.eigvals(at.sample.matrix)).max()) / at.period)
+        worst = max(rates, key=lambda factor: rates[factor])
+        assert place.decay.least > 0
+        assert place.drift == pytest.approx(rates[worst], rel=1e-6)
+        assert place.drift_at == {"stiffness": pytest.approx(worst)}
+        sentences[rates[worst]] = (
+            f"in {1 / rates[worst]:.3g} s at worst, in {spoken(place.name)} at stiffness {worst:g}"
+        )
+        assert rates[worst] > 1.1 * max(rates[0.9], rates[1.1])
+    assert sentences[max(sentences)] in repr(found)
 
 
 @pytest.mark.long

@@ -21,7 +21,7 @@ from flexopt.loop.certified.certificate import BOXES, DECAY, RegionProof, certif
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.spectrum import OWN, UNBRAKED, drifting_self_motion, slow_self_motion
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, member_in_words
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
@@ -98,13 +98,12 @@ class Region(Result):
         verb = "decays" if self.decay > 0 else "grows"
         how = f"{verb} at {abs(self.decay):.4g}/s" if self.decay else "does not decay"
         lines = [f"{word}, {'guaranteed' if self.guaranteed else 'not guaranteed'}: {self.rests_on}"]
-        lines.append(
-            f"  slowest found: {how}, {self.frequency_hz:.4g} Hz, at {_at(self.critical)}{_own(self.self_motion)}"
-        )
+        where = member_in_words(self.critical) + _own(self.self_motion)
+        lines.append(f"  slowest found: {how}, {self.frequency_hz:.4g} Hz, at {where}")
         if self.stable is None:
             lines.append("  more `boxes` than it was allowed let the proof go on, in the shell --boxes")
         if not math.isnan(self.radius):
-            first = _at(self.radius_critical)
+            first = member_in_words(self.radius_critical)
             ends = "as it is in the file it does not decay"
             ends = f"none grows up to {self.radius:.4g}" if self.radius > 1 else ends
             own = _own(self.radius_self_motion)
@@ -121,12 +120,8 @@ class Region(Result):
         """What is told of the self-motion: that nothing brakes it, and how it drifts or lasts at worst."""
         own = [self.drift]
         worst = (*drifting_self_motion(own), *slow_self_motion(own, self.decay))
-        told = [f"{each}, the worst found, at {_at(self.drift_critical)}; no part of the radius" for each in worst]
-        return [UNBRAKED] * self.settings.lets_drift + told
-
-
-def _at(critical: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} {value:.4g}" for name, value in critical.items())
+        where = f"the worst found, at {member_in_words(self.drift_critical)}; no part of the radius"
+        return [UNBRAKED] * self.settings.lets_drift + [f"{each}, {where}" for each in worst]
 
 
 def _own(share: float) -> str:

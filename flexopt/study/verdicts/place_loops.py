@@ -18,7 +18,7 @@ import numpy as np
 from flexopt.errors import NoSolutionFound, UnreachableTarget
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.settings import LoopSettings
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, ValueAt
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.broken import broken, resting
@@ -96,6 +96,11 @@ class PlaceLoops:
         found = [loop.slowest(members, own) for loop, own in zip(self.loops, decays, strict=True)]
         first = min(range(len(found)), key=lambda k: found[k][0])
         return Slowest(*found[first], first)
+
+    def fastest_drift(self, members: Vector) -> ValueAt:
+        """The largest growth rate of the arm's self-motion found in the box, of all targets, and where."""
+        found = [loop.fastest_drift(members) for loop in self.loops]
+        return max(found, key=lambda each: -math.inf if math.isnan(each[0]) else each[0])
 
     def runs(self, members: Vector, decays: Vector, duration: float | None) -> Runs:
         """Nonlinear runs of the members (n, k), with decays (K, n), s; of each the worst target's."""

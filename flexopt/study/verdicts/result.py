@@ -21,6 +21,7 @@ from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import unseen_told
 from flexopt.loop.outcome import FALLS_AT
 from flexopt.loop.settings import LoopSettings, in_calls
+from flexopt.loop.uncertain import member_in_words
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
@@ -74,8 +75,9 @@ class PlaceVerdict(Result):
         slowest_at: the member with the slowest decay: factors and values by name;  slowest_hz: its frequency;
             slowest_target: at which target, from 0;  unseen: whether that is a mode which neither moves the end-point
             nor is excited by any feedback: its rate is the machine's own.
-        drift: growth rate of a redundant arm's self-motion, which is no part of the decay, with the file's numbers,
-            1/s; NaN where nothing acts on it, or there is none.
+        drift: the largest growth rate found of a redundant arm's self-motion, which is no part of the decay, among the
+            members and by a search from there, 1/s; NaN where nothing acts on it, or there is none.
+        drift_at: the member where that is: factors and values by name.
         better: share of the members on which it decays a tenth faster than in the present place.
         allowed_gain, delay_margin: as of `evaluate`; the least over the members, across the box through the worst of
             them and where a search leads from there, the greatest that of few corners; NaN where there is no border.
@@ -102,6 +104,7 @@ class PlaceVerdict(Result):
     slowest_target: int
     unseen: bool
     drift: float
+    drift_at: dict[str, float]
     better: float
     allowed_gain: Band
     delay_margin: Band
@@ -115,7 +118,7 @@ class PlaceVerdict(Result):
 
     DOCUMENT = """
     name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target unseen
-    drift[1/s] better allowed_gain delay_margin[s] settling[s] swing swing_unit runs rests_on breaks
+    drift[1/s] drift_at better allowed_gain delay_margin[s] settling[s] swing swing_unit runs rests_on breaks
     """
 
     @property
@@ -546,15 +549,14 @@ class Verdict(Pictured, Printed, Result):
     def drifts(self) -> str:
         """That nothing brakes the arm's self-motion, or too little, a sentence; empty where that is not so."""
         if not self.settings.lets_drift:
-            slower = (each for each in self.places if -each.drift < each.decay.nominal)
-            own = {place.name: place.drift for place in slower if abs(place.drift) * STAYS > 1}
+            slower = (each for each in self.places if each.drift > 0 or -each.drift < each.decay.least)
+            own = [place for place in slower if abs(place.drift) * STAYS > 1]
             if not own:
                 return ""
-            first = max(own, key=lambda name: own[name])
-            grows = own[first] > 0
-            most = "fastest " if grows and len(own) > 1 else ""
-            how = "drifts away: it grows e-fold" if grows else "dies away more slowly: e-fold"
-            told = f"{how} in {1 / abs(own[first]):.3g} s, {most}in {spoken(first)}"
+            first = max(own, key=lambda place: place.drift)
+            how = "drifts away: it grows e-fold" if first.drift > 0 else "dies away more slowly: e-fold"
+            where = f"in {spoken(first.name)} at {member_in_words(first.drift_at)}"
+            told = f"{how} in {1 / abs(first.drift):.3g} s at worst, {where}"
             brakes = "loop.nullspace_damping says how the controller brakes it"
             return f"the arm's self-motion, which is no part of the decay, {told}; {brakes}"
         where = "in the linear loop"

@@ -483,6 +483,7 @@ def _place(
     # Where ranges do not hold the file's own numbers, these are none of the worst.
     own = 0 if place.box.holds_nominal else 1
     held = [(each.base, each.posture) for each in stands]
+    drift, drifting = place.fastest_drift(np.vstack([points, slowest.member]))
 
     def band(measure: str, factor: float = 1.0) -> Band:
         sense, each, further = SENSES[measure], list[list[float]](), list[float]()
@@ -511,7 +512,8 @@ def _place(
         slowest_at=place.box.told(slowest.member),
         slowest_hz=looked[slowest.target][-1][0].loop.frequency_hz,
         slowest_target=slowest.target,
-        drift=max((rate for few in looked for rate in few[0][0].loop.drift), default=math.nan),
+        drift=drift,
+        drift_at={} if math.isnan(drift) else place.box.told(drifting),
         better=better,
         allowed_gain=band(ALLOWED_GAIN),
         delay_margin=band(DELAY_MARGIN),
