@@ -155,7 +155,7 @@ def _slowest(
         _, scale = balance(finite[len(finite) // 2])
         finite = finite / scale[:, None] * scale
     held, _, alike = all_without_neutral(finite, most)
-    if matrices.shape[-1] - held.shape[-1] < 2 * excess:
+    if matrices.shape[-1] - held.shape[-1] - (most - excess) < 2 * excess:
         return np.zeros(0, dtype=complex), np.zeros(len(places), dtype=bool)
     known[known] = alike
     values = np.linalg.eigvals(held).astype(complex)

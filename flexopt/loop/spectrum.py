@@ -25,6 +25,8 @@ EXACT = "exact"
 INVARIANT = 1e-10
 # Share of its kinetic energy in the self-motion above which a motion is that.
 OWN = 0.9
+# The like of one that swings: the rest of the machine takes next to no part in it.
+SWINGS_ALONE = 0.99
 # Of unit eigenvectors, |yᴴx| below which two eigenvalues meet: there is no derivative.
 MEETING = 1e-7
 # From this share of the sampling rate on a motion has another sign at every sample.
@@ -212,14 +214,15 @@ class OwnMotion:
 
 
 def _drifting(values: ComplexArray, shares: Vector, most: int) -> NDArray[np.bool_]:
-    """Which eigenvalues belong to an arm that drifts along its self-motion: no swing, and its the kinetic energy.
+    """Which eigenvalues belong to an arm that drifts along its self-motion: its the kinetic energy.
 
     Weight makes the self-motion of an arm on a base that gives no longer neutral, nor does damping of it. Two real ones
-    that meet become a pair, which drifts as long as it grows or dies away by e within a radian of its swing.
+    that meet become a pair, a pendulum of the self-motion: more of its energy has to be there once it swings by a
+    radian before it grows or dies away by e.
     """
     swings = np.abs(np.angle(values)) > np.abs(np.log(np.abs(values) + (values == 0)))
-    share = np.where(swings | (values.real <= 0), 0.0, shares)
-    drifting = share > OWN
+    share = np.where(values.real <= 0, 0.0, shares)
+    drifting = share > np.where(swings, SWINGS_ALONE, OWN)
     drifting[np.argsort(-share)[most:]] = False
     # Both of a pair, or none.
     return drifting & np.isin(values.conj(), values[drifting])
@@ -259,7 +262,9 @@ def spectrum(
     balanced, scale = balance(matrix)
     held, kept = without_neutral(balanced, most)
     removed = len(matrix) - len(held)
-    if excess > 0 and removed < 2 * excess:
+    # Of these the self-motion's: other directions that rest anywhere are of integrals and rows without gain.
+    neutral = max(removed - (most - excess), 0)
+    if excess > 0 and neutral < 2 * excess:
         found, vectors = np.linalg.eig(held)
         shares = own().shares(np.asarray(scale[:, None] * (kept.T @ vectors), dtype=np.complex128))
     else:
@@ -268,7 +273,7 @@ def spectrum(
     rounding = 10 * len(matrix) * np.finfo(float).eps * float(np.linalg.norm(balanced))
     order = np.argsort(-np.abs(found))
     values, shares = np.asarray(found, dtype=np.complex128)[order], shares[order]
-    drifts = _drifting(values, shares, 2 * excess - removed)
+    drifts = _drifting(values, shares, 2 * excess - neutral)
     slowest = float(np.append(shares[~drifts], np.nan)[0])
     return SampledLoop(values[~drifts], period, removed, values[drifts], integrator, rounding / period, slowest)
 

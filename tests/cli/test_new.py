@@ -642,3 +642,20 @@ def test_no_turn_out_of_its_plane_is_proposed_of_an_arm_that_moves_in_one(comman
         assert made.code == 0, made.stderr
         table = tomllib.loads((command.folder / "own.toml").read_text(encoding="utf-8"))["base"]
         assert ",".join(table["stiffness"]) == proposed
+
+
+def test_joints_that_are_asked_for_say_which_arm_it_is(command: Command) -> None:
+    """Of a robot with two arms alike the end-point is on the one whose joints are to be driven."""
+    arm = """
+      <link name="{0}1"><inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="{0}_lift" type="revolute"><parent link="trunk"/><child link="{0}1"/><axis xyz="0 1 0"/>
+        <limit lower="-1" upper="1" effort="9" velocity="1"/></joint>
+      <link name="{0}2"><inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="{0}_fold" type="revolute"><parent link="{0}1"/><child link="{0}2"/><origin xyz="1 0 0"/><axis xyz="0 1 0"/>
+        <limit lower="-1" upper="1" effort="9" velocity="1"/></joint>"""
+    trunk = """<link name="trunk"><inertial><mass value="9"/>
+      <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+    two = command.folder / "two.urdf"
+    two.write_text(f'<robot name="two">{trunk}{arm.format("l")}{arm.format("r")}</robot>', encoding="utf-8")
+    for side in "lr":
+        assert read_chain(two, None, [f"{side}_lift", f"{side}_fold"]).end == f"{side}2"

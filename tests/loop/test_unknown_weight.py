@@ -184,3 +184,45 @@ def test_a_region_over_an_unknown_load_is_that_of_runs():
     slowest = float(np.min(-runs.linear_growth_rate))
     assert region.decay == pytest.approx(slowest, rel=1e-6)
     assert region.critical["stick.mass"] == pytest.approx(low if slowest == -runs.linear_growth_rate[0] else high)
+
+
+BUCKET = flexopt.load("boom-stick-bucket")
+HELD_OUT = (-1.0222685173091457, -1.20691908739466, -2.196673998356711)
+
+
+def test_a_self_motion_that_swings_on_soft_springs_is_no_part_of_the_decay():
+    """On stiff springs the arm creeps away along it, on soft ones it swings; eigenvectors tell which moves the end-point."""
+    factors, springs = (1.2, 0.9, 0.8, 0.5), np.array(["stiffness" in each.name for each in BUCKET.parameters])
+    own = np.array([each.value for each in BUCKET.parameters])
+    settings, swinging = settings_of(BUCKET, HELD_OUT, {"drive": "torque"}, "inverse"), 0
+    for factor in factors:
+        p = np.where(springs, factor * own, own)
+        point = settings.outcome(BUCKET, np.zeros(1), np.array(HELD_OUT), gravity=True, parameters=p, own_model=True)
+        values, vectors = np.linalg.eig(point.sample.matrix)
+        rates = np.log(np.abs(values) + (values == 0) * 1e-300) * settings.rate
+        n = len(point.parts.flow)
+        moved = np.linalg.norm(point.parts.measured[:2] @ vectors[:n], axis=0) / np.linalg.norm(vectors[:n], axis=0)
+        order = np.argsort(-rates)
+        # Two motions that next to nothing of the end-point shows, and what is slowest besides.
+        assert np.all(moved[order[:2]] < 0.05 * moved[order[2]])
+        assert point.rate().value == pytest.approx(-rates[order[2]], rel=1e-6)
+        assert len(point.loop.drift) == 2
+        swinging += bool(np.abs(np.angle(values[order[0]])) > 1e-6)
+    assert 0 < swinging < len(factors)
+
+
+@pytest.mark.parametrize("loop", [{"drive": "torque"}, {"drive": "velocity", "kp": 1.0}], ids=["torque", "velocity"])
+def test_an_integral_without_gain_is_none(loop: dict[str, Any]) -> None:
+    """Of an arm that drifts, too: what its integral keeps is not taken for the self-motion."""
+    asked = {"base": 0.0, "gravity": True}
+    with_none, without = (
+        flexopt.evaluate(BUCKET, HELD_OUT, **asked, loop=loop | {"feedback": law}).outcome for law in ("pid", "pd")
+    )
+    assert with_none.decay == pytest.approx(without.decay, rel=1e-8)
+    assert with_none.drift == pytest.approx(without.drift, rel=1e-6)
+    assert with_none.allowed_gain == pytest.approx(without.allowed_gain, rel=1e-6)
+    # In stacks, too.
+    settings = settings_of(BUCKET, HELD_OUT, loop | {"feedback": "pid"}, "inverse")
+    assert decays(BUCKET, settings, at(BUCKET, HELD_OUT, 3), gravity=True).decay == pytest.approx(
+        without.decay, rel=1e-8
+    )

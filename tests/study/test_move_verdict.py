@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import flexopt
+from flexopt.loop.evaluation import settings_at
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.loop import Loop
@@ -25,7 +26,7 @@ from flexopt.selection.broken import broken, broken_names
 from flexopt.study import page
 from flexopt.study.page import with_minus
 from flexopt.study.verdicts.broken_places import broken_within
-from flexopt.study.verdicts.confirmation import nonlinear_runs
+from flexopt.study.verdicts.confirmation import nonlinear_runs, tilts
 from flexopt.study.verdicts.decision import spoken
 from flexopt.study.verdicts.place_loops import configurations_of, unreached
 from flexopt.study.verdicts.places import allowed, told
@@ -1240,3 +1241,24 @@ def test_a_load_that_the_controller_does_not_know_is_named_where_the_arm_stays_o
     # The stiffness alone leaves the weight as the controller knows it.
     known = flexopt.verdict(chosen, loop=loop, ranges={"stiffness": (0.5, 2.0)}, members=2, runs=2)
     assert all(place.runs is not None and not any(place.runs.reasons) for place in known.places)
+
+
+def test_springs_that_draw_the_arm_off_are_named() -> None:
+    """Where they explain most of what the end-point is off; an integral part brings it to its target."""
+    machine, posture = flexopt.load("excavator"), np.array((0.6, -1.6))
+
+    def named(loop: dict[str, Any], share: float) -> str:
+        asked = flexopt.Loop(drive="torque", kp=1e5, kv=1e4, **loop)
+        settings = settings_at(machine, posture, np.zeros(1), None, asked, gravity=True, call="test")[0]
+        box = UncertaintyBox(machine, (flexopt.Uncertainty(of="stiffness", factor=(0.5, 2.0)),), settings.dead_time)
+        uncertain = UncertainLoop(settings, np.zeros(1), posture, True, box)
+        # As far as the end-point of a machine with springs half as stiff hangs from its target.
+        softer = {f"base.stiffness.{d}": 0.5 * getattr(machine.base.stiffness, d) for d in ("x", "y", "rotation")}
+        run = flexopt.simulate_ensemble(
+            machine, posture, loop=asked, gravity=True, duration=60.0, vary={name: [x] for name, x in softer.items()}
+        )
+        return tilts(uncertain, np.zeros(1), share * max(float(run.dataset["end_error"][0]), 1e-4))
+
+    assert "an integral part takes it to the target" in named({}, 1.0)
+    assert named({}, 3.0) == ""
+    assert named({"feedback": "pid", "ki": 2e4}, 1.0) == ""

@@ -265,7 +265,8 @@ class Loop {
     }
     // The real ones among them come with a rounded imaginary part.
     let values = Linear.eigenvalues(M.a, M.n).map(([x, y]) => [x, Math.abs(y) <= 1e-11 * Math.abs(x) ? 0 : y]);
-    const removed = size - M.n, drift = [];
+    // Other directions that rest anywhere are of integrals and rows without gain.
+    const removed = Math.max(size - M.n - (this.data.neutral - this.data.excess), 0), drift = [];
     if (this.data.excess > 0 && removed < 2 * this.data.excess) {
       const own = this.drifting(base, posture, M, U, scale, values, 2 * this.data.excess - removed);
       own.forEach((k) => drift.push(Math.log(values[k][0]) / T));

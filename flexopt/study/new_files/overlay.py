@@ -142,7 +142,7 @@ class RobotChain:
 
 
 def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> RobotChain:
-    """A robot file, and the chain to a link or site: by default the link with the most joints before it.
+    """A robot file, and the chain to a link or site: by default that with the most joints before it, asked ones first.
 
     Raises:
         ModelError: the file has faults.
@@ -161,7 +161,13 @@ def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> R
         word = "link or site" if robot.sites else "link"
         raise InputError(f"new: --tip = {end!r}: is no {word} of {path.name}{hint(end, known_ends, '')}")
     asked = robot.sites[end].link if end is not None and end not in links else end
-    at = asked or _wrist(links, max(links, key=lambda name: (len(_driven(_way(links, name))), len(_way(links, name)))))
+
+    def before(name: str) -> tuple[int, int, int]:
+        way = _way(links, name)
+        wanted = {joint.name for link in way for joint in link.joints} & {*(actuated or ())}
+        return len(wanted), len(_driven(way)), len(way)
+
+    at = asked or _wrist(links, max(links, key=before))
     site = (end or "") if asked != end else _site(robot, links, at) if end is None else ""
     behind = (x for x in robot.links if end is None and x.name != at and links[at] in _way(links, x.name))
     hand = tuple(joint.name for link in behind for joint in link.joints)

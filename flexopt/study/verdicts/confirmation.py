@@ -39,6 +39,10 @@ SAGS = (
     "; the controller carries the load of the machine's file, and a heavier or lighter one draws the arm off: an "
     "integral part takes it to the target (loop.feedback pid with ki)"
 )
+TILTS = (
+    "; on these springs the base stands otherwise, so that the arm weighs otherwise on its joints than the controller "
+    "carries: an integral part takes it to the target (loop.feedback pid with ki)"
+)
 # With an integral part and drives that yield to a load.
 UNTIL = (
     "; another load than the machine's file has draws the arm until the integral part has caught up: a larger "
@@ -147,7 +151,7 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                     short = _short(float(decays[row]) * duration, AT_REST / least)
                     # What swings for longer than a load is being taken up is none of its doing.
                     swings = isinstance(linear, str) or linear.frequency_hz > 0
-                    sags = _sags(loop, members[row], UNTIL * (not swings))
+                    sags = _sags(loop, members[row], UNTIL * (not swings)) or tilts(loop, members[row], float(end))
                     # What a full lever does not bear no longer run shows.
                     whys.append(f"{OFF} {end:.3g} m off{sags if sags.startswith(',') else short + sags}")
                 reasons[row] = "; ".join(whys)
@@ -181,6 +185,18 @@ def _sags(loop: UncertainLoop, u: Vector, until: str) -> str:
     integrates = settings.feedback == "pid" and bool(np.all(settings.ki[settings.kp > 0] > 0))
     until = until if settings.drive == "velocity" else ""
     return _full_levers(loop, more) or (until if integrates else SAGS)
+
+
+def tilts(loop: UncertainLoop, u: Vector, end: float) -> str:
+    """That other springs alone draw the arm off by most of `end`, m, and what helps; else empty."""
+    here, nominal = loop.outcome(u), loop.outcome()
+    if not loop.gravity or not here.rests:
+        return ""
+    plant, base = here.motions.plant, loop.base
+    hangs, target = (
+        plant.end_point(point.configuration, base, point.numbers["p"]).full().ravel() for point in (here, nominal)
+    )
+    return TILTS if np.linalg.norm(hangs - target) > end / 2 else ""
 
 
 def _full_levers(loop: UncertainLoop, more: Vector) -> str:
