@@ -203,7 +203,7 @@ def test_a_place_that_is_not_allowed_is_none_to_stay_at(tmp_path: Path) -> None:
     assert found.to_dict()["present_breaks"] == breaks
     found.to_html(tmp_path / "verdict.html")
     words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
-    assert f"<p>Stay: {breaks}.</p>" in words
+    assert f"<p>Stay: {with_minus(breaks)}.</p>" in words
 
 
 @pytest.mark.long
