@@ -203,8 +203,8 @@ def test_a_self_motion_that_swings_on_soft_springs_is_no_part_of_the_decay():
         n = len(point.parts.flow)
         moved = np.linalg.norm(point.parts.measured[:2] @ vectors[:n], axis=0) / np.linalg.norm(vectors[:n], axis=0)
         order = np.argsort(-rates)
-        # Two motions that next to nothing of the end-point shows, and what is slowest besides.
-        assert np.all(moved[order[:2]] < 0.05 * moved[order[2]])
+        # Two motions of which the end-point shows little, what springs give under them, and what is slowest besides.
+        assert np.all(moved[order[:2]] < 0.1 * moved[order[2]])
         assert point.rate().value == pytest.approx(-rates[order[2]], rel=1e-6)
         assert len(point.loop.drift) == 2
         swinging += bool(np.abs(np.angle(values[order[0]])) > 1e-6)
