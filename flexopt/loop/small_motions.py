@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -49,6 +50,10 @@ DEAD_TIME = "dead_time"
 # What measures of the sampled loop are differentiated by.
 BY = (*INPUTS, DEAD_TIME)
 PARTS = ("flow", "drive", "direct", "spread", "force", "law", "measured")
+
+
+# Of SX, or of MX.
+Symbol = TypeVar("Symbol", ca.SX, ca.MX)
 
 
 def damping_entries(machine: AnyMachine) -> tuple[int, ...]:
@@ -154,28 +159,31 @@ class SmallMotions:
         NaN where feedback is not found to hold the machine anywhere.
         """
         g, plant = self.plant.graph, self.plant
-        names, options = [*CONFIGURATION], {"is_diff_out": [False], "never_inline": True}
+        options = {"is_diff_out": [False], "never_inline": True}
         if not self.own_model:
             found = plant.deflected(g.base, g.posture, g.p) if self.gravity else ca.SX(0, 1)
-            return ca.Function("hold", [g.base, g.posture, g.p], [found], names, ["held"], options)
-        names += ["kp", "ki", "servo_gain"]
-        s = {name: ca.MX.sym(name, self.symbols[name].shape[0]) for name in names}
+            return ca.Function("hold", [g.base, g.posture, g.p], [found], [*CONFIGURATION], ["held"], options)
+        s = {name: ca.MX.sym(name, self.symbols[name].shape[0]) for name in AT_REST}
         of_own, deflection = plant.parameter_values, ca.SX.sym("deflection", plant.n_passive)
         of_file = ca.Function(
             "design", [g.base, g.posture, deflection], [*design_of(plant, g.base, g.posture, deflection)]
         )
         sag = plant.deflected(s["base"], s["posture"], of_own)
         design = of_file.call([s["base"], s["posture"], sag])
-        kp = s["servo_gain"] * s["kp"] if self.served else s["kp"]
+        kp, ki = self._into_forces(s)
         v, size = ca.vertcat(sag, ca.MX.zeros(plant.n_task, 1)), ca.MX(0)
         for stage in range(1, STAGES + 1):
             p = of_own + (s["p"] - of_own) * (stage / STAGES)
             for _ in range(LAST if stage == STAGES else STEPS):
-                change = self._held_step.call([v, *design, p, kp, self.integral * s["ki"]])[0]
+                change = self._held_step.call([v, *design, p, kp, ki])[0]
                 size = ca.norm_inf(change)
                 v += change * (FARTHEST / ca.fmax(size, FARTHEST))
         found = ca.vertcat(sag, ca.if_else(size <= ARRIVED, v, math.nan))
-        return ca.Function("hold", [*s.values()], [found], names, ["held"], options)
+        return ca.Function("hold", [*s.values()], [found], [*s], ["held"], options)
+
+    def _into_forces(self, s: Mapping[str, Symbol]) -> tuple[Symbol, Symbol]:
+        """Kp and Ki that make forces of errors: of velocity-served joints, whose gains ask for rates, Kp by servos."""
+        return (s["servo_gain"] if self.served else 1) * s["kp"], self.integral * s["ki"]
 
     @cached_property
     def _held_step(self) -> ca.Function:
@@ -188,7 +196,7 @@ class SmallMotions:
             at = plant.operating_point(s["base"], s["posture"], p, s["held"] if self.gravity else None)
             return at.q, at.q[:m], at.end_point, None
         design, v = design_of(plant, s["base"], s["posture"], s["held"][:m]), s["held"][m:]
-        kp, ki = (s["servo_gain"] if self.served else 1) * s["kp"], self.integral * s["ki"]
+        kp, ki = self._into_forces(s)
         # From where iteration ends two more steps, that first and second derivatives are exact.
         for _ in range(2):
             v += self._held_step.call([v, *design, p, kp, ki])[0]

@@ -29,8 +29,9 @@ from flexopt.study.verdicts.broken_places import broken_within
 from flexopt.study.verdicts.confirmation import nonlinear_runs, tilts
 from flexopt.study.verdicts.decision import spoken
 from flexopt.study.verdicts.place_loops import configurations_of, unreached
+from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import allowed, told
-from flexopt.study.verdicts.result import GROUND_ASSUMED, PlaceVerdict
+from flexopt.study.verdicts.result import GROUND_ASSUMED
 
 ARTICLE = {"kp": 1e4, "kv": 1e3}
 
@@ -968,7 +969,7 @@ def test_a_broken_constraint_is_told_where_it_is_broken_most() -> None:
     names = [parameter.name for parameter in machine.parameters]
     plant = flexopt.build_plant(machine)
 
-    def at(place: flexopt.PlaceVerdict, payload: float, bucket: float) -> float:
+    def at(place: PlaceVerdict, payload: float, bucket: float) -> float:
         p = plant.parameter_values.full().ravel()
         p[[names.index("payload.mass"), names.index("bucket.mass")]] = payload, bucket
         q = plant.rest(place.base, place.posture, p)

@@ -21,7 +21,8 @@ from flexopt.study.verdicts.places import MOVE, STAY, allowed, told
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
-    from flexopt.study.verdicts.result import PlaceVerdict, Verdict
+    from flexopt.study.verdicts.place_verdict import PlaceVerdict
+    from flexopt.study.verdicts.result import Verdict
 
 
 class Compared(NamedTuple):

@@ -1,11 +1,10 @@
-"""What a verdict says: each place with bands over what is uncertain, the word, the rule, as numbers and as text."""
+"""What a verdict says: the word, the rule, each place beside the others, as numbers and as text."""
 
 from __future__ import annotations
 
 import math
 import os
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,6 @@ import numpy as np
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import path, public
 from flexopt.foundation.pictures import Pictured
-from flexopt.foundation.plain import listed
 from flexopt.foundation.printing import Printed
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
@@ -26,21 +24,18 @@ from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
 from flexopt.selection.broken import broken
-from flexopt.selection.constraint_values import resting_told
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.result import unverified_told
-from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import BETWEEN, FASTER, LEAST_TOLD, RULE, Word, gains_in_words, spoken
 from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of
+from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD, allowed, told
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
     from flexopt.selection import SelectionProblem
 
-# How names of a variable's ends end.
-END = " bound"
 GROUND_ASSUMED = (
     "assumed (uncertainty): all springs may be half or twice as stiff, and all else is as the machine's file has it, "
     "for no [[uncertainty]] is given"
@@ -51,127 +46,6 @@ STAYS = 3600.0
 NEW_GAINS = "new gains"
 # Why a place is told of that is none of the best, if it is not the selection's first.
 MOST_OFTEN = "decays faster than the present place on the most grounds"
-
-
-@dataclass(frozen=True)
-class Band(Result):
-    """A measure at the machine's own numbers, and its least and greatest among the members looked at."""
-
-    nominal: float
-    least: float
-    greatest: float
-
-
-@dataclass(frozen=True)
-class PlaceVerdict(Result):
-    """What the loop does in one place; of several targets every number is that of the worst.
-
-    Attributes:
-        name: `"stay"`, or `"candidate 1"` and so on, by rank of the selection.
-        base, posture: of the machine, m or rad;  w: measures w_i there. Of K targets a row for each: (K, n_b), (K, n).
-        drive, turn: from the present placement, and along a way, m and rad.
-        decay: of the sampled loop, 1/s; its least is the slowest that a search with gradients found in the box, too.
-        stable_share: of the members.
-        slowest_at: the member with the slowest decay: factors and values by name;  slowest_hz: its frequency;
-            slowest_target: at which target, from 0;  unseen: whether that is a mode which neither moves the end-point
-            nor is excited by any feedback: its rate is the machine's own.
-        drift: the largest growth rate found of a redundant arm's self-motion, which is no part of the decay, among the
-            members and by a search from there, 1/s; NaN where nothing acts on it, or there is none.
-        drift_at: the member where that is: factors and values by name.
-        better: share of the members on which it decays a tenth faster than in the present place.
-        allowed_gain, delay_margin: as of `evaluate`; the least over the members, across the box through the worst of
-            them and where a search leads from there, the greatest that of few corners; NaN where there is no border.
-        settling, swing: over corners of the first intervals, where slopes lead from the worst of these, and the slowest
-            member: of the standard move (see `flexopt.Outcome`), s, and the base's largest turn about one of its
-            axes, rad, of a base that cannot turn its largest shift, m (`swing_unit`).
-        runs: nonlinear ones; None where none were asked for.
-        rests_on: at each target the bounds and constraints that hold with equality.
-        breaks: what it breaks of constraints that were asked for, at corners of what is uncertain, and where, in words:
-            choices keep them with the file's numbers; empty where nothing.
-        cornerless: of names in `rests_on` that end with a corner of `constraints.within`, those without it.
-    """
-
-    name: str
-    base: Vector
-    posture: Vector
-    w: Vector
-    drive: float
-    turn: float
-    decay: Band
-    stable_share: float
-    slowest_at: dict[str, float]
-    slowest_hz: float
-    slowest_target: int
-    unseen: bool
-    drift: float
-    drift_at: dict[str, float]
-    better: float
-    allowed_gain: Band
-    delay_margin: Band
-    settling: Band
-    swing: Band
-    swing_unit: str
-    runs: Runs | None
-    rests_on: tuple[tuple[str, ...], ...]
-    breaks: str
-    cornerless: Mapping[str, str] = field(default_factory=dict[str, str], repr=False)
-
-    DOCUMENT = """
-    name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target unseen
-    drift[1/s] drift_at better allowed_gain delay_margin[s] settling[s] swing swing_unit runs rests_on breaks
-    """
-
-    @property
-    def stands(self) -> list[tuple[Vector, Vector]]:
-        """Placement and posture at each target."""
-        postures = self.posture.reshape(-1, self.posture.shape[-1])
-        return list(zip(self.base.reshape(len(postures), self.base.shape[-1]), postures, strict=True))
-
-    @property
-    def rest(self) -> str:
-        """On which bounds and constraints it rests, a sentence; empty where on none."""
-        count, at = len(self.rests_on), dict[str, list[int]]()
-        for k, names in enumerate(self.rests_on, start=1):
-            for name in resting_told(names, self.cornerless):
-                at.setdefault(name, []).append(k)
-        told = [
-            name if len(where) == count else f"{name} at target {listed(map(str, where))}" for name, where in at.items()
-        ]
-        stopped = (
-            "; runs know no end stops, so that in them a joint may go beyond its end"
-            if self.runs and self._on_a_joint
-            else ""
-        )
-        return f"{self.name} rests on {', '.join(told)}{stopped}" if told else ""
-
-    @property
-    def broken(self) -> str:
-        """What it breaks where other numbers than the file's hold, a sentence; empty where nothing."""
-        told = "constraints.within of these numbers has flexopt's own constraints kept there, too"
-        return self.breaks and f"{self.name} {self.breaks}; {told}"
-
-    @property
-    def unconfirmed(self) -> str:
-        """Why the first of the nonlinear runs that does not confirm a stable loop does not; empty where all do."""
-        words = zip(self.runs.verdicts, self.runs.reasons, strict=True) if self.runs else ()
-        # That a loop grows where its eigenvalues do is no news.
-        return next((why for word, why in words if why and (word == "converges" or self.decay.least > 0)), "")
-
-    @property
-    def _on_a_joint(self) -> bool:
-        names = {name for each in self.rests_on for name in each}
-        return any(name.endswith(END) and not name.startswith("base.") for name in names)
-
-    @property
-    def shown_runs(self) -> str:
-        """What the nonlinear runs show, in words; empty without any."""
-        runs = self.runs
-        if runs is None:
-            return ""
-        shares = (("converge", runs.converging), ("grow", runs.growing), ("undecided", runs.undecided))
-        told = ", ".join(f"{100 * share:.0f} % {what}" for what, share in shares if share)
-        # The base may come to rest, and the end-point not to its target.
-        return f"{told} ({100 * runs.confirming:.0f} % confirm)" if runs.confirming < runs.converging else told
 
 
 @dataclass(frozen=True)

@@ -67,8 +67,9 @@ from flexopt.study.verdicts.place_loops import (
     resting_at,
     unreached,
 )
+from flexopt.study.verdicts.place_verdict import Band, PlaceVerdict
 from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD
-from flexopt.study.verdicts.result import Band, PlaceVerdict, Verdict
+from flexopt.study.verdicts.result import Verdict
 
 # Members that decays are computed of, and nonlinear runs.
 MEMBERS, RUNS = 64, 16
