@@ -552,8 +552,8 @@ def test_what_the_loop_must_do_at_least_counts_at_every_target() -> None:
     kept = [alone(machine, each).decay >= least for each in found.places[0].stands]
     assert kept == [False, True]
     assert found.word == "move"
-    assert found.present_breaks.startswith("breaks decay -")
-    assert found.present_breaks.endswith(" at target 1")
+    assert found.present_breaks.startswith("at target 1 breaks decay -")
+    assert "target 2" not in found.present_breaks
     assert found.to_dict()["present_breaks"] in found.reason
 
 
