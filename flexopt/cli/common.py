@@ -41,6 +41,8 @@ ADVISED = {f"loop.{BRAKE}": "C", "loop.torque_limit": "N", "actuator.torque_limi
 # How sentences begin on what was not given.
 NEEDED = ("is needed", "needs ")
 PICTURES = (".png", ".svg", ".pdf")
+# How names end that are given to a folder by mistake.
+PAGES = (".html", ".pdf", ".json")
 
 T = TypeVar("T")
 Decorator = Callable[[Callable[..., None]], Callable[..., None]]
@@ -318,6 +320,8 @@ def check_folder(option: str, path: str) -> None:
     made = next((folder for folder in (target, *target.parents) if folder.exists()), None)
     if made is None or not made.is_dir():
         raise InputError(f"{option} = {path!r}: {str(made or target)!r} is no folder")
+    if target.suffix in PAGES and not target.exists():
+        raise InputError(f"{option} = {path!r}: a folder is made of this name, and {target.suffix} ends that of a file")
 
 
 def check_output(option: str, path: str | None, suffixes: tuple[str, ...]) -> None:
@@ -328,9 +332,17 @@ def check_output(option: str, path: str | None, suffixes: tuple[str, ...]) -> No
     if len(target.name.encode()) > FILE_NAME_MAX:
         raise InputError(f"{option}: the file name is too long, {len(target.name.encode())} bytes of {FILE_NAME_MAX}")
     if target.suffix.lower() not in suffixes:
-        raise InputError(f"{option} = {path!r}: the name must end in {' or '.join(suffixes)}")
+        raise InputError(f"{option} = {path!r}: the name must end in {' or '.join(suffixes)}{_writing(target.suffix)}")
     if target.is_dir() or not target.parent.is_dir():
         raise InputError(f"{option} = {path!r}: there is no folder {str(target.parent)!r} to write a file into")
+
+
+def _writing(suffix: str) -> str:
+    """Which option of the command that runs writes files of this ending, in words; empty where none does."""
+    kinds, context = {"--html": (".html",), "--pdf": (".pdf",), "--plot": PICTURES}, click.get_current_context()
+    own = {name for each in context.command.params for name in each.opts}
+    found = [option for option, endings in kinds.items() if option in own and suffix.lower() in endings]
+    return f"; {' or '.join(found)} writes {suffix}" if found else ""
 
 
 def check_pdf(path: str | None) -> None:

@@ -319,3 +319,23 @@ def test_words_behind_a_wide_table_leave_its_columns_whole() -> None:
     assert " ".join(" ".join(parts[3:]).split()) == f"1 {remarks[0]} 2 {remarks[1]}"
     assert parts[4].startswith("     ")
     assert max(map(len, parts)) <= 40
+
+
+def test_a_file_of_another_kind_is_told_the_option_that_writes_it(command: Command) -> None:
+    for name, option in (("page.html", "--html"), ("page.pdf", "--pdf or --plot"), ("bands.svg", "--plot")):
+        outcome = command("verdict", "article", "--out", name)
+        assert outcome.code == 2
+        assert f"must end in .json; {option} writes .{name.split('.')[1]}" in outcome.stderr
+    # `explore` has neither, and no command has an option for text.
+    for words in (("explore", "excavator", "--out", "page.pdf"), ("verdict", "article", "--out", "page.txt")):
+        outcome = command(*words)
+        assert outcome.code == 2
+        assert " writes " not in outcome.stderr
+
+
+def test_a_folder_that_is_named_like_a_page_is_refused(command: Command) -> None:
+    for words in (("report", "article"), ("reproduce",), ("export", "excavator")):
+        outcome = command(*words, "--out", "report.html")
+        assert outcome.code == 2
+        assert "a folder is made of this name, and .html ends that of a file" in outcome.stderr
+    assert list(command.folder.iterdir()) == []
