@@ -86,6 +86,8 @@ UNDEFINED = Measured(math.nan)
 FALLS = np.array([complex(np.finfo(np.float64).max)])
 # That in growth within a sample, less than by rounding.
 FALLS_AT = 0.999 * math.log(np.finfo(np.float64).max)
+# Share of what a joint carries below which friction holds what drives a self-motion.
+FELT = 0.01
 # Share of the energy of an oscillation that a mode's springs have at least where the mode has become it: a third to a
 # half of its own, some 1e-4 of another's.
 STRAINS = 0.01
@@ -135,11 +137,26 @@ class LoopPoint:
         return neutral_directions(self.motions.structure, plant.n_actuated, self.numbers["kp"], self.numbers["ki"])
 
     @cached_property
+    def _at_rest(self) -> list[Vector]:
+        given = [self.numbers[name] for name in (*AT_REST, "held")]
+        return [found.full().ravel() for found in self.motions.configuration.call(given)]
+
+    @property
     def configuration(self) -> Vector:
         """All coordinates at rest (n_q,)."""
-        given = [self.numbers[name] for name in (*AT_REST, "held")]
-        q: Vector = self.motions.configuration.call(given)[0].full().ravel()
-        return q
+        return self._at_rest[0]
+
+    @property
+    def unheld(self) -> Vector:
+        """What drives a redundant arm's self-motion (n,), N m or N: of a weight that the controller does not know.
+
+        No feedback of the end-point holds it. Zeros where it is none, or below `FELT` of what the joint carries that it
+        drives most.
+        """
+        _, unheld, carried = self._at_rest
+        most = int(np.argmax(np.abs(unheld)))
+        felt = self._excess and self.rests and abs(unheld[most]) > FELT * abs(carried[most])
+        return unheld if felt else np.zeros(len(unheld))
 
     @cached_property
     def _own(self) -> OwnMotion:

@@ -63,11 +63,13 @@ class Held(NamedTuple):
         force: f (n_task,) of the law, which carries what the weight is more: E f = g_a(q; p) − g_a(q; file), by least
             squares where the arm is redundant: nothing holds its self-motion.
         error: e (n_task,) that stands: f_i/Kp_i, and 0 in rows whose error is integrated, or not fed back.
+        unheld: g_a(q; p) − g_a(q; file) − E f (n,), which drives the self-motion of a redundant arm.
     """
 
     q: ca.SX
     force: ca.SX
     error: ca.SX
+    unheld: ca.SX
 
 
 def design_of(plant: Plant, base: ca.SX, posture: ca.SX, deflection: ca.SX) -> Design:
@@ -87,7 +89,8 @@ def held_at(plant: Plant, control: Control, design: Design, p: ca.SX, v: ca.SX, 
     more = plant.gravity(q, base, p)[m:] - plant.gravity(taken, base, design.p)[m:]
     force = solve_spd(into.T @ into, into.T @ more)
     fed_back = ca.logic_and(kp > 0, ca.logic_not(ki > 0))
-    return Held(q, force, ca.if_else(fed_back, force / ca.if_else(fed_back, kp, 1), 0))
+    error = ca.if_else(fed_back, force / ca.if_else(fed_back, kp, 1), 0)
+    return Held(q, force, error, more - into @ force)
 
 
 def held_step(plant: Plant, control: Control) -> ca.Function:

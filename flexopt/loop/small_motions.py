@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -84,6 +84,19 @@ class Parts:
     force: Vector
     law: Vector
     measured: Vector
+
+
+class _Rest(NamedTuple):
+    """Where a loop rests: all coordinates (n_q,), passive coordinates and end-point of the design, states of the law.
+
+    `unheld` (n,) as of `Held`.
+    """
+
+    q: ca.SX
+    passive: ca.SX
+    target: ca.SX
+    law: ca.SX | None
+    unheld: ca.SX
 
 
 @dataclass(frozen=True)
@@ -189,12 +202,12 @@ class SmallMotions:
     def _held_step(self) -> ca.Function:
         return held_step(self.plant, self.control)
 
-    def _rest(self, s: Mapping[str, ca.SX], p: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX | None]:
-        """(q, passive coordinates and end-point of the design, states of the law) where the loop rests, with p."""
+    def _rest(self, s: Mapping[str, ca.SX], p: ca.SX) -> _Rest:
+        """Where the loop rests, with p."""
         plant, m = self.plant, self.plant.n_passive
         if not self.own_model:
             at = plant.operating_point(s["base"], s["posture"], p, s["held"] if self.gravity else None)
-            return at.q, at.q[:m], at.end_point, None
+            return _Rest(at.q, at.q[:m], at.end_point, None, ca.SX.zeros(plant.n_actuated))
         design, v = design_of(plant, s["base"], s["posture"], s["held"][:m]), s["held"][m:]
         kp, ki = self._into_forces(s)
         # From where iteration ends two more steps, that first and second derivatives are exact.
@@ -202,7 +215,7 @@ class SmallMotions:
             v += self._held_step.call([v, *design, p, kp, ki])[0]
         held = held_at(plant, self.control, design, p, v, kp, ki)
         law = held.force - kp * held.error if self.integral else None
-        return held.q, design.deflection, design.target, law
+        return _Rest(held.q, design.deflection, design.target, law, held.unheld)
 
     @cached_property
     def drive_damping(self) -> Vector:
@@ -215,17 +228,17 @@ class SmallMotions:
     def _graphs(self) -> dict[str, ca.SX]:
         s, plant, structure, loop = self.symbols, self.plant, self.structure, self.loop
         gain, p = (s["servo_gain"], s["p"] + self.drive_damping * s["servo_gain"]) if self.served else (1, s["p"])
-        q, passive, target, law = self._rest(s, p)
+        rest = self._rest(s, p)
         own = constants_at(self.machine, p)
         motion = motion_of(structure.motion, own)
-        x = state_at_rest(loop, plant, motion, q, s["base"], p, law)
-        values = own | design_constants(motion, passive, s["base"])
+        x = state_at_rest(loop, plant, motion, rest.q, s["base"], p, rest.law)
+        values = own | design_constants(motion, rest.passive, s["base"])
         if self.own_model:
             of_file = constants_at(self.machine, ca.SX(plant.parameter_values))
             values |= {f"{MODEL}{name}": value for name, value in of_file.items()}
         values |= {name: gain * s[name] for name in ("kp", "kv", "ki")}
         values |= {
-            "h": s["period"], "target": target - placed(motion, s["base"]), "integral_limit": ca.SX.inf(),
+            "h": s["period"], "target": rest.target - placed(motion, s["base"]), "integral_limit": ca.SX.inf(),
             "nullspace_damping": s["nullspace_damping"], "filter": 2 * math.pi * s["filter_hz"],
             "bandwidth": 2 * math.pi * s["bandwidth_hz"], JACOBIAN_DAMPING: ca.SX(control_damping(self.control) or 0.0),
         }  # fmt: skip
@@ -259,17 +272,20 @@ class SmallMotions:
 
     @cached_property
     def configuration(self) -> ca.Function:
-        """(`AT_REST`, held) -> all coordinates at rest (n_q,)."""
-        s, names = self.symbols, [*AT_REST, "held"]
-        q = ca.densify(self._rest(s, s["p"])[0])
-        return ca.Function("configuration", [s[name] for name in names], [q], names, ["q"], {"cse": True})
+        """(`AT_REST`, held) -> all coordinates at rest (n_q,), what is unheld and what joints carry there (n,)."""
+        s, names, plant = self.symbols, [*AT_REST, "held"], self.plant
+        rest = self._rest(s, s["p"])
+        carried = plant.gravity(rest.q, s["base"], s["p"])[plant.n_passive :]
+        found = [ca.densify(each) for each in (rest.q, rest.unheld, carried)]
+        given, told = [s[name] for name in names], ["q", "unheld", "carried"]
+        return ca.Function("configuration", given, found, names, told, {"cse": True})
 
     @cached_property
     def _disturbed(self) -> tuple[dict[str, ca.SX], ca.SX]:
         """What B_d depends on, and it: rates of s by unit forces on the passive coordinates (n_s, n_p)."""
         s, plant, to_q = self.symbols, self.plant, self.loop.to_q
         given = {name: s[name] for name in (*AT_REST, "held")}
-        q = self._rest(s, s["p"])[0]
+        q = self._rest(s, s["p"]).q
         n, m = plant.n_coordinates, plant.n_passive
         rates = ca.SX(np.linalg.inv(to_q)) @ solve_spd(plant.mass(q, s["base"], s["p"]), ca.SX.eye(n)[:, :m])
         rest = closed_loop(self.structure).n_continuous - 2 * n

@@ -94,6 +94,19 @@ def slow_self_motion(drift: Sequence[float], decay: float) -> list[str]:
     return [f"the arm's self-motion, no part of the decay, dies away at {slowest:.3g}/s"] if lasts else []
 
 
+def driven_self_motion(unheld: Mapping[str, float], units: Sequence[str], where: str) -> list[str]:
+    """A sentence where torques and forces by joint drive a redundant arm's self-motion that no feedback holds.
+
+    `units`: of the joints, rad or m.
+    """
+    if not unheld:
+        return []
+    name, unit = max(zip(unheld, units, strict=True), key=lambda joint: abs(unheld[joint[0]]))
+    force = f"{abs(unheld[name]):.3g} {'N m' if unit == 'rad' else 'N'} of {name}"
+    weight = "weight that the controller does not know drives the arm's self-motion"
+    return [f"{weight}, by up to {force}, {where}: it moves off there, for feedback of the end-point does not hold it"]
+
+
 def poles_of(multipliers: ArrayLike, period: float) -> ComplexArray:
     """Ln μ / T of multipliers μ (...), rad/s, imaginary parts up to the Nyquist frequency.
 

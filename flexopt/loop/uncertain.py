@@ -300,12 +300,14 @@ class UncertainLoop:
     def fastest_drift(self, members: Vector) -> ValueAt:
         """The largest growth rate of a redundant arm's self-motion found in the box, 1/s, and where.
 
-        Among members (n, k), and by a search with exact gradients from the one that drifts fastest. NaN where nothing
-        acts on it. Where it moves the base so much that it is taken for a motion of the loop, its rate is the decay's.
+        Among `MEMBERS` members (n, k), and by a search with exact gradients from the one that drifts fastest. NaN where
+        nothing acts on it. Where it moves the base so much that it is taken for a motion of the loop, its rate is the
+        decay's.
         """
         middle = np.full(len(self.box.uncertainty), 0.5)
         if not self.settings.redundant:
             return math.nan, middle
+        members = members[:MEMBERS]
         rates = [max(self.outcome(u).loop.drift, default=-math.inf) for u in members]
         fastest = max(rates)
         if not math.isfinite(fastest):
@@ -319,6 +321,19 @@ class UncertainLoop:
         first = members[rates.index(fastest)]
         found, there = self._least(against, first)
         return max((fastest, first), (-found, there), key=lambda each: each[0])
+
+    def unheld(self, members: Vector) -> tuple[dict[str, float], dict[str, float]]:
+        """What drives a redundant arm's self-motion the most among `MEMBERS` members (n, k), and where.
+
+        As of `LoopPoint`, N m or N by joint, and factors and values by name; empty of none.
+        """
+        if not (self.gravity and self.settings.redundant):
+            return {}, {}
+        found = np.array([self.outcome(u).unheld for u in members[:MEMBERS]])
+        most = int(np.argmax(np.abs(found).max(axis=1)))
+        if not found[most].any():
+            return {}, {}
+        return dict(zip(self.box.machine.joints, found[most].tolist(), strict=True)), self.box.told(members[most])
 
     def slower(self, members: Vector) -> Vector:
         """Where a search with exact gradients leads from the slowest of these members (n, k): (k,)."""

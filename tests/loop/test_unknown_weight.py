@@ -17,6 +17,7 @@ from flexopt.loop.many import decays
 from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
+from tests.oracles.lagrange import lagrange
 
 EXCAVATOR = flexopt.load("excavator")
 POSTURE = (0.6, -1.6)
@@ -226,3 +227,34 @@ def test_an_integral_without_gain_is_none(loop: dict[str, Any]) -> None:
     assert decays(BUCKET, settings, at(BUCKET, HELD_OUT, 3), gravity=True).decay == pytest.approx(
         without.decay, rel=1e-8
     )
+
+
+def test_what_drives_a_self_motion_under_an_unknown_weight() -> None:
+    """Of equations of motion written out by themselves: what is left of the unknown weight in the null space of J."""
+    posture, factor, loop = np.array([-1.072, -1.225, -0.748]), 1.4, {"drive": "torque", "kp": 5e5, "kv": 5e5}
+    data: dict[str, Any] = BUCKET.model_dump(exclude_none=True)
+    own = data["links"][2]["mass"]
+    weight = lagrange(data).dynamics
+    heavier = lagrange(data | {"links": [*data["links"][:2], data["links"][2] | {"mass": factor * own}]}).dynamics
+    p = np.array([each.value * (factor if each.name == "bucket.mass" else 1.0) for each in BUCKET.parameters])
+    settings = settings_of(BUCKET, tuple(posture), loop, "inverse")
+    point = settings.outcome(BUCKET, np.zeros(1), posture, gravity=True, parameters=p, own_model=True)
+    q, m = point.configuration, 3
+    sag = point.motions.plant.deflected([0.0], posture, [each.value for each in BUCKET.parameters]).full().ravel()
+    taken, still = np.concatenate([sag, q[m:]]), np.zeros(len(q))
+    heavy, file = (
+        of.call([*where])[2].full().ravel()[m:]
+        for of, where in ((heavier, (q, still, 0.0)), (weight, (taken, still, 0.0)))
+    )
+    more, jacobian = heavy - file, weight(taken, still, 0.0)[4].full()[:, m:]
+    driven = more - np.linalg.pinv(jacobian) @ jacobian @ more
+    np.testing.assert_allclose(point.unheld, driven, rtol=1e-6)
+    assert np.abs(driven).max() > 300.0
+    # A region tells the end of the interval where that is, and nothing of a load at the teeth, which moves them alone.
+    asked: dict[str, Any] = {"gravity": True, "loop": loop, "points": 4, "boxes": 0}
+    region = flexopt.stable_region(BUCKET, posture, ranges={"bucket.mass": (own, factor * own)}, **asked)
+    assert region.unheld == pytest.approx(dict(zip(BUCKET.joints, driven.tolist(), strict=True)), rel=1e-6)
+    assert region.unheld_at == pytest.approx({"bucket.mass": factor * own})
+    assert "drives the arm's self-motion, by up to 370 N m of bucket, at bucket.mass 1260" in repr(region)
+    loaded = flexopt.stable_region(BUCKET, posture, ranges={"payload.mass": (1000.0, 2000.0)}, **asked)
+    assert loaded.unheld == {}

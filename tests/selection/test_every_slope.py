@@ -44,7 +44,7 @@ from tests.selection.test_spatial import CONSTRAINTS, PRESENT, slewing
 FIRST, SECOND = 2e-6, 2e-5
 ROOT = Path(flexopt.__file__).parent
 SOLVER_MAKERS = {"nlpsol", "qpsol", "conic", "rootfinder", "integrator", "Opti", "dpleqsol", "simpleIRK", "collocation"}
-DERIVATIVES = {"jacobian", "gradient", "hessian", "jtimes", "forward", "reverse", "tangent", "jacobian_sparsity"}
+DERIVATIVES = {"jacobian", "gradient", "hessian", "jtimes", "forward", "reverse", "tangent"}
 # Where solvers are made, and how each is walked here.
 MADE = {
     ("selection/nlp/solvers.py", "make_solver"): "the one place",

@@ -20,7 +20,7 @@ from flexopt.foundation.stages import Stages
 from flexopt.loop.certified.certificate import BOXES, DECAY, RegionProof, certified_radius, certify
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.settings import LoopSettings
-from flexopt.loop.spectrum import OWN, UNBRAKED, drifting_self_motion, slow_self_motion
+from flexopt.loop.spectrum import OWN, UNBRAKED, drifting_self_motion, driven_self_motion, slow_self_motion
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, member_in_words
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike
@@ -58,6 +58,9 @@ class Region(Result):
         drift: the largest growth rate found within the ranges, 1/s, of a redundant arm's self-motion, which is no part
             of decay, radius or proof; NaN where nothing acts on it, or there is none.
         drift_critical: where that is, as `critical`.
+        unheld: torques, N m, and forces, N, by joint, with which a weight that the controller does not know drives a
+            redundant arm's self-motion, where that is most (`unheld_at`): no feedback of the end-point holds them, and
+            the arm moves off. Empty where they are below 1 % of what the joints carry.
         self_motion, radius_self_motion: share of its kinetic energy that the slowest motion has in the arm's
             self-motion, at `critical` and at `radius_critical`: of most a drift of the arm that is taken for the loop's
             as it moves the base; NaN where nothing acts on the self-motion, or there is none.
@@ -84,13 +87,16 @@ class Region(Result):
     radius_critical: Mapping[str, float]
     drift: float
     drift_critical: Mapping[str, float]
+    unheld: Mapping[str, float]
+    unheld_at: Mapping[str, float]
     self_motion: float
     radius_self_motion: float
     settings: LoopSettings
 
     DOCUMENT = """
     stable guaranteed rests_on certified boxes points decay[1/s] critical frequency_hz[Hz] radius radius_guaranteed
-    radius_critical drift[1/s] drift_critical self_motion radius_self_motion settings
+    radius_critical drift[1/s] drift_critical unheld unheld_at self_motion radius_self_motion
+    settings
     """
 
     def __repr__(self) -> str:
@@ -121,7 +127,8 @@ class Region(Result):
         own = [self.drift]
         worst = (*drifting_self_motion(own), *slow_self_motion(own, self.decay))
         where = f"the worst found, at {member_in_words(self.drift_critical)}; no part of the radius"
-        return [UNBRAKED] * self.settings.lets_drift + [f"{each}, {where}" for each in worst]
+        driven = driven_self_motion(self.unheld, self.settings.joint_units, f"at {member_in_words(self.unheld_at)}")
+        return [UNBRAKED] * self.settings.lets_drift + [f"{each}, {where}" for each in worst] + driven
 
 
 def _own(share: float) -> str:
@@ -190,9 +197,11 @@ def stable_region(
     radius, first, own, more = _radius(whole_box, points)
     stages.reach(boxes)
     radius_guaranteed = _radius_guaranteed(whole_box, radius, boxes, stages)
-    stages.reach(stages.total)
-    drift, drifting = whole_box.fastest_drift(whole_box.box.members(points))
+    members = whole_box.box.members(points)
+    drift, drifting = whole_box.fastest_drift(members)
+    unheld, unheld_at = whole_box.unheld(members)
     last = whole_box.outcome(at).loop
+    stages.reach(stages.total)
     guaranteed = proof is not None and proof.share(None) == 0 and not growing
     return Region(
         stable=_word(slowest, proof, guaranteed=guaranteed),
@@ -209,6 +218,8 @@ def stable_region(
         radius_critical=first,
         drift=drift,
         drift_critical={} if math.isnan(drift) else box.told(drifting),
+        unheld=unheld,
+        unheld_at=unheld_at,
         self_motion=last.self_motion,
         radius_self_motion=own,
         settings=settings,

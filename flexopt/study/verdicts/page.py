@@ -101,6 +101,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "unverified": "",
         "servo_proposed": sentence(verdict.servo_proposed),
         "drifts": sentence(verdict.drifts),
+        "driven": sentence(verdict.driven),
         "falls": sentence(verdict.falls),
         "unseen": sentence(verdict.unseen),
         "weightless": sentence(verdict.weightless),

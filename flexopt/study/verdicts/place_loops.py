@@ -102,6 +102,11 @@ class PlaceLoops:
         found = [loop.fastest_drift(members) for loop in self.loops]
         return max(found, key=lambda each: -math.inf if math.isnan(each[0]) else each[0])
 
+    def unheld(self, members: Vector) -> tuple[dict[str, float], dict[str, float]]:
+        """What drives the arm's self-motion the most in the box, at any target, by joint, and where."""
+        found = [loop.unheld(members) for loop in self.loops]
+        return max(found, key=lambda each: max(map(abs, each[0].values()), default=0.0))
+
     def runs(self, members: Vector, decays: Vector, duration: float | None) -> Runs:
         """Nonlinear runs of the members (n, k), with decays (K, n), s; of each the worst target's."""
         long = duration or long_enough(self.modes_hz, self.settings.rate, decays=decays.ravel().tolist())

@@ -40,6 +40,8 @@ class PlaceVerdict(Result):
         drift: the largest growth rate found of a redundant arm's self-motion, which is no part of the decay, among the
             members and by a search from there, 1/s; NaN where nothing acts on it, or there is none.
         drift_at: the member where that is: factors and values by name.
+        unheld: torques, N m, and forces, N, by joint, with which a weight that the controller does not know drives a
+            redundant arm's self-motion, where that is most (`unheld_at`); see `flexopt.Region`.
         better: share of the members on which it decays a tenth faster than in the present place.
         allowed_gain, delay_margin: as of `evaluate`; the least over the members, across the box through the worst of
             them and where a search leads from there, the greatest that of few corners; NaN where there is no border.
@@ -67,6 +69,8 @@ class PlaceVerdict(Result):
     unseen: bool
     drift: float
     drift_at: dict[str, float]
+    unheld: dict[str, float]
+    unheld_at: dict[str, float]
     better: float
     allowed_gain: Band
     delay_margin: Band
@@ -80,7 +84,8 @@ class PlaceVerdict(Result):
 
     DOCUMENT = """
     name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target unseen
-    drift[1/s] drift_at better allowed_gain delay_margin[s] settling[s] swing swing_unit runs rests_on breaks
+    drift[1/s] drift_at unheld unheld_at better allowed_gain delay_margin[s] settling[s] swing swing_unit runs
+    rests_on breaks
     """
 
     @property

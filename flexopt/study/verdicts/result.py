@@ -19,6 +19,7 @@ from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import unseen_told
 from flexopt.loop.outcome import FALLS_AT
 from flexopt.loop.settings import LoopSettings, in_calls
+from flexopt.loop.spectrum import driven_self_motion
 from flexopt.loop.uncertain import member_in_words
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
@@ -401,14 +402,21 @@ class Verdict(Pictured, Printed, Result):
 
     @property
     def falls(self) -> str:
-        """That feedback holds the arm nowhere where places decay least, a sentence; empty where it holds it."""
+        """That feedback is not found to hold the arm where places decay least, a sentence; empty where it holds it."""
         most = FALLS_AT * self.settings.rate
         names = [place.name for place in self.places if -place.decay.least >= most]
         if not names:
             return ""
         which = "of every place" if len(names) == len(self.places) else f"of {', '.join(names)}"
         told = f"the slowest decay {which} stands for an arm that falls: on some ground"
-        return f"{told} the feedback holds the weight, which the controller does not know, nowhere"
+        return f"{told} the feedback is not found to hold the weight, which the controller does not know, anywhere near"
+
+    @property
+    def driven(self) -> str:
+        """That an unknown weight drives the arm's self-motion, and where most, a sentence; empty where it does not."""
+        most = max(self.places, key=lambda place: max(map(abs, place.unheld.values()), default=0.0))
+        where = f"in {spoken(most.name)} at {member_in_words(most.unheld_at)}"
+        return "".join(driven_self_motion(most.unheld, self.settings.joint_units, where))
 
     @property
     def servo_proposed(self) -> str:
@@ -481,7 +489,7 @@ class Verdict(Pictured, Printed, Result):
         lines += [f"  {place.rest}" for place in self.places if place.rest]
         doubts = self.doubts
         lines += [f"  {each}" for place in self.places for each in (place.broken, doubts.get(place.name)) if each]
-        whole = (self.servo_proposed, self.drifts, self.falls, self.unseen, self.weightless)
+        whole = (self.servo_proposed, self.drifts, self.driven, self.falls, self.unseen, self.weightless)
         lines += [f"  {sentence}" for sentence in whole if sentence]
         lines += [f"  {sentence}" for sentence in self.assumed]
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")

@@ -484,7 +484,9 @@ def _place(
     # Where ranges do not hold the file's own numbers, these are none of the worst.
     own = 0 if place.box.holds_nominal else 1
     held = [(each.base, each.posture) for each in stands]
-    drift, drifting = place.fastest_drift(np.vstack([points, slowest.member]))
+    ordered = np.vstack([slowest.member, points])
+    drift, drifting = place.fastest_drift(ordered)
+    unheld, unheld_at = place.unheld(ordered)
 
     def band(measure: str, factor: float = 1.0) -> Band:
         sense, each, further = SENSES[measure], list[list[float]](), list[float]()
@@ -515,6 +517,8 @@ def _place(
         slowest_target=slowest.target,
         drift=drift,
         drift_at={} if math.isnan(drift) else place.box.told(drifting),
+        unheld=unheld,
+        unheld_at=unheld_at,
         better=better,
         allowed_gain=band(ALLOWED_GAIN),
         delay_margin=band(DELAY_MARGIN),
