@@ -19,6 +19,8 @@ from flexopt.selection.problem import SelectionProblem, own_with, rows_with
 AT_END = 1e-6
 # Share of a variable's or constraint's scale beyond which a bound is broken; how many are named.
 BROKEN, NAMED = 1e-6, 3
+# Of a joint, how far from its limits `constraints.joint_margin` keeps it.
+JOINT_MARGIN = "joint margin of "
 # Names of what holds unasked: limits, the margin that every program has, what lies above the assumed ground.
 UNASKED = re.compile(f"^limits of |^singularity margin$| {re.escape(GROUND)}$")
 
@@ -34,7 +36,8 @@ def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
         worst.setdefault(at_corners.get(row, row), row)
     if not worst:
         return ""
-    values, told = values_with(problem, z, problem.measures.plant.parameter_values.full().ravel()), list[str]()
+    values = values_with(problem, z, problem.measures.plant.parameter_values.full().ravel())
+    values, told = values | _joint_margins(problem, z), list[str]()
     for name, row in [*worst.items()][:NAMED]:
         value = None if UNASKED.search(name) else values.get(row)
         where = row.removeprefix(name)
@@ -58,7 +61,7 @@ def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p
         return [*falls]
     found = [*outside, *rows, *beyond_own(problem, z, p), *falls.values()]
     away = np.nan_to_num(found, nan=np.inf, posinf=np.inf)
-    names = [f"limits of {variable.name}" for variable in problem.variables]
+    names = _names_of_bounds(problem)
     names += [row.name for row in (*problem.constraints[problem.target.size :], *problem.own_constraints)]
     names += falls
     of = cornerless(problem)
@@ -66,6 +69,23 @@ def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p
     order: list[int] = np.argsort(-away, kind="stable").tolist()
     # Several rows may be one constraint.
     return [*dict.fromkeys(names[k] for k in order if away[k] > BROKEN and not unasked[k])]
+
+
+def _names_of_bounds(problem: SelectionProblem) -> list[str]:
+    """What keeps each variable within its bounds, by name: its limits, or the margin asked for to those of a joint."""
+    n_base, kept = problem.measures.plant.n_base, JOINT_MARGIN if problem.asked.joint_margin else "limits of "
+    return [("limits of " if k < n_base else kept) + each.name for k, each in enumerate(problem.variables)]
+
+
+def _joint_margins(problem: SelectionProblem, z: Vector) -> dict[str, ConstraintValue]:
+    """How far each joint is from the machine's limits, by the names of `_names_of_bounds`, where that was asked for."""
+    asked = problem.asked.joint_margin
+    joints = zip(_names_of_bounds(problem), problem.variables, z.tolist(), strict=True)
+    return {
+        name: ConstraintValue(min(x - each.lower, each.upper - x) + asked, asked, math.inf, each.unit)
+        for name, each, x in joints
+        if name.startswith(JOINT_MARGIN)
+    }
 
 
 def cornerless(problem: SelectionProblem) -> dict[str, str]:

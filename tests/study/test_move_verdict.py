@@ -25,10 +25,10 @@ from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.broken import broken, broken_names
 from flexopt.study import page
 from flexopt.study.page import with_minus
-from flexopt.study.verdicts.broken_places import broken_within
+from flexopt.study.verdicts.broken_places import broken_at, broken_within
 from flexopt.study.verdicts.confirmation import nonlinear_runs, tilts
 from flexopt.study.verdicts.decision import spoken
-from flexopt.study.verdicts.place_loops import configurations_of, unreached
+from flexopt.study.verdicts.place_loops import configurations_of, held_at, unreached
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import allowed, told
 from flexopt.study.verdicts.result import GROUND_ASSUMED
@@ -674,6 +674,72 @@ def test_the_targets_that_the_present_placement_does_not_reach_are_named() -> No
         assert "stay" not in configurations_of(stand)
     far_away = flexopt.select_stand(machine, targets, base=(9.0,), objective="w1", starts=1, workers=1)
     assert "does not reach targets 1 and 2 within" in unreached(far_away)
+
+
+BENT = [(0.0, 1.6), (0.1, 1.5)]
+
+
+def limited(low: float, high: float) -> tuple[flexopt.Machine, list[float]]:
+    """The excavator with limits of its stick, and by how much that is bent, either way, at each target from x = 0."""
+    data = flexopt.load("excavator").to_dict()
+    data["links"][1]["limits"] = [low, high]
+    first, second = (link["length"] for link in data["links"])
+    bends = list[float]()
+    for target in BENT:
+        away = math.dist(target, (0.173103, 0.512559))  # from where the first joint stands
+        bends.append(math.acos((away**2 - first**2 - second**2) / (2 * first * second)))
+    return flexopt.machine_from_dict(data), bends
+
+
+@pytest.mark.parametrize("kind", ["stand", "way", "by the loop"])
+def test_a_placement_from_which_a_joint_goes_beyond_its_limits_is_none_to_stay_at(kind: str) -> None:
+    """The elbow by the law of cosines; where the other elbow keeps the limits the arm is held so."""
+    few: dict[str, Any] = {"base": 0.0, "starts": 1, "workers": 1}
+    for low, high in ((-2.0, 2.0), (-2.7, 2.4), (-2.2, 2.9)):
+        machine, bends = limited(low, high)
+        off = [k for k, bend in enumerate(bends, start=1) if not (-bend >= low or bend <= high)]
+        if kind == "way":
+            found = flexopt.plan_base(machine, BENT, duration=20.0, **few)
+        elif kind == "stand":
+            found = flexopt.select_stand(machine, BENT, **few)
+        else:
+            found = flexopt.select_stand(machine, BENT, objective="decay", loop=ARTICLE, **few)
+        places = configurations_of(found)
+        assert ("stay" in places) == (not off)
+        if not off:
+            assert [e.posture[1] for e in places["stay"]] == pytest.approx(bends, abs=1e-5)
+            continue
+        which = f"target {off[0]}" if len(off) == 1 else "targets 1 and 2"
+        assert f"does not reach {which} within its limits" in unreached(found)
+        if isinstance(found, flexopt.Stand):
+            assert [held_at(found, k) is None for k in (0, 1)] == [k in off for k in (1, 2)]
+
+
+@pytest.mark.long
+def test_runs_need_no_present_place_that_is_beyond_a_joints_limits() -> None:
+    machine, _ = limited(-2.0, 2.0)
+    stand = flexopt.select_stand(machine, BENT, base=0.0, starts=2, workers=1)
+    found = flexopt.verdict(stand, loop=ARTICLE, members=2, runs=1, duration=2.0)
+    assert "does not reach targets 1 and 2 within its limits" in found.reason
+    assert all(place.name != "stay" for place in found.places)
+
+
+def test_a_margin_of_the_joints_that_was_asked_for_is_broken_as_constraints_are() -> None:
+    """By the room that the elbow leaves to the nearer limit, with one target, its posture given or not, and several."""
+    (machine, bends), least = limited(-2.8, 2.4), 0.3
+    few: dict[str, Any] = {"base": 0.0, "starts": 2, "constraints": {"joint_margin": least}}
+    broken_by = [f"breaks joint margin of stick, {2.8 - bend:.4g} rad (at least {least} rad)" for bend in bends]
+    stand = flexopt.select_stand(machine, BENT, workers=1, **few)
+    whole = "; ".join(f"at target {k} {each}" for k, each in enumerate(broken_by, start=1))
+    for found, breaks in (
+        (flexopt.select(machine, BENT[0], **few), broken_by[0]),
+        (flexopt.select(machine, BENT[0], posture=(0.9929, -bends[0]), **few), broken_by[0]),
+        (stand, whole),
+    ):
+        stay = configurations_of(found)["stay"]
+        assert broken_at(found, [(e.base, e.posture) for e in stay]) == breaks
+        if isinstance(found, flexopt.Selection):
+            assert found.present_told.endswith(breaks)
 
 
 OWN = {"kp": 1e4, "kv": 1e3, "dead_time": 0.02}

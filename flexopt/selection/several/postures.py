@@ -6,7 +6,8 @@ reach or breaks a constraint.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,13 +77,51 @@ def _with_moved(problem: SelectionProblem, reached: Reached) -> Reached:
         return reached
     nearest = np.argsort(reached.violation[places], axis=1, kind="stable")[:, :MOVED]
     near = reached.z[:, places[:, None], nearest]
-    there, left = moved(problem, near.reshape(len(near), -1), standing=True)
+    there, left = _moved_inside(problem, near.reshape(len(near), -1))
     # What found no way into the constraints may have left the target.
     found = _valued(problem, there.reshape(near.shape), (left <= FEASIBLE).reshape(nearest.shape))
     shape = len(reached.value), nearest.shape[1]
     more = Reached(np.repeat(reached.z[:, :, :1], shape[1], axis=2), np.full(shape, -np.inf), np.full(shape, np.inf))
     more.z[:, places], more.value[places], more.violation[places] = found.z, found.value, found.violation
     return joined(reached, more)
+
+
+def _moved_inside(problem: SelectionProblem, z: Vector) -> tuple[Vector, Vector]:
+    """As `moved`, each placement held, from joints turned and brought within their bounds: steps alone need not be."""
+    n_b = problem.measures.plant.n_base
+    lower, upper = problem.lower[n_b:, None], problem.upper[n_b:, None]
+    bounded = np.isfinite(upper - lower) & (np.array(problem.machine.joint_units)[:, None] == "rad")
+    middle = (np.where(bounded, lower, z[n_b:]) + np.where(bounded, upper, z[n_b:])) / 2
+    turned = z[n_b:] + math.tau * np.rint((middle - z[n_b:]) / math.tau)
+    return moved(problem, np.vstack([z[:n_b], np.clip(turned, lower, upper)]), standing=True)
+
+
+def within_limits(problem: SelectionProblem, reached: Reached) -> Reached:
+    """What is reached with no joint beyond the machine's limits, where the problem keeps them; constraints aside.
+
+    Postures beyond are moved into the limits, and on the target, too: of a redundant arm a sample may have none inside.
+    """
+    bare = _without_constraints(problem)
+    beyond = np.isfinite(reached.violation) & (_outside(bare, reached.z) > EDGE)
+    z, reaches = reached.z.copy(), np.zeros(beyond.shape, dtype=bool)
+    z[:, beyond], left = _moved_inside(bare, reached.z[:, beyond])
+    reaches[beyond] = left <= FEASIBLE
+    every = joined(reached, _valued(problem, z, reaches))
+    inside = _outside(bare, every.z) <= EDGE
+    return Reached(every.z, np.where(inside, every.value, -np.inf), np.where(inside, every.violation, np.inf))
+
+
+def _without_constraints(problem: SelectionProblem) -> SelectionProblem:
+    """The problem of reaching the target within the machine's limits alone."""
+    n_b, n_task, kept = problem.measures.plant.n_base, problem.target.size, problem.asked.joint_margin
+    joints = [replace(each, lower=each.lower - kept, upper=each.upper + kept) for each in problem.variables[n_b:]]
+    margin = replace(problem.constraints[n_task], lower=-math.inf)
+    return replace(
+        problem,
+        variables=(*problem.variables[:n_b], *joints),
+        constraints=(*problem.constraints[:n_task], margin),
+        constraint_set=None,
+    )
 
 
 def reached_by(problem: SelectionProblem, bases: Vector, starts: Vector) -> Reached:
@@ -158,5 +197,10 @@ def _starts(problem: SelectionProblem, bases: Vector, seed: int, finer: int) -> 
 
 def _violation(problem: SelectionProblem, z: Vector) -> Vector:
     """Largest violation of bounds and rows of z (n_z, N), in units of the scales."""
-    outside = np.maximum(problem.lower[:, None] - z, z - problem.upper[:, None]) / problem.scale[:, None]
-    return np.maximum(violated(problem, z), outside.max(axis=0))
+    return np.maximum(violated(problem, z), _outside(problem, z))
+
+
+def _outside(problem: SelectionProblem, z: Vector) -> Vector:
+    """How far z (n_z, …) is outside its bounds at most, in units of the scales; negative inside."""
+    lower, upper, scale = (x.reshape(-1, *[1] * (z.ndim - 1)) for x in (problem.lower, problem.upper, problem.scale))
+    return (np.maximum(lower - z, z - upper) / scale).max(axis=0)

@@ -30,7 +30,7 @@ from flexopt.selection.problem import value_at
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import held_by_loop
-from flexopt.selection.several.postures import reached_from
+from flexopt.selection.several.postures import Reached, reached_from, within_limits
 from flexopt.selection.starts import apart
 from flexopt.study.verdicts.confirmation import Runs, long_enough, nonlinear_runs, of_all
 from flexopt.study.verdicts.decision import LEAST_TOLD, UNREACHED
@@ -201,8 +201,7 @@ def unreached(chosen: Chosen) -> str:
     now = problems[0].present_base
     if now is None or len(problems) == 1:
         return UNREACHED.format("the target")
-    stills = [_standing_at(problem, now) for problem in problems]
-    reach = [np.isfinite(reached_from(still, now[:, None], still.seed, FINER).violation).any() for still in stills]
+    reach = [np.isfinite(_reached(_standing_at(problem, now)).violation).any() for problem in problems]
     off = [f"{k}" for k, reached in enumerate(reach, start=1) if not reached]
     several = f"targets {', '.join(off[:-1])} and {off[-1]}" if len(off) > 1 else "the targets"
     return UNREACHED.format(f"target {off[0]}" if len(off) == 1 else several)
@@ -216,14 +215,14 @@ def held_now(problem: SelectionProblem, now: Evaluation) -> Evaluation:
 
 
 def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bool = True) -> Configurations | None:
-    """How the arm is held at each target from one placement (n_b,); None where one is not reached.
+    """How the arm is held at each target from one placement (n_b,); None where one is not reached within the limits.
 
     The allowed posture with the greatest objective, or where none is allowed, and `allowed` is False, that which breaks
     the constraints the least.
     """
     found = list[Vector]()
     for still in [_standing_at(problem, base) for problem in problems]:
-        reached = reached_from(still, base[:, None], still.seed, FINER)
+        reached = _reached(still)
         worth, off = reached.value[0], reached.violation[0]
         if np.isfinite(worth).any():
             best = np.argsort(-worth, kind="stable")[: int(np.isfinite(worth).sum())]
@@ -233,6 +232,13 @@ def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bo
         else:
             return None
     return _evaluated(problems, [unwound(problem, z) for problem, z in zip(problems, found, strict=True)])
+
+
+def _reached(still: SelectionProblem) -> Reached:
+    """Postures from the placement that a problem holds: any that are allowed, else those within the joints' limits."""
+    base = still.lower[: still.measures.plant.n_base]
+    reached = reached_from(still, base[:, None], still.seed, FINER)
+    return reached if np.isfinite(reached.value).any() else within_limits(still, reached)
 
 
 def _best_held(still: SelectionProblem, z: Vector) -> Vector:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from dataclasses import replace
@@ -11,14 +12,16 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt import FlexoptError, build_measures, evaluate, inverse_kinematics, load, select
+from flexopt import FlexoptError, build_measures, build_selection, evaluate, inverse_kinematics, load, select
 from flexopt.errors import InputError, UnreachableTarget
 from flexopt.foundation.arrays import Vector
 from flexopt.robustness import evaluate_w
 from flexopt.selection import optima
+from flexopt.selection.broken import broken
 from flexopt.selection.nlp.program import Program
 from flexopt.selection.proof import check
 from flexopt.selection.several import Stand, select_stand, standing
+from flexopt.study.verdicts.place_loops import held_from
 
 TARGETS = [[0.0, 1.6], [0.3, 1.2], [-0.2, 1.9]]
 MARGIN = math.sin(math.radians(10.0)) ** 2
@@ -318,3 +321,32 @@ def test_what_no_placement_keeps_at_all_targets_is_named(excavator: flexopt.Mach
     assert least - 1e-3 < float(found[1]) < 1.2 * least
     with pytest.raises(flexopt.NoSolutionFound, match=r"target 1: of \d+ .* none keeps tool angle"):
         select_stand(excavator, targets, base=0.0, constraints={"tool_angle": (-1.5, -1.4)}, starts=2)
+
+
+def test_of_a_redundant_arm_what_its_limits_leave_is_found_however_thin() -> None:
+    """Beside a scan of the last link's direction, the two joints before it by the law of cosines: is a target reached?"""
+    data, limits = flexopt.load("boom-stick-bucket").to_dict() | {"cylinders": []}, (-1.57, -1.56)
+    data["links"][1]["limits"] = limits
+    machine, base = flexopt.machine_from_dict(data), data["base"]
+    lengths, turn = [link["length"] for link in data["links"]], base["rest_angle"]
+    low, high = np.array([link["limits"] for link in data["links"]]).T[:, :, None]
+    last, seen = np.linspace(-math.pi, math.pi, 20001), set[bool]()
+    for x, height in itertools.product((-3.0, -1.0, 1.0), (-1.0, 0.0, 1.0)):
+        first = np.array([x + base["length"] * math.cos(turn), base["length"] * math.sin(turn)])
+        wrist = np.array([[6.0], [height]]) - lengths[2] * np.array([np.cos(last), np.sin(last)]) - first[:, None]
+        cosine = (np.sum(wrist**2, axis=0) - lengths[0] ** 2 - lengths[1] ** 2) / (2 * lengths[0] * lengths[1])
+        stick = -np.arccos(np.where(np.abs(cosine) <= 1, cosine, np.nan))  # limits leave one elbow
+        ahead = np.arctan2(lengths[1] * np.sin(stick), lengths[0] + lengths[1] * np.cos(stick))
+        boom = np.arctan2(wrist[1], wrist[0]) - ahead - turn
+        postures = np.array([boom, stick, last - turn - boom - stick])
+        postures += math.tau * np.ceil((low - postures) / math.tau)
+        reached = bool(np.any(np.all(postures <= high, axis=0)))
+        problem = build_selection(machine, (6.0, height), base=x, base_range=(-8, 4), objective="w1", assume="limits")
+        held = held_from([problem], np.array([x]), allowed=False)
+        assert (held is not None) == reached
+        seen.add(reached)
+        if held is not None:
+            assert np.all((held[0].posture >= low[:, 0] - 1e-7) & (held[0].posture <= high[:, 0] + 1e-7))
+            assert broken(problem, held[0].z) == ""
+            assert np.abs(held[0].end_point - problem.target).max() < 1e-7
+    assert seen == {False, True}
