@@ -75,7 +75,8 @@ class Outcome(Result):
             base's largest turn about one of its axes, rad (of a base that cannot turn a shift, m: `swing_unit`), for
             each m of the move: without `gravity` what motion alone makes of it. An elastic root of the arm, which gives
             in a way in which the base gives already, is no part of the base. The commands show the error from the
-            start, so that the first dead time does not count; the move starts where one of them changes.
+            start, so that the first dead time does not count; the move starts where one of them changes. Without what
+            drifts of it, where a `drift` is 0 or above; what dies away is part of it, however slowly.
         gradient: exact derivatives of each of these by `base`, `posture`, `parameters`, `kp`, `kv`, `ki`, `dead_time`
             and the drives' numbers; (m, size) of what there is for each mode. NaN where eigenvalues meet. By a dead
             time of whole samples those are of a longer one; of settling and swing NaN where
@@ -237,11 +238,12 @@ class Outcome(Result):
                 "under white noise of unit intensity"
             )
         if math.isfinite(self.swing):
+            drifts = ", without that drift" if any(rate > 0 for rate in self.drift) else ""
             settles = (
                 f"settles in {self.settling:.4g} s" if math.isfinite(self.settling) else "does not settle in a minute"
             )
             lines.append(
-                f"  standard move: {settles}; the base swings by {self.swing:.4g} {self.swing_unit} for each m"
+                f"  standard move{drifts}: {settles}; the base swings by {self.swing:.4g} {self.swing_unit} for each m"
             )
         return "\n".join(lines)
 

@@ -243,6 +243,10 @@ class LoopPoint:
         slopes = self.smooth.slopes(by_matrix) if np.all(np.isfinite(by_matrix)) else None
         return Measured(float(np.angle(mu)) / self.period, slopes)
 
+    @property
+    def _drifts(self) -> bool:
+        return any(rate >= 0 for rate in self.loop.drift)
+
     def drift(self) -> Measured:
         """The largest growth rate of a redundant arm's self-motion, 1/s; NaN where nothing acts on it, or none is."""
         if not self.loop.drift:
@@ -463,7 +467,7 @@ class LoopPoint:
     @cached_property
     def _reduced(self) -> StateSpace | None:
         """From a force beside the law's to that of the law, what nothing holds left out; None of a loop that grows."""
-        if not self.loop.stable or any(rate >= 0 for rate in self.loop.drift):
+        if not self.loop.stable or self._drifts:
             return None
         sample = self.sample
         balanced, scale = balance(sample.matrix)
@@ -585,13 +589,16 @@ class LoopPoint:
 
     @cached_property
     def move(self) -> StandardMove | None:
-        """Its motion; None of a loop that grows."""
-        return StandardMove(self.motions, self.smooth, self._neutral) if self.loop.stable else None
+        """Its motion, without what drifts of it along a self-motion; None of a loop that grows."""
+        if not self.loop.stable:
+            return None
+        return StandardMove(self.motions, self.smooth, self._neutral, self._drifts)
 
     def settling(self) -> Measured:
         """After which time of the standard move |e| stays below 2 % of its start, s, exactly, between samples too.
 
-        Of the task rows the longest; NaN of a loop that grows, and where it does not within a minute. It jumps where
+        Of the task rows the longest; NaN of a loop that grows, and where it does not within a minute. Of a self-motion
+        that drifts, which has no end, nothing counts (see `StandardMove`), nor does it in the swing. It jumps where
         an excursion begins to leave the band; there, and where two rows take as long, it has no derivative.
         """
         return UNDEFINED if self.move is None else Measured(*self.move.settling())

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.roots import root
 from flexopt.loop.assembly import OneSample, Slopes, through_exponential
+from flexopt.loop.drifting import WithoutDrift
 from flexopt.loop.small_motions import Parts, SmallMotions
 from flexopt.loop.spectrum import balance, without_neutral
 from flexopt.loop.tangent import exponential
@@ -78,17 +79,21 @@ class StandardMove:
     """The end-point starts beside its target, the springs at rest, along each task row by itself; the worst is told.
 
     x_{k+1} = Φ x_k, and between the samples s(kT + h) = e^{Ah} s_k + Γ(h) τ_k. x_0 has the joints displaced by Jv⁺
-    times the move; what is measured, filtered and on its way shows it, as at the start of `flexopt.simulate`.
+    times the move; what is measured, filtered and on its way shows it, as at the start of `flexopt.simulate`. Where an
+    arm drifts along its self-motion, x_0 is without what it has of the drift: what that makes of a signal depends on
+    nothing but how long one looks.
 
     Attributes:
         motions: the loop's Functions.
         sample: one of it, as derivatives are taken of it.
         neutral: in how many directions it may rest elsewhere, as of `neutral_directions`.
+        drifts: whether a self-motion grows in it, and nothing else.
     """
 
     motions: SmallMotions
     sample: OneSample
     neutral: int = 0
+    drifts: bool = False
 
     @property
     def _period(self) -> float:
@@ -139,16 +144,30 @@ class StandardMove:
         return s, seen
 
     @cached_property
-    def start(self) -> Vector:
+    def _moved(self) -> Vector:
         """x_0 (n_x, r), a column for each task row: 1 m beside the target. The law has seen the start once."""
         p, (s, seen) = self.sample.parts, self._known
         return np.vstack([s, p.law @ seen, np.tile(p.force @ seen, (self.sample.waiting[0], 1))])
+
+    @cached_property
+    def _left(self) -> WithoutDrift | None:
+        return WithoutDrift(self.sample.matrix, self.neutral) if self.drifts else None
+
+    @cached_property
+    def start(self) -> Vector:
+        """The same without what drifts of it."""
+        return self._moved if self._left is None else self._left.remains @ self._moved
+
+    @property
+    def matrix(self) -> Vector:
+        """Φ (n_x, n_x), without what drifts."""
+        return self.sample.matrix if self._left is None else self._left.matrix
 
     # Its motion.
 
     def _between(self, span: float) -> tuple[Vector, Vector, Vector]:
         """Γ(h), H of s(kT + h) = H x_k, and K of τ_k = K x_k."""
-        p, size = self.sample.parts, len(self.sample.matrix)
+        p, size = self.sample.parts, len(self.matrix)
         # As a stack: these times are asked for once, and need not be kept.
         held, push = (matrix[0] for matrix in exponential(p.flow[None], p.drive[None], span))
         n, k, r = len(p.flow), len(p.law), len(p.force)
@@ -174,14 +193,17 @@ class StandardMove:
         """A signal at a time, and its derivatives: back through all samples."""
         p, (k, span) = self.sample.parts, self._split(time)
         rows, n = self._rows(signal), len(self.sample.parts.flow)
-        x: Vector = np.linalg.matrix_power(self.sample.matrix, k) @ self.start[:, row]
+        x: Vector = np.linalg.matrix_power(self.matrix, k) @ self.start[:, row]
         push, moved, command = self._between(span)
         s, tau = moved @ x, command @ x
         value, rate = rows @ s, rows @ (p.flow @ s + p.drive @ tau)
         size = float(np.linalg.norm(value))
         way = value / size
         pull = way @ rows
-        by_matrix, by_start = _through_power(self.sample.matrix, k, self.start[:, row], moved.T @ pull)
+        by_matrix, by_start = _through_power(self.matrix, k, self.start[:, row], moved.T @ pull)
+        if self._left is not None:
+            by_matrix = self._left.through(by_matrix, np.outer(by_start, self._moved[:, row]))
+            by_start = self._left.remains.T @ by_start
         slopes = self.sample.slopes(by_matrix) + self._by_start(row, by_start)
         old = x[n + len(p.law) : n + len(p.law) + len(p.force)]
         pushed = push.T @ pull
@@ -236,11 +258,11 @@ class StandardMove:
             shown += [rows @ moved, rows @ (p.flow @ moved + p.drive @ command)]
         count, many = self.start.shape[1], len(rows)
         block, found, begun = min(BLOCK, steps), list[Vector](), 0
-        whole, first = np.linalg.matrix_power(self.sample.matrix, block), self.start
+        whole, first = np.linalg.matrix_power(self.matrix, block), self.start
         bound = self._bound(np.stack(shown[::2])[:, parts[0]])
         ended = late = False
         while not (ended or late) and begun < PATIENCE * steps:
-            states = np.stack([_powers(self.sample.matrix, first[:, row], block) for row in range(count)], axis=1)
+            states = np.stack([_powers(self.matrix, first[:, row], block) for row in range(count)], axis=1)
             seen = (np.vstack(shown) @ states.reshape(len(states), -1)).reshape(looks, 2, many, count, block)
             value, rate = seen[:, 0], seen[:, 1]
             # (2, signals, rows, places).
@@ -265,7 +287,7 @@ class StandardMove:
         """
         from scipy.linalg import eig, solve_discrete_lyapunov  # noqa: PLC0415  (loads slowly)
 
-        balanced, scale = balance(self.sample.matrix)
+        balanced, scale = balance(self.matrix)
         matrix, kept = without_neutral(balanced, self.neutral)
         solved: Any = eig(matrix, left=True, right=True)
         lyapunov: Any = solve_discrete_lyapunov
@@ -275,7 +297,7 @@ class StandardMove:
             shares = np.abs(left.conj().T @ told @ self.start) / np.abs(np.sum(left.conj() * right, axis=0))[:, None]
             sizes = np.linalg.norm(seen @ right, axis=1).max(axis=0)[:, None] * shares
         every = seen.reshape(-1, seen.shape[-1])
-        # An arm that drifts along its self-motion has no such sum, a loop at its border one of rounding alone.
+        # A loop at its border has a sum of rounding alone.
         decays = np.abs(values).max() < 1 - len(matrix) * np.finfo(float).eps
         energy: Vector | None = lyapunov(matrix.T, every.T @ every) if decays else None
 
@@ -297,7 +319,7 @@ class StandardMove:
         Or where its rate falls through 0. Told as that time, s, and as what it is after the sample.
         """
         (k, look), looks = divmod(place, self._tracks[row].looks), self._tracks[row].looks
-        x: Vector = np.linalg.matrix_power(self.sample.matrix, k) @ self.start[:, row]
+        x: Vector = np.linalg.matrix_power(self.matrix, k) @ self.start[:, row]
 
         def height(span: float) -> float:
             _, value, rate = self._at(x, span, signal)
@@ -320,7 +342,7 @@ class StandardMove:
     def _peak(self, row: int, signal: int, place: int) -> tuple[Peak, float]:
         """The maximum between two places that are looked at; and when it is after its sample."""
         time, span = self._crossing(row, signal, place, self._begin(row, place), None)
-        x: Vector = np.linalg.matrix_power(self.sample.matrix, place // self._tracks[row].looks) @ self.start[:, row]
+        x: Vector = np.linalg.matrix_power(self.matrix, place // self._tracks[row].looks) @ self.start[:, row]
         return Peak(float(np.linalg.norm(self._at(x, span, signal)[1])), time, row, signal), span
 
     def peaks(self, signals: tuple[int, ...], after: float = 0.0, most: int = 1) -> list[Peak]:

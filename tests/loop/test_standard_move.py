@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.differentiate import derivative
-from scipy.linalg import expm
+from scipy.linalg import eig, expm
 
 import flexopt
 from flexopt.loop.outcome import LoopPoint
@@ -48,9 +48,21 @@ LOOPS: dict[str, tuple[str, tuple[float, ...], dict[str, Any], bool]] = {
     ),
 }  # fmt: skip
 
+# Arms that their weight lets drift along the self-motion; beside it directions in which loops may rest anywhere.
+DRIFTING: dict[str, tuple[str, tuple[float, ...], dict[str, Any], bool]] = {
+    "in two ways": (
+        "mobile-manipulator", (-0.02, -1.31, 1.6, -0.77, -0.22, 0.03), {"drive": "torque", "kp": 9.0, "kv": 10.8}, True,
+    ),
+    "in one way, late": ("truck-crane", (0.61, 0.8256, -0.939, 0.7858), {"drive": "torque", "dead_time": 0.0071}, True),
+    "with idle integrals": (
+        "boom-stick-bucket", (-0.5, -1.9, -1.0),
+        {"drive": "torque", "kp": 5.42e5, "kv": 3.6e5, "ki": [0.0, 0.0], "feedback": "pid"}, True,
+    ),
+}  # fmt: skip
+
 
 def point_of(name: str) -> LoopPoint:
-    machine, posture, loop, gravity = LOOPS[name]
+    machine, posture, loop, gravity = (LOOPS | DRIFTING)[name]
     stand = flexopt.evaluate(flexopt.load(machine), posture, gravity=gravity)
     settings = loop_settings(flexopt.load(machine), Loop(control="inverse", **loop), stand, gravity=gravity)
     return settings.outcome(flexopt.load(machine), stand.base, stand.posture, gravity=gravity)
@@ -136,8 +148,49 @@ def value_along(point: LoopPoint, measure: Any, by: str, along: np.ndarray, h: f
     return measure(moved(point, by, along, float(h))).value
 
 
+@pytest.mark.parametrize("name", DRIFTING)
+def test_moves_of_an_arm_that_drifts_are_without_the_drift(name: str) -> None:
+    """The whole motion, less what every growing eigenvector has of it: its share of the start times μᵏ."""
+    point = point_of(name)
+    move, settling = point.move, point.settling().value
+    assert move is not None
+    solved: Any = eig
+    values, left, right = solved(point.smooth.matrix, left=True)
+    drifts = np.abs(values) > 1 + 1e-7
+    assert point.loop.drift[0] > 0
+    assert np.count_nonzero(drifts) == sum(rate > 0 for rate in point.loop.drift)
+    x, to_q = replace(move, drifts=False).start, point.motions.loop.to_q
+    shares = (left.conj().T @ x) / np.sum(left.conj() * right, axis=0)[:, None]
+    rows = list(point.motions.loop.shape.base_hinges)
+    swing, last, longest = 0.0, 0.0, round((1.5 * settling + 1.0) / point.period)
+    for k in range(longest):
+        s = (x - (right[:, drifts] @ (values[drifts, None] ** k * shares[drifts])).real)[: len(point.parts.flow)]
+        swing = max(swing, float(np.abs(to_q[rows] @ s[: len(to_q)]).max()))
+        if np.linalg.norm(point.parts.measured[: point.motions.plant.n_task] @ s, axis=0).max() > SETTLED:
+            last = k * point.period
+        x = point.smooth.matrix @ x
+    assert last <= settling <= last + point.period
+    # The largest may lie between two samples.
+    assert swing * (1 - 1e-9) <= point.swing().value <= swing * (1 + 5e-3)
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("name", LOOPS)
+def test_a_damper_brakes_a_drift_without_another_swing() -> None:
+    """The swing follows gently while the drift gets slower by far: it is not what that makes of it in some minute."""
+    machine, posture, loop, gravity = DRIFTING["in two ways"]
+    found = [
+        flexopt.outcome(flexopt.load(machine), posture, loop=loop | {"nullspace_damping": float(d)}, gravity=gravity)
+        for d in (0.0, *np.geomspace(0.02, 0.5, 6))
+    ]
+    assert all(each.drift[0] > 0 for each in found)
+    assert found[0].drift[0] > 4 * found[-1].drift[0]
+    assert all(math.isfinite(each.settling) for each in found)
+    swings = np.array([each.swing for each in found])
+    assert np.ptp(np.log(swings)) < 0.15
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", LOOPS | DRIFTING)
 def test_derivatives_beside_differences(name: str) -> None:
     """SciPy's adaptive differences; of what the balls of `late_cases` do not have: filters, weight, servos."""
     point, rng = point_of(name), np.random.default_rng(0)

@@ -439,8 +439,9 @@ class Verdict(Pictured, Printed, Result):
             how = "drifts away: it grows e-fold" if first.drift > 0 else "dies away more slowly: e-fold"
             where = f"in {spoken(first.name)} at {member_in_words(first.drift_at)}"
             told = f"{how} in {1 / abs(first.drift):.3g} s at worst, {where}"
+            of = "decay, settling and swing" if first.drift > 0 else "the decay"
             brakes = "loop.nullspace_damping says how the controller brakes it"
-            return f"the arm's self-motion, which is no part of the decay, {told}; {brakes}"
+            return f"the arm's self-motion, which is no part of {of}, {told}; {brakes}"
         where = "in the linear loop"
         if any(place.runs for place in self.places):
             where = "neither in these runs nor in the linear loop"
