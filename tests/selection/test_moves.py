@@ -81,3 +81,23 @@ def test_bounds_bind_where_they_must() -> None:
     assert found.best.objective >= scanned("w1")[swings <= most].max() - 1e-12
     with pytest.raises(flexopt.NoSolutionFound, match=r"settling at most 0\.01"):
         flexopt.select(EXCAVATOR, TARGET, loop=LOOP, constraints={"outcome": {"settling": 0.01}}, starts=2, workers=1)
+
+
+@pytest.mark.long
+def test_an_arm_that_drifts_everywhere_is_chosen_by_its_swing() -> None:
+    """Under its weight it creeps away along its self-motion wherever it stands, which is no part of the swing."""
+    machine, target = flexopt.load("boom-stick-bucket"), (4.65, 2.81)
+    loop = {"drive": "torque", "kp": 1.8e4, "kv": 6.5e4, "nullspace_damping": 20.0, "rate": 200.0}
+    found = flexopt.select(machine, target, objective="swing", loop=loop, gravity=True, starts=4, workers=1)
+    chosen = found.best.evaluation.outcome
+    assert chosen.drift[0] > 0
+    assert found.best.objective == pytest.approx(chosen.swing, rel=1e-6)
+    points = [
+        chosen.settings.outcome(machine, np.array([x]), posture, gravity=True)
+        for x in np.linspace(-1.0, 2.5, 8).tolist()
+        for posture in flexopt.inverse_kinematics(machine, target, base=x, gravity=True)[::4]
+    ]
+    decaying = [point for point in points if point.loop.stable]
+    assert len(decaying) > 20
+    assert all(point.loop.drift[0] > 0 for point in decaying)
+    assert found.best.objective <= min(point.swing().value for point in decaying)
