@@ -208,6 +208,14 @@ def test_reasons_say_what_is_so() -> None:
         "near is stable on every ground, and the present place is not, but decays at least 10 % faster on 10 % of the "
         "grounds only"
     )
+    near, changed = place("near", 0.1 * GROUNDS), place("stay", GROUNDS)
+    none = decide(partly, [near], place("stay", 0.1 * GROUNDS), tried="0.5 to 2 times these")
+    assert none.reason.endswith("; with 0.5 to 2 times these no place decays at least 10 % faster in the worst case")
+    refuted = decide(partly, [near], tried="others", refuted=changed, doubt="it is short", gains={"kp": [2.0]})
+    assert refuted.reason.endswith(
+        "; with others (kp 2) the present place decays at least 10 % faster in the worst case, but nonlinear runs do not "
+        "confirm that: it is short"
+    )
     doubted = decide(STAY, [place("near", GROUNDS)], unconfirmed={"stay": ""})
     assert doubted.reason == (
         "nonlinear runs do not confirm the present place, and near, which they confirm, decays at least 10 % faster on "

@@ -1329,3 +1329,34 @@ def test_springs_that_draw_the_arm_off_are_named() -> None:
     assert "an integral part takes it to the target" in named({}, 1.0)
     assert named({}, 3.0) == ""
     assert named({"feedback": "pid", "ki": 2e4}, 1.0) == ""
+
+
+@pytest.mark.long
+def test_gains_are_tried_where_one_may_neither_stay_nor_move(tmp_path: Path) -> None:
+    """Staying grows on a ground, and a place that is stable on all is better on too few: that place bears lower gains."""
+    machine, held = flexopt.load("excavator"), (0.0448, -2.0499)
+    target = flexopt.evaluate(machine, held).end_point
+    loop = {"drive": "torque", "kp": 1e4, "kv": 1e3, "dead_time": 0.02}
+    few: dict[str, Any] = {"starts": 2, "members": 4, "runs": 1, "duration": 120.0}
+    found = flexopt.verdict(machine, target, base=0.0, posture=held, loop=loop, **few)
+    stay, *others = found.places
+    stable = [place for place in others if place.decay.least > 0]
+    assert stay.decay.least < 0
+    assert stable
+    assert max(place.better for place in stable) < 0.95
+    assert found.word == "change gains"
+    new = found.with_gains
+    assert new is not None
+    # Every number as where these gains are asked for, of a region, too, and runs as of the other places.
+    asked = loop | {name: gains[0] for name, gains in found.gains.items()}
+    region = flexopt.stable_region(
+        machine, new.posture, base=new.base, loop=asked, ranges={"stiffness": (0.5, 2.0)}, boxes=0
+    )
+    assert new.decay.least == pytest.approx(region.decay, rel=1e-3)
+    assert region.decay > 1.1 * max(place.decay.least for place in stable)
+    assert new.runs is not None
+    assert new.runs.confirming == 1.0
+    row = next(line for line in str(found).splitlines() if line.startswith("  new gains"))
+    assert row.endswith(new.shown_runs)
+    found.to_html(tmp_path / "verdict.html")
+    assert ">new gains<" in (tmp_path / "verdict.html").read_text(encoding="utf-8")

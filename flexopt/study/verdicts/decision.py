@@ -40,7 +40,8 @@ RULE = (
     "base's oscillation decays, and the end-point ends no farther from its target than it began, and at most half as "
     "far as it ever was. CHANGE GAINS: other gains that were "
     "tried do in a place what no move does with the present gains, or no place is stable on every ground and other "
-    "gains make one so; runs confirm it. STAY: the present place is stable on every ground, runs confirm it, and no "
+    "gains make one so; runs confirm it; they are tried where the loop has ranges for them, or one may neither stay "
+    "nor move with the present ones. STAY: the present place is stable on every ground, runs confirm it, and no "
     f"other is better on more than {100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else. A present place that "
     "breaks constraints that were asked for is none to stay at, and is not among the places, nor is one from which the "
     "arm does not reach a target within its limits; nor is one that breaks constraints at a corner of what is "
@@ -124,7 +125,7 @@ def decide(
         others: to which one may move.
         changed: the best place with other gains, where runs confirm it.
         unconfirmed: why nonlinear runs do not confirm a place, by its name.
-        tried: which other gains were; empty for none.
+        tried: which other gains were, in words; empty for none.
         refuted: the best place with other gains, where runs do not confirm it;  doubt: why the first of them does not.
         gains: these other gains.
         alternates: why the loop changes its sign at every sample, where it grows so in every place.
@@ -165,18 +166,26 @@ def decide(
         if stay.holds:
             reason = f"nonlinear runs do not confirm the present place{_because(unconfirmed[stay.name])}, and "
             reason += f"{first.name}, which they confirm, {BETTER} {where}"
-        return Decision("cannot tell", first.name, reason)
+        no_gains = f"; with {tried} no place {BETTER} in the worst case" * bool(tried)
+        if refuted is not None and _spares(refuted, stay, None, sound):
+            no_gains = _not_confirmed(refuted, f"{BETTER} in the worst case", doubt, gains)
+        return Decision("cannot tell", first.name, reason + no_gains)
     every = [*([] if stay is None else [stay]), *others]
     doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
     if doubted:
         return Decision("cannot tell", doubted[0], f"nonlinear runs do not confirm {_doubted(doubted, unconfirmed)}")
     with_others = f", nor with {tried}" if tried else ""
     if refuted is not None and refuted.holds:
-        named = f" ({gains_in_words(gains)})" if gains else ""
-        with_others = f"; with others{named} {spoken(refuted.name)} is, but nonlinear runs do not confirm that"
-        with_others += f": {doubt}" if doubt else ""
+        with_others = _not_confirmed(refuted, "is", doubt, gains)
     reason = f"{found} is stable on every ground with the present gains{with_others}"
     return Decision("cannot tell", "", reason + (f"; it grows at {alternates}" if alternates else ""))
+
+
+def _not_confirmed(refuted: Place, does: str, doubt: str, gains: Mapping[str, Sequence[float]] | None) -> str:
+    """What a place does with other gains by the linear loop, and why runs do not confirm it."""
+    named = f" ({gains_in_words(gains)})" if gains else ""
+    told = f": {doubt}" if doubt else ""
+    return f"; with others{named} {spoken(refuted.name)} {does}, but nonlinear runs do not confirm that{told}"
 
 
 def gains_in_words(gains: Mapping[str, Sequence[float]], units: Sequence[str] = ("", "", "")) -> str:

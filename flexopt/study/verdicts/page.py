@@ -227,7 +227,7 @@ def _places(verdict: Verdict) -> PageTable:
             *(_worst(place, m).text for m in shown), percent(place.stable_share),
             "" if place.name == STAY or math.isnan(place.better) else percent(place.better), place.shown_runs,
         ]
-        for place in verdict.places
+        for place in verdict.rows
     ]  # fmt: skip
     return header, rows
 

@@ -224,6 +224,11 @@ class Verdict(Pictured, Printed, Result):
         ]
 
     @property
+    def rows(self) -> list[PlaceVerdict]:
+        """The places, and that with the gains to change to by the name of new gains."""
+        return [*self.places, *([replace(self.with_gains, name=NEW_GAINS)] if self.with_gains else [])]
+
+    @property
     def over(self) -> str:
         """What is uncertain, and how much of it was looked at, a sentence."""
         known = ", ".join(_interval(each, self.problems[0].machine) for each in self.uncertainty)
@@ -476,7 +481,7 @@ class Verdict(Pictured, Printed, Result):
             f"{'settling':>10} {'swing':>11}   nonlinear runs",
         ]
         highest = self.settings.highest_kp
-        rows = [*self.places, *([replace(self.with_gains, name=NEW_GAINS)] if self.with_gains else [])]
+        rows = self.rows
         lines += [_row(place, allowed(place.allowed_gain.least, unit, highest), wide) for place in rows]
         lines += [f"  {sentence}" for sentence in (self.left_out, self.sought_by, self.unverified) if sentence]
         grows = any(place.decay.least <= 0 for place in rows)

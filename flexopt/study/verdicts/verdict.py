@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any, TypeVar, Unpack, cast
+from typing import Any, NamedTuple, TypeVar, Unpack, cast
 
 import numpy as np
 
@@ -203,14 +203,16 @@ def verdict(
         for name in told if name in fit
     }  # fmt: skip
     stay, rest = known.get(STAY), [place for name, place in known.items() if name != STAY]
-    doubts = {name: next(filter(None, run.reasons), "") for name, run in shown.items() if run.confirming < MOST}
-    tried = tried_gains(asked) if known and _tries(asked, known, doubts) else ""
-    changed, gains = _changed(asked, known, loops, slowest, points) if tried else (None, {})
-    refuted = changed and changed[0] if (doubt := _refuted(changed, points[:runs], duration)) else None
-    changed = None if refuted else changed
+    doubts = {name: why for name, run in shown.items() if (why := _doubt(run)) is not None}
+    tried = tried_gains(asked) if known and _tries(asked, stay, rest, doubts) else ""
+    changed = (
+        _changed(asked, known, loops, slowest, points, partial(_runs_of, points[:runs], duration)) if tried else None
+    )
+    confirmed, refuted = (changed, None) if changed and changed.doubt is None else (None, changed)
     stages.next()
     decision = decide(
-        stay, rest, changed and changed[0], doubts, tried=tried, refuted=refuted, doubt=doubt, gains=gains,
+        stay, rest, confirmed and confirmed.place, doubts, tried=tried, refuted=refuted and refuted.place,
+        doubt=(refuted and refuted.doubt) or "", gains=changed and changed.gains,
         alternates=_alternates(loops, slowest) if tried else "", absent=absent,
         most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
         sought=_sought(chosen),
@@ -228,9 +230,9 @@ def verdict(
         reason=decision.reason,
         passed_over=decision.passed_over,
         measure=_measure(decision, box, points, known, stay) if decision.word == "cannot tell" and known else "",
-        gains=gains if decision.word == "change gains" else {},
-        with_gains=_with_gains(changed, stands, points, drives, chosen, within)
-        if decision.word == "change gains"
+        gains=confirmed.gains if confirmed and decision.word == "change gains" else {},
+        with_gains=_with_gains(confirmed, stands, points, drives, chosen, within)
+        if confirmed and decision.word == "change gains"
         else None,
         places=tuple(bands.values()),
         settings=settings,
@@ -334,12 +336,26 @@ def with_barred(decision: Decision, shares: Mapping[str, float]) -> Decision:
     )
 
 
-def _refuted(changed: tuple[Place, PlaceLoops] | None, members: Vector, duration: float | None) -> str:
-    """Why nonlinear runs of these members do not confirm what is proposed; empty where they do."""
-    if changed is None or not len(members):
-        return ""
-    runs = changed[1].runs(members, changed[1].decays(members), duration)
-    return "" if runs.confirming >= MOST else next(filter(None, runs.reasons), "")
+def _doubt(runs: Runs | None) -> str | None:
+    """Why the first of nonlinear runs that do not confirm a place does not; None where they do, or none were made."""
+    return None if runs is None or runs.confirming >= MOST else next(filter(None, runs.reasons), "")
+
+
+class _Changed(NamedTuple):
+    """A place with other gains: its loop with these, the gains by name, nonlinear runs if any were asked for."""
+
+    place: Place
+    loop: PlaceLoops
+    gains: dict[str, list[float]]
+    runs: Runs | None
+
+    @property
+    def doubt(self) -> str | None:
+        return _doubt(self.runs)
+
+
+def _runs_of(members: Vector, duration: float | None, loop: PlaceLoops) -> Runs | None:
+    return loop.runs(members, loop.decays(members), duration) if len(members) else None
 
 
 def _first_runs(
@@ -393,11 +409,10 @@ def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, t
     return own, ranges or getattr(problem, "uncertainty", None) or machine.uncertainty or GROUND
 
 
-def _tries(asked: Loop, known: Mapping[str, Place], unconfirmed: Mapping[str, str]) -> bool:
-    """Whether other gains are looked for: where ranges are given, or no place can be had with these."""
-    return bool(gain_ranges(asked)) or not any(
-        place.holds and place.name not in unconfirmed for place in known.values()
-    )
+def _tries(asked: Loop, stay: Place | None, others: Sequence[Place], unconfirmed: Mapping[str, str]) -> bool:
+    """Whether other gains are looked for: where ranges are given, or one may neither stay nor move with these."""
+    may_stay = stay is not None and stay.holds and stay.name not in unconfirmed
+    return bool(gain_ranges(asked)) or not (may_stay or decide(stay, others, None, unconfirmed).word == "move")
 
 
 def _alternates(loops: Mapping[str, PlaceLoops], slowest: Mapping[str, Slowest]) -> str:
@@ -419,8 +434,9 @@ def _changed(
     loops: Mapping[str, PlaceLoops],
     slowest: Mapping[str, Slowest],
     points: Vector,
-) -> tuple[tuple[Place, PlaceLoops] | None, dict[str, list[float]]]:
-    """The place that is best with other gains, its loop, and the gains; the present one where it is nearly as good.
+    runs_of: Callable[[PlaceLoops], Runs | None],
+) -> _Changed:
+    """The place that is best with other gains; the present one where it is nearly as good.
 
     Gains are those of `[loop]`'s ranges; without ranges, all gains times a factor.
     """
@@ -443,25 +459,23 @@ def _changed(
     near = [each for each in found if each[0].slowest >= most - FASTER * abs(most)]
     place, loop = min(near, key=lambda each: each[0].drive)
     names = ("kp", "kv", *(["ki"] if loop.settings.feedback == "pid" else []))
-    return (place, loop), {name: getattr(loop.settings, name).tolist() for name in names}
+    return _Changed(place, loop, {name: getattr(loop.settings, name).tolist() for name in names}, runs_of(loop))
 
 
 def _with_gains(
-    changed: tuple[Place, PlaceLoops] | None,
+    changed: _Changed,
     stands: Mapping[str, Configurations],
     points: Vector,
     drives: Mapping[str, tuple[float, float]],
     chosen: Chosen,
     within: Mapping[str, str],
-) -> PlaceVerdict | None:
+) -> PlaceVerdict:
     """The place with other gains, judged as the others are with the present ones."""
-    if changed is None:
-        return None
-    (place, loop), name = changed, changed[0].name
+    loop, name = changed.loop, changed.place.name
     decays = loop.decays(points)
     slowest, worst = loop.slowest(points, decays), decays.min(axis=0)
     return _place(
-        name, stands[name], loop, points, worst, math.nan, slowest, drives[name], None, chosen, within[place.name]
+        name, stands[name], loop, points, worst, math.nan, slowest, drives[name], changed.runs, chosen, within[name]
     )
 
 
