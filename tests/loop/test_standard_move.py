@@ -185,6 +185,7 @@ def test_a_damper_brakes_a_drift_without_another_swing() -> None:
     assert all(each.drift[0] > 0 for each in found)
     assert found[0].drift[0] > 4 * found[-1].drift[0]
     assert all(math.isfinite(each.settling) for each in found)
+    assert all("standard move, without that drift: settles in" in repr(each) for each in found)
     swings = np.array([each.swing for each in found])
     assert np.ptp(np.log(swings)) < 0.15
 
