@@ -90,6 +90,7 @@ def test_an_arm_that_drifts_everywhere_is_chosen_by_its_swing() -> None:
     loop = {"drive": "torque", "kp": 1.8e4, "kv": 6.5e4, "nullspace_damping": 20.0, "rate": 200.0}
     found = flexopt.select(machine, target, objective="swing", loop=loop, gravity=True, starts=4, workers=1)
     chosen = found.best.evaluation.outcome
+    assert isinstance(chosen, flexopt.Outcome)
     assert chosen.drift[0] > 0
     assert found.best.objective == pytest.approx(chosen.swing, rel=1e-6)
     points = [
