@@ -20,6 +20,7 @@ from flexopt.foundation.warned import warn_user
 from flexopt.model.body_numbers import ASIDE, BodyNumbers, body_numbers
 from flexopt.model.machine import AnyMachine
 from flexopt.model.planar import Machine
+from flexopt.model.tree import Tree
 from flexopt.model.uncertainty import LATE, Uncertainty, parameters_of
 
 REACH_MAX = 100.0  # m: the longest booms are about as long
@@ -176,14 +177,16 @@ def _lengths(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) ->
 
 
 def _volumes(machine: AnyMachine, reach: float) -> Iterator[ImplausibleNumber]:
-    """Capsules, and what the machine stands on, beyond many times the arm's reach."""
+    """Capsules, what the machine stands on and where its root link is, beyond many times the arm's reach."""
     capsules = [
         (f"capsules[{number}] of {c.called}, {key}", math.hypot(*numbers))
         for number, c in enumerate(machine.capsules)
         for key, numbers in (("start", c.start), ("end", c.end), ("radius", (c.radius,)))
     ]
     corners = [("support", math.hypot(*corner)) for corner in machine.support_points]
-    for name, far in [*capsules, *sorted(corners, key=lambda corner: -corner[1])[:1]]:
+    root = machine.bodies[:1] if isinstance(machine, Tree) else ()
+    placed = [("position of the root link", math.hypot(*body.position)) for body in root]
+    for name, far in [*placed, *capsules, *sorted(corners, key=lambda corner: -corner[1])[:1]]:
         if far > FAR * reach > 0:
             yield ImplausibleNumber(
                 name, f"{far:g} m", f"is {far / reach:.0f} times the arm's reach", f"probably in mm: {far / 1000:g} m"

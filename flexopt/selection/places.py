@@ -74,6 +74,9 @@ def places_left_out(plant: Plant, asked: Constraints, low: Vector, high: Vector,
 
 def _kept(plant: Plant, areas: ConstraintSet, places: Vector) -> NDArray[np.bool_]:
     """Which placements (n_b, N) are allowed."""
+    # A Function takes no columns for one.
+    if not places.shape[1]:
+        return np.zeros(0, dtype=bool)
     postures, (lower, upper, scale) = np.zeros((plant.n_actuated, places.shape[1])), _bounds(areas)
     rows = areas.function.call([places, postures, plant.parameter_values, areas.constants])[0].full().T
     kept: NDArray[np.bool_] = (np.maximum(lower - rows, rows - upper) / scale <= FEASIBLE).all(axis=1)

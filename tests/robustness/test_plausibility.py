@@ -594,6 +594,16 @@ def test_capsules_and_supports_in_mm_are_told(name: str) -> None:
     assert tried or not (given.get("capsules") or given.get("support"))
 
 
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_root_link_in_mm_is_told(name: str) -> None:
+    data = flexopt.load(name).to_dict()
+    for body in data.get("bodies", [])[:1]:
+        body["position"] = [0.0, 0.0, 597.0]
+        assert "position of the root link" in [each.field for each in _findings(data)]
+        body["position"] = [0.0, 0.0, 0.597]
+        assert "position of the root link" not in [each.field for each in _findings(data)]
+
+
 def _findings(data: Data) -> tuple[Any, ...]:
     return flexopt.check(built(data)).findings
 

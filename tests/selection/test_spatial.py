@@ -267,6 +267,15 @@ def test_unreachable_targets_say_by_how_much(machine):
         flexopt.select(machine, TARGET, base_range={"x": (50.0, 51.0)})
     # The arm reaches 5.8 m from its first joint at most.
     assert 40 < caught.value.miss < 47
+    # Beside areas, too, for one target and several.
+    area = [[-4.0, -7.0], [13.0, -7.0], [13.0, 7.0], [-4.0, 7.0]]
+    for kind in ("region", "keep_out"):
+        asked = {"base_range": {"x": (-2.0, 12.0), "y": (-6.0, 6.0), "yaw": (-1.0, 1.0)}, "constraints": {kind: [area]}}
+        with pytest.raises(flexopt.UnreachableTarget, match=r"cannot reach x 60, .* m off"):
+            flexopt.select(machine, (60.0, 0.0, 1.0), **asked)
+        with pytest.raises(flexopt.UnreachableTarget, match=r"targets\[1\]: .* cannot reach x 61"):
+            stands = [(60.0, 0.0, 1.0), (61.0, 0.0, 1.0)]
+            flexopt.select_stand(machine, stands, workers=1, **asked)
 
 
 def test_faults_are_named_all_at_once(machine):
