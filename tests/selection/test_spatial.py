@@ -273,8 +273,8 @@ def test_unreachable_targets_say_by_how_much(machine):
         asked = {"base_range": {"x": (-2.0, 12.0), "y": (-6.0, 6.0), "yaw": (-1.0, 1.0)}, "constraints": {kind: [area]}}
         with pytest.raises(flexopt.UnreachableTarget, match=r"cannot reach x 60, .* m off"):
             flexopt.select(machine, (60.0, 0.0, 1.0), **asked)
+        stands = [(60.0, 0.0, 1.0), (61.0, 0.0, 1.0)]
         with pytest.raises(flexopt.UnreachableTarget, match=r"targets\[1\]: .* cannot reach x 61"):
-            stands = [(60.0, 0.0, 1.0), (61.0, 0.0, 1.0)]
             flexopt.select_stand(machine, stands, workers=1, **asked)
 
 

@@ -923,7 +923,9 @@ def test_no_machine_is_sent_where_it_cannot_hold_the_heaviest_load(
         } & set(broken)
         assert not found.drawbacks.startswith("every place")
         if any(broken["stay"]):
-            assert found.reason.startswith(f"the present place {found.places[0].breaks}")
+            # How the arm is held at several targets is the verdict's choice, which it says.
+            assert found.reason.startswith("the present place, held as is best by w1 at each target, breaks ")
+            assert found.places[0].breaks in found.reason
         if word == "stay":
             assert "no place found by w1 that keeps the constraints on every ground" in found.reason
             # Each of those left out is in the table, as there are so few.

@@ -196,7 +196,7 @@ def verdict(
     first_runs = partial(_first_runs, loops, each, points[:runs], duration)
     shown = _each(told if runs else [], first_runs, stages.within)
     stages.next()
-    absent = f"the present place {now_breaks or within[STAY]}" if STAY in stands else unreached(chosen)
+    absent = _breaking(chosen, now_breaks or within[STAY]) if STAY in stands else unreached(chosen)
     known = {
         name: Place(name, decays[name], slowest[name].decay, drives[name][0],
                     besides_driving(solved, drives[name][1], stands[name]), drives[name][1])
@@ -305,6 +305,15 @@ def _each(names: Collection[str], work: Callable[[str], T], tell: Progress) -> d
         made[name] = work(name)
         tell(len(made), len(names))
     return made
+
+
+def _breaking(chosen: Chosen, breaks: str) -> str:
+    """That the present place breaks constraints, and in which posture where none was given."""
+    problem, *others = problems_of(chosen)
+    if others:
+        return f"the present place, held as is best by {chosen.objective} at each target, {breaks}"
+    held = "" if problem.present_posture is not None else ", in one of the postures that reach the target,"
+    return f"the present place{held} {breaks}"
 
 
 def _with_present(
