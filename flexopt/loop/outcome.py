@@ -147,6 +147,11 @@ class LoopPoint:
         return self._at_rest[0]
 
     @property
+    def end_point(self) -> Vector:
+        """Where the end-point is at rest (n_task,), m."""
+        return self.motions.plant.end_point(self.configuration, self.numbers["base"], self.numbers["p"]).full().ravel()
+
+    @property
     def unheld(self) -> Vector:
         """What drives a redundant arm's self-motion (n,), N m or N: of a weight that the controller does not know.
 

@@ -20,6 +20,7 @@ from flexopt.errors import Fault
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.many import decays
 from flexopt.loop.outcome import HIGH, UNDAMPED, LoopPoint, Measured
+from flexopt.loop.rest import ARRIVED
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.model import AnyMachine
@@ -334,6 +335,29 @@ class UncertainLoop:
         if not found[most].any():
             return {}, {}
         return dict(zip(self.box.machine.joints, found[most].tolist(), strict=True)), self.box.told(members[most])
+
+    @cached_property
+    def _target(self) -> Vector:
+        return self.outcome().end_point
+
+    def off_target(self, u: Vector) -> float:
+        """How far beside its target feedback holds a member's end-point at rest, m; NaN where it holds it nowhere.
+
+        Without weight, and up to what the search for rest leaves, 0.
+        """
+        if not self.gravity:
+            return 0.0
+        point = self.outcome(u)
+        off = float(np.linalg.norm(point.end_point - self._target)) if point.rests else math.nan
+        return 0.0 if off <= ARRIVED else off
+
+    def farthest_off(self, members: Vector) -> tuple[float, dict[str, float]]:
+        """The largest `off_target` of these members (n, k), m, and where: factors and values by name; empty of none."""
+        found = np.array([self.off_target(u) for u in members])
+        if np.isnan(found).all():
+            return math.nan, {}
+        most = int(np.nanargmax(found))
+        return float(found[most]), self.box.told(members[most]) if found[most] else {}
 
     def slower(self, members: Vector) -> Vector:
         """Where a search with exact gradients leads from the slowest of these members (n, k): (k,)."""

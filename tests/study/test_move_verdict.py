@@ -1362,3 +1362,38 @@ def test_gains_are_tried_where_one_may_neither_stay_nor_move(tmp_path: Path) -> 
     assert row.endswith(new.shown_runs)
     found.to_html(tmp_path / "verdict.html")
     assert ">new gains<" in (tmp_path / "verdict.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.long
+def test_how_far_beside_its_target_the_end_point_rests_is_told() -> None:
+    """Of the corners of what is uncertain, as nonlinear runs of these end; a move is settled within 2 mm of 0.1 m."""
+    machine, low, high = flexopt.load("excavator"), 0.7 * 458.2, 1.3 * 458.2
+    loop = {"drive": "velocity", "servo_gain": 2e5, "kp": 1.0, "kv": 0.0, "rate": 200.0, "dead_time": 0.013}
+    few: dict[str, Any] = {"ranges": {"stick.mass": (low, high), "base.stiffness.rotation": (6e5, 1.2e6)}}
+    few |= {"members": 4, "runs": 0}
+    chosen = flexopt.select(machine, (0.0, 1.6), base=0.0, starts=2, gravity=True)
+    found = flexopt.verdict(chosen, loop=loop, **few)
+    place = max(found.places, key=lambda place: place.decay.least)
+    corners = np.array([*product((low, high), (6e5, 1.2e6))])
+    runs = flexopt.simulate_ensemble(
+        machine, place.posture, base=place.base, loop=loop, gravity=True, duration=15.0 / place.decay.least,
+        vary=dict(zip(few["ranges"], corners.T.tolist(), strict=True)),
+    )  # fmt: skip
+    off = runs.dataset["end_error"].to_numpy()
+    assert place.rests_off == pytest.approx(off.max(), rel=1e-3)
+    assert [*place.rests_off_at.values()] == pytest.approx(corners[off.argmax()])
+    # No other corner is taken for the worst.
+    assert off.max() > 1.02 * np.sort(off)[-2]
+    farthest = max(found.places, key=lambda place: place.rests_off)
+    told = f"off its target at rest, by up to {farthest.rests_off:.3g} m ({spoken(farthest.name)})"
+    assert told in repr(found)
+    assert told in found._html()
+    assert repr(found).count("feedback pid") == 1
+    each = found.to_dict()["places"]
+    assert [one["rests_off"] for one in each] == [place.rests_off for place in found.places]
+    # Of what an integral part brings there no word, nor of less than a settled move is off.
+    integral = flexopt.verdict(chosen, loop=loop | {"feedback": "pid", "ki": 0.2}, **few)
+    assert [(place.rests_off, place.rests_off_at) for place in integral.places] == [(0.0, {})] * len(integral.places)
+    assert "off its target at rest" not in repr(integral)
+    near = replace(found, places=tuple(replace(place, rests_off=0.00199) for place in found.places))
+    assert "off its target at rest" not in repr(near)

@@ -35,13 +35,14 @@ DURATIONS, ALIKE = 1e4, 1e-6
 UNFINISHED = "the integrator could not finish the run"
 # Why a run that converges does not confirm; and more where the controller does not know the weight.
 OFF = "the end-point does not come to its target: in the end it is"
+INTEGRAL = "an integral part takes it to the target (loop.feedback pid with ki)"
 SAGS = (
-    "; the controller carries the load of the machine's file, and a heavier or lighter one draws the arm off: an "
-    "integral part takes it to the target (loop.feedback pid with ki)"
+    "; the controller carries the load of the machine's file, and a heavier or lighter one draws the arm off: "
+    f"{INTEGRAL}"
 )
 TILTS = (
     "; on these springs the base stands otherwise, so that the arm weighs otherwise on its joints than the controller "
-    "carries: an integral part takes it to the target (loop.feedback pid with ki)"
+    f"carries: {INTEGRAL}"
 )
 # With an integral part and drives that yield to a load.
 UNTIL = (
@@ -189,14 +190,7 @@ def _sags(loop: UncertainLoop, u: Vector, until: str) -> str:
 
 def tilts(loop: UncertainLoop, u: Vector, end: float) -> str:
     """That other springs alone draw the arm off by most of `end`, m, and what helps; else empty."""
-    here, nominal = loop.outcome(u), loop.outcome()
-    if not loop.gravity or not here.rests:
-        return ""
-    plant, base = here.motions.plant, loop.base
-    hangs, target = (
-        plant.end_point(point.configuration, base, point.numbers["p"]).full().ravel() for point in (here, nominal)
-    )
-    return TILTS if np.linalg.norm(hangs - target) > end / 2 else ""
+    return TILTS if loop.off_target(u) > end / 2 else ""
 
 
 def _full_levers(loop: UncertainLoop, more: Vector) -> str:

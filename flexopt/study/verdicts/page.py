@@ -102,6 +102,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "servo_proposed": sentence(verdict.servo_proposed),
         "drifts": sentence(verdict.drifts),
         "driven": sentence(verdict.driven),
+        "rests_beside": sentence(verdict.rests_beside),
         "falls": sentence(verdict.falls),
         "unseen": sentence(verdict.unseen),
         "weightless": sentence(verdict.weightless),

@@ -107,6 +107,14 @@ class PlaceLoops:
         found = [loop.unheld(members) for loop in self.loops]
         return max(found, key=lambda each: max(map(abs, each[0].values()), default=0.0))
 
+    def farthest_off(self, members: Vector) -> tuple[float, dict[str, float]]:
+        """The farthest from its target, m, that feedback holds the end-point of these members at any target, and where.
+
+        NaN where it holds none of them.
+        """
+        found = [loop.farthest_off(members) for loop in self.loops]
+        return max(found, key=lambda each: -math.inf if math.isnan(each[0]) else each[0])
+
     def runs(self, members: Vector, decays: Vector, duration: float | None) -> Runs:
         """Nonlinear runs of the members (n, k), with decays (K, n), s; of each the worst target's."""
         long = duration or long_enough(self.modes_hz, self.settings.rate, decays=decays.ravel().tolist())

@@ -42,6 +42,10 @@ class PlaceVerdict(Result):
         drift_at: the member where that is: factors and values by name.
         unheld: torques, N m, and forces, N, by joint, with which a weight that the controller does not know drives a
             redundant arm's self-motion, where that is most (`unheld_at`); see `flexopt.Region`.
+        rests_off: how far from its target the end-point comes to rest at most, m, among the members and corners: where
+            another weight, or other springs under it, draw an arm whose feedback has no integral part; NaN where
+            feedback is not found to hold it on any of them.
+        rests_off_at: the member where that is: factors and values by name; empty where it comes to its target.
         better: share of the members on which it decays a tenth faster than in the present place.
         allowed_gain, delay_margin: as of `evaluate`; the least over the members, across the box through the worst of
             them and where a search leads from there, the greatest that of few corners; NaN where there is no border.
@@ -71,6 +75,8 @@ class PlaceVerdict(Result):
     drift_at: dict[str, float]
     unheld: dict[str, float]
     unheld_at: dict[str, float]
+    rests_off: float
+    rests_off_at: dict[str, float]
     better: float
     allowed_gain: Band
     delay_margin: Band
@@ -84,8 +90,8 @@ class PlaceVerdict(Result):
 
     DOCUMENT = """
     name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target unseen
-    drift[1/s] drift_at unheld unheld_at better allowed_gain delay_margin[s] settling[s] swing swing_unit runs
-    rests_on breaks
+    drift[1/s] drift_at unheld unheld_at rests_off[m] rests_off_at better allowed_gain delay_margin[s] settling[s]
+    swing swing_unit runs rests_on breaks
     """
 
     @property

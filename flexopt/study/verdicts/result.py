@@ -20,6 +20,7 @@ from flexopt.loop.evaluation import unseen_told
 from flexopt.loop.outcome import FALLS_AT
 from flexopt.loop.settings import LoopSettings, in_calls
 from flexopt.loop.spectrum import driven_self_motion
+from flexopt.loop.standard_move import SETTLED
 from flexopt.loop.uncertain import member_in_words
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
@@ -28,6 +29,7 @@ from flexopt.selection.broken import broken
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.result import unverified_told
+from flexopt.study.verdicts.confirmation import INTEGRAL
 from flexopt.study.verdicts.decision import BETWEEN, FASTER, LEAST_TOLD, RULE, Word, gains_in_words, spoken
 from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
@@ -424,6 +426,19 @@ class Verdict(Pictured, Printed, Result):
         return "".join(driven_self_motion(most.unheld, self.settings.joint_units, where))
 
     @property
+    def rests_beside(self) -> str:
+        """How far beside its target the end-point rests, where a move would not have settled there; else empty."""
+        off = [place for place in self.rows if place.rests_off >= SETTLED * MOVE]
+        if not off:
+            return ""
+        off.sort(key=lambda place: -place.rests_off)
+        each = ", ".join(f"{place.rests_off:.3g} m ({spoken(place.name)})" for place in off)
+        drawn = "another weight than the controller carries, or other springs under it, hold the end-point off"
+        told = f"{drawn} its target at rest, by up to {each}, the most at {member_in_words(off[0].rests_off_at)}"
+        known = any(INTEGRAL in said for said in (self.reason, *self.doubts.values()))
+        return f"{told}; the settling time is that of the way to there{'' if known else f', and {INTEGRAL}'}"
+
+    @property
     def servo_proposed(self) -> str:
         """Where nothing can be told: that the weakest joint decides the servo gain, a sentence; else empty."""
         settings = self.settings
@@ -495,8 +510,8 @@ class Verdict(Pictured, Printed, Result):
         lines += [f"  {place.rest}" for place in self.places if place.rest]
         doubts = self.doubts
         lines += [f"  {each}" for place in self.places for each in (place.broken, doubts.get(place.name)) if each]
-        whole = (self.servo_proposed, self.drifts, self.driven, self.falls, self.unseen, self.weightless)
-        lines += [f"  {sentence}" for sentence in whole if sentence]
+        whole = (self.servo_proposed, self.drifts, self.driven, self.rests_beside, self.falls)
+        lines += [f"  {sentence}" for sentence in (*whole, self.unseen, self.weightless) if sentence]
         lines += [f"  {sentence}" for sentence in self.assumed]
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
         return "\n".join([*lines, *filter(None, (self.drawbacks, self.passed_over, self.measure))])

@@ -501,7 +501,8 @@ def _place(
     chosen: Chosen,
     breaks: str,
 ) -> PlaceVerdict:
-    members = [None, *place.box.corners(FEW), slowest.member]
+    corners = place.box.corners(FEW)
+    members = [None, *corners, slowest.member]
     looked = [[(loop.outcome(u), u) for u in members] for loop in place.loops]
     nominal = min(few[0][0].decay().value for few in looked)
     # Where ranges do not hold the file's own numbers, these are none of the worst.
@@ -510,6 +511,7 @@ def _place(
     ordered = np.vstack([slowest.member, points])
     drift, drifting = place.fastest_drift(ordered)
     unheld, unheld_at = place.unheld(ordered)
+    rests_off, rests_off_at = place.farthest_off(np.vstack([points[:MEMBERS], corners, slowest.member]))
 
     def band(measure: str, factor: float = 1.0) -> Band:
         sense, each, further = SENSES[measure], list[list[float]](), list[float]()
@@ -542,6 +544,8 @@ def _place(
         drift_at={} if math.isnan(drift) else place.box.told(drifting),
         unheld=unheld,
         unheld_at=unheld_at,
+        rests_off=rests_off,
+        rests_off_at=rests_off_at,
         better=better,
         allowed_gain=band(ALLOWED_GAIN),
         delay_margin=band(DELAY_MARGIN),
