@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from flexopt.foundation.palette import colors
 from flexopt.model.constraints import Constraints
 from flexopt.plotting.machine import HEIGHT, SPRING, draw_ground, draw_shape, draw_target
-from flexopt.plotting.scenery import draw_scenery, held, named_points, scenery_points
+from flexopt.plotting.scenery import draw_scenery, held, name_obstacles, named_points, scenery_points
 from flexopt.plotting.shape import Points, Shape, View, views
 
 # Room about what is drawn, share of the machine's size.
@@ -77,11 +77,14 @@ def draw_scene(
     whole = float(np.ptp(limits, axis=1).max())
     if constraints is not None:
         holds = held(constraints, shape)
-        draw_scenery(axes, view, constraints, ground, holds, marks, limits)
+        draw_scenery(axes, view, constraints, ground, holds)
         if holds == "point" and (constraints.region or constraints.keep_out) and not view.upright:
             _draw_anchors(axes, view, actors)
+    before = len(axes.patches)
     for actor in actors:
         draw_shape(axes, view, actor.shape, actor.color, ghost=actor.ghost, label=actor.label)
+    if constraints is not None:
+        name_obstacles(axes, view, constraints, marks, limits, axes.patches[before:])
     side = SIDES[0]
     if name:
         side = _free_side(marks[:, 0], whole, _written_on(view, actors, named_points(view, constraints, limits), whole))

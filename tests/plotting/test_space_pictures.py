@@ -3,6 +3,7 @@
 import io
 import math
 import warnings
+from itertools import product
 
 import numpy as np
 import pytest
@@ -10,13 +11,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch, Polygon
 from matplotlib.transforms import Affine2D
 from PIL import Image
+from shapely import LineString, MultiPoint, Point, box
+from shapely import Polygon as Area
 
 import flexopt
 from flexopt.model.constraints import Constraints, read_constraints
 from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
-from flexopt.plotting.scene import Actor, draw_scene
-from flexopt.plotting.scenery import draw_scenery, scenery_points
+from flexopt.plotting.scene import Actor, draw_scene, draw_views
+from flexopt.plotting.scenery import draw_scenery, name_obstacles, scenery_points
 from flexopt.plotting.several import view_of_way
 from flexopt.plotting.shape import Shape, View, capsule_outline, shape_at, shape_of, views
 from flexopt.plotting.trajectory import deflection_panel
@@ -148,8 +151,7 @@ def test_what_the_arms_plane_cuts_of_an_obstacle_is_solid_and_all_of_it_faint(se
     for obstacle, within in zip(obstacles, inside, strict=True):
         axes = Figure().subplots()
         constraints = Constraints.model_validate({"clearance": {"distance": 0.1, "obstacles": [obstacle]}})
-        limits = np.array([[-9.0, 9.0], [-9.0, 9.0]])
-        draw_scenery(axes, view, constraints, 0.0, "point", np.zeros((2, 0)), limits)
+        draw_scenery(axes, view, constraints, 0.0, "point")
         whole, cut = (each for each in axes.get_children() if isinstance(each, Circle | Polygon))
         assert (whole.get_linestyle(), cut.get_linestyle()) == ("--", "-")
         assert whole.get_alpha() < cut.get_alpha()
@@ -227,7 +229,7 @@ def test_scenery_in_both_views(selection):
                               "keep_out": [[[0, 0], [1, 0], [0, 1]]]})  # fmt: skip
     for view in views(chosen):
         axes = Figure().add_subplot()
-        draw_scenery(axes, view, asked, 0.0, "footprint", np.zeros((2, 0)), LIMITS)
+        draw_scenery(axes, view, asked, 0.0, "footprint")
         circles = [patch for patch in axes.patches if patch.__class__.__name__ == "Circle"]
         np.testing.assert_allclose(circles[0].center, view.of(np.array(tank["center"])))
         # The arm works in the plane y = 0: the tank stands beside it.
@@ -266,11 +268,58 @@ def test_a_name_of_an_obstacle_does_not_lie_on_a_target(selection, away, aside):
     for view in views(shape_of(selection.problem.machine, selection.best.evaluation)):
         axes = Figure().add_subplot()
         middle = view.of(np.array(tank["center"]))
-        draw_scenery(axes, view, asked, 0.0, "footprint", np.add(middle, [away, 0.0])[:, None], LIMITS)
+        cross = np.add(middle, [away, 0.0])
+        name_obstacles(axes, view, asked, cross[:, None], LIMITS, [])
         axes.set(xlim=LIMITS[0], ylim=LIMITS[1])
         axes.figure.draw_without_rendering()
         (name,) = axes.texts
-        assert (name.xyann != (0.0, 0.0)) == aside
+        where, (there, mark) = name.get_window_extent(), axes.transData.transform([middle, cross])
+        assert not where.contains(*mark)
+        assert (math.dist(there, (where.p0 + where.p1) / 2) > 1.0) == aside
+
+
+@pytest.mark.parametrize("inches", [(4.5, 5.5), (6.0, 7.8), (11.0, 14.0)])
+@pytest.mark.parametrize("yaw", [0.0, 0.3])
+def test_a_name_of_an_obstacle_is_on_or_beside_what_is_seen_of_it_and_not_on_the_machine(inches, yaw):
+    """A wall before a machine that is small beside it, and a wire above: by their corners and the machine's."""
+    data = in_space({"gravity": 9.81} | flexopt.load("excavator").to_dict())
+    truck = {"body": "base.rotation", "start": [-1.5, 0.0, 0.5], "end": [1.5, 0.0, 0.5], "radius": 0.5}
+    support = {"polygon": [[-1.6, -0.8], [1.6, -0.8], [1.6, 0.8], [-1.6, 0.8]]}
+    machine = tree_from_dict(data | {"capsules": [truck], "support": support})
+    plant = build_plant(machine)
+    base = np.zeros(len(machine.base_coordinates))
+    q = plant.rest(base, np.array([0.9929, -2.6306]), plant.parameter_values).full().ravel()
+    shape = shape_at(machine, q, base)
+    walls = {"parapet": ([0.3, 0.9, 0.2], [60.0, 0.3, 1.7]), "wire": ([0.0, 0.0, 4.0], [70.0, 0.05, 0.05])}
+    asked = read_constraints({"clearance": {"distance": 0.1, "obstacles": [
+        {"kind": "box", "name": name, "center": at, "size": size, "yaw": yaw} for name, (at, size) in walls.items()
+    ]}, "region": [[[-20, -1.5], [20, -1.5], [20, 1.5], [-20, 1.5]]]})  # fmt: skip
+    figure = Figure(figsize=inches, layout="constrained")
+    panels = figure.subplots(2)
+    draw_views(panels, [Actor(shape, "C0")], shape.skeleton[:, -1], asked)
+    assert faults(figure) == []
+    turn = Affine2D().rotate(yaw)
+    for axes, view in zip(panels, views(shape), strict=True):
+
+        def pixels(points, axes=axes, view=view):
+            return axes.transData.transform(view.of(points).T)
+
+        start, end, radius = shape.capsules[0]
+        pixel = np.hypot(*(axes.transData.transform((1.0, 0.0)) - axes.transData.transform((0.0, 0.0))))
+        drawn = [
+            LineString(pixels(np.column_stack([start, end]))).buffer(radius * pixel),
+            LineString(pixels(shape.skeleton)),
+        ]
+        drawn += [] if view.upright else [Area(pixels(shape.support))]
+        for text in axes.texts:
+            where, (at, size) = text.get_window_extent(), walls[text.get_text().split(", ")[0]]
+            name = box(*where.extents)
+            corners = np.array(list(product((-0.5, 0.5), repeat=3))) * size
+            corners[:, :2] = turn.transform(corners[:, :2])
+            wall = MultiPoint(pixels(np.transpose(corners + at))).convex_hull.intersection(box(*axes.bbox.extents))
+            assert name.distance(wall) < where.height / 2
+            assert wall.distance(Point(axes.transData.transform(text.xy))) < 0.01
+            assert not any(name.intersects(part) for part in drawn)
 
 
 def test_names_of_obstacles_close_together_lie_on_no_other(selection):
