@@ -320,7 +320,7 @@ def check_folder(option: str, path: str) -> None:
     made = next((folder for folder in (target, *target.parents) if folder.exists()), None)
     if made is None or not made.is_dir():
         raise InputError(f"{option} = {path!r}: {str(made or target)!r} is no folder")
-    if target.suffix in PAGES and not target.exists():
+    if target.suffix.lower() in PAGES and not target.exists():
         raise InputError(f"{option} = {path!r}: a folder is made of this name, and {target.suffix} ends that of a file")
 
 

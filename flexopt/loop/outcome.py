@@ -155,13 +155,14 @@ class LoopPoint:
     def unheld(self) -> Vector:
         """What drives a redundant arm's self-motion (n,), N m or N: of a weight that the controller does not know.
 
-        No feedback of the end-point holds it. Zeros where it is none, or below `FELT` of what the joint carries that it
-        drives most.
+        No feedback of the end-point holds it. 0 of joints at which it is below `FELT` of what they carry.
         """
         _, unheld, carried = self._at_rest
-        most = int(np.argmax(np.abs(unheld)))
-        felt = self._excess and self.rests and abs(unheld[most]) > FELT * abs(carried[most])
-        return unheld if felt else np.zeros(len(unheld))
+        found = np.zeros(len(unheld))
+        if self._excess and self.rests:
+            felt = np.abs(unheld) > FELT * np.abs(carried)
+            found[felt] = unheld[felt]
+        return found
 
     @cached_property
     def _own(self) -> OwnMotion:

@@ -457,8 +457,8 @@ def _maxima(squares: Vector, rates: Vector, step: float) -> tuple[NDArray[np.int
     low, high, rise, fall = squares[places], squares[places + 1], rates[places] * step, rates[places + 1] * step
     third, second = rise + fall - 2 * (high - low), 3 * (high - low) - 2 * rise - fall
     root = np.sqrt(np.maximum(second**2 - 3 * third * rise, 0.0))
-    # Of 0 = rise + 2 second u + 3 third u², without cancellation.
-    u = rise / np.maximum(root - second, np.finfo(float).tiny)
+    # Of 0 = rise + 2 second u + 3 third u², without cancellation, and no farther than the next place.
+    u = rise / np.maximum(root - second, rise)
     return places, low + u * (rise + u * (second + u * third))
 
 

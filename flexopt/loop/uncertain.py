@@ -41,6 +41,8 @@ ACROSS, CLOSE = 5, 20
 BENT = 3.0
 # Members that a worst case is looked for at.
 MEMBERS = 64
+# Of members, how many are asked for their self-motion, one by one: those, and the slowest.
+DRIVEN = MEMBERS + 1
 # From corner to corner towards the worst of a measure.
 WALK = 5
 # Gains at which loops are looked at for one that grows, as far as this share of the least that is known to be allowed.
@@ -301,14 +303,14 @@ class UncertainLoop:
     def fastest_drift(self, members: Vector) -> ValueAt:
         """The largest growth rate of a redundant arm's self-motion found in the box, 1/s, and where.
 
-        Among `MEMBERS` members (n, k), and by a search with exact gradients from the one that drifts fastest. NaN where
-        nothing acts on it. Where it moves the base so much that it is taken for a motion of the loop, its rate is the
-        decay's.
+        Among the first `DRIVEN` members (n, k), and by a search with exact gradients from the one that drifts fastest.
+        NaN where nothing acts on it. Where it moves the base so much that it is taken for a motion of the loop, its
+        rate is the decay's.
         """
         middle = np.full(len(self.box.uncertainty), 0.5)
         if not self.settings.redundant:
             return math.nan, middle
-        members = members[:MEMBERS]
+        members = members[:DRIVEN]
         rates = [max(self.outcome(u).loop.drift, default=-math.inf) for u in members]
         fastest = max(rates)
         if not math.isfinite(fastest):
@@ -324,13 +326,13 @@ class UncertainLoop:
         return max((fastest, first), (-found, there), key=lambda each: each[0])
 
     def unheld(self, members: Vector) -> tuple[dict[str, float], dict[str, float]]:
-        """What drives a redundant arm's self-motion the most among `MEMBERS` members (n, k), and where.
+        """What drives a redundant arm's self-motion the most among the first `DRIVEN` members (n, k), and where.
 
         As of `LoopPoint`, N m or N by joint, and factors and values by name; empty of none.
         """
         if not (self.gravity and self.settings.redundant):
             return {}, {}
-        found = np.array([self.outcome(u).unheld for u in members[:MEMBERS]])
+        found = np.array([self.outcome(u).unheld for u in members[:DRIVEN]])
         most = int(np.argmax(np.abs(found).max(axis=1)))
         if not found[most].any():
             return {}, {}

@@ -248,8 +248,10 @@ def test_what_drives_a_self_motion_under_an_unknown_weight() -> None:
     )
     more, jacobian = heavy - file, weight(taken, still, 0.0)[4].full()[:, m:]
     driven = more - np.linalg.pinv(jacobian) @ jacobian @ more
+    # Less than a hundredth of what a joint carries is left out.
+    driven = np.where(np.abs(driven) > 0.01 * np.abs(heavy), driven, 0.0)
     np.testing.assert_allclose(point.unheld, driven, rtol=1e-6)
-    assert np.abs(driven).max() > 300.0
+    assert np.flatnonzero(driven).tolist() == [2]
     # A region tells the end of the interval where that is, and nothing of a load at the teeth, which moves them alone.
     asked: dict[str, Any] = {"gravity": True, "loop": loop, "points": 4, "boxes": 0}
     region = flexopt.stable_region(BUCKET, posture, ranges={"bucket.mass": (own, factor * own)}, **asked)

@@ -9,7 +9,9 @@ import pytest
 
 import flexopt
 from flexopt.loop.uncertain import UncertaintyBox, matters_most
+from flexopt.model.loop import Loop
 from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, faster, ranked
+from flexopt.study.verdicts.gain_search import tried_gains
 from flexopt.study.verdicts.verdict import first_places, fit_places, overlooked, shares_better, with_barred
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
@@ -209,12 +211,18 @@ def test_reasons_say_what_is_so() -> None:
         "grounds only"
     )
     near, changed = place("near", 0.1 * GROUNDS), place("stay", GROUNDS)
-    none = decide(partly, [near], place("stay", 0.1 * GROUNDS), tried="0.5 to 2 times these")
-    assert none.reason.endswith("; with 0.5 to 2 times these no place decays at least 10 % faster in the worst case")
+    others = tried_gains(Loop(kp=1e4, kv=1e3))
+    none = decide(partly, [near], place("stay", 0.1 * GROUNDS), tried=others)
+    assert none.reason.endswith(f"; no gains worth a change are found with {others}")
     refuted = decide(partly, [near], tried="others", refuted=changed, doubt="it is short", gains={"kp": [2.0]})
     assert refuted.reason.endswith(
         "; with others (kp 2) the present place decays at least 10 % faster in the worst case, but nonlinear runs do not "
         "confirm that: it is short"
+    )
+    shaky = decide(STAY, [], unconfirmed={"stay": "why"}, tried="others", refuted=changed, doubt="it is short")
+    assert shaky.reason == (
+        "nonlinear runs do not confirm the present place (why); with others the present place is stable on every ground, "
+        "but nonlinear runs do not confirm that: it is short"
     )
     doubted = decide(STAY, [place("near", GROUNDS)], unconfirmed={"stay": ""})
     assert doubted.reason == (

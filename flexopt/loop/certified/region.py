@@ -60,7 +60,7 @@ class Region(Result):
         drift_critical: where that is, as `critical`.
         unheld: torques, N m, and forces, N, by joint, with which a weight that the controller does not know drives a
             redundant arm's self-motion, where that is most (`unheld_at`): no feedback of the end-point holds them, and
-            the arm moves off. Empty where they are below 1 % of what the joints carry.
+            the arm moves off. 0 of a joint where it is below 1 % of what that carries, empty where it is of all.
         self_motion, radius_self_motion: share of its kinetic energy that the slowest motion has in the arm's
             self-motion, at `critical` and at `radius_critical`: of most a drift of the arm that is taken for the loop's
             as it moves the base; NaN where nothing acts on the self-motion, or there is none.

@@ -40,8 +40,9 @@ RULE = (
     "base's oscillation decays, and the end-point ends no farther from its target than it began, and at most half as "
     "far as it ever was. CHANGE GAINS: other gains that were "
     "tried do in a place what no move does with the present gains, or no place is stable on every ground and other "
-    "gains make one so; runs confirm it; they are tried where the loop has ranges for them, or one may neither stay "
-    "nor move with the present ones. STAY: the present place is stable on every ground, runs confirm it, and no "
+    "gains make one so; runs confirm it; they are tried where the loop has ranges for them, or where the present place "
+    "is not stable on every ground, or not confirmed, and there is none to move to. "
+    "STAY: the present place is stable on every ground, runs confirm it, and no "
     f"other is better on more than {100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else. A present place that "
     "breaks constraints that were asked for is none to stay at, and is not among the places, nor is one from which the "
     "arm does not reach a target within its limits; nor is one that breaks constraints at a corner of what is "
@@ -166,23 +167,27 @@ def decide(
         if stay.holds:
             reason = f"nonlinear runs do not confirm the present place{_because(unconfirmed[stay.name])}, and "
             reason += f"{first.name}, which they confirm, {BETTER} {where}"
-        no_gains = f"; with {tried} no place {BETTER} in the worst case" * bool(tried)
-        if refuted is not None and _spares(refuted, stay, None, sound):
-            no_gains = _not_confirmed(refuted, f"{BETTER} in the worst case", doubt, gains)
-        return Decision("cannot tell", first.name, reason + no_gains)
+        does = f"{BETTER} in the worst case" if refuted is not None and _spares(refuted, stay, None, sound) else ""
+        return Decision("cannot tell", first.name, reason + _no_gains(tried, refuted, does, doubt, gains))
     every = [*([] if stay is None else [stay]), *others]
     doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
     if doubted:
-        return Decision("cannot tell", doubted[0], f"nonlinear runs do not confirm {_doubted(doubted, unconfirmed)}")
+        reason = f"nonlinear runs do not confirm {_doubted(doubted, unconfirmed)}"
+        does = "is stable on every ground" if refuted is not None and refuted.holds else ""
+        return Decision("cannot tell", doubted[0], reason + _no_gains(tried, refuted, does, doubt, gains))
     with_others = f", nor with {tried}" if tried else ""
     if refuted is not None and refuted.holds:
-        with_others = _not_confirmed(refuted, "is", doubt, gains)
+        with_others = _no_gains(tried, refuted, "is", doubt, gains)
     reason = f"{found} is stable on every ground with the present gains{with_others}"
     return Decision("cannot tell", "", reason + (f"; it grows at {alternates}" if alternates else ""))
 
 
-def _not_confirmed(refuted: Place, does: str, doubt: str, gains: Mapping[str, Sequence[float]] | None) -> str:
-    """What a place does with other gains by the linear loop, and why runs do not confirm it."""
+def _no_gains(
+    tried: str, refuted: Place | None, does: str, doubt: str, gains: Mapping[str, Sequence[float]] | None
+) -> str:
+    """What a place does with other gains by the linear loop, and why runs do not confirm it; else that none help."""
+    if refuted is None or not does:
+        return f"; no gains worth a change are found with {tried}" * bool(tried)
     named = f" ({gains_in_words(gains)})" if gains else ""
     told = f": {doubt}" if doubt else ""
     return f"; with others{named} {spoken(refuted.name)} {does}, but nonlinear runs do not confirm that{told}"

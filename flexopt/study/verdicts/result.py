@@ -450,22 +450,22 @@ class Verdict(Pictured, Printed, Result):
     @property
     def drifts(self) -> str:
         """That nothing brakes the arm's self-motion, or too little, a sentence; empty where that is not so."""
-        if not self.settings.lets_drift:
-            slower = (each for each in self.places if each.drift > 0 or -each.drift < each.decay.least)
-            own = [place for place in slower if abs(place.drift) * STAYS > 1]
-            if not own:
-                return ""
+        slower = (each for each in self.places if each.drift > 0 or -each.drift < each.decay.least)
+        own, told = [place for place in slower if abs(place.drift) * STAYS > 1], ""
+        if own:
             first = max(own, key=lambda place: place.drift)
             how = "drifts away: it grows e-fold" if first.drift > 0 else "dies away more slowly: e-fold"
             where = f"in {spoken(first.name)} at {member_in_words(first.drift_at)}"
-            told = f"{how} in {1 / abs(first.drift):.3g} s at worst, {where}"
             of = "decay, settling and swing" if first.drift > 0 else "the decay"
-            brakes = "loop.nullspace_damping says how the controller brakes it"
-            return f"the arm's self-motion, which is no part of {of}, {told}; {brakes}"
+            how += f" in {1 / abs(first.drift):.3g} s at worst, {where}"
+            told = f"the arm's self-motion, which is no part of {of}, {how}"
+        if not self.settings.lets_drift:
+            return told and f"{told}; loop.nullspace_damping says how the controller brakes it"
         where = "in the linear loop"
         if any(place.runs for place in self.places):
             where = "neither in these runs nor in the linear loop"
-        return f"the controller does not brake the arm's self-motion, {where}; loop.nullspace_damping brakes it"
+        brakes = f"the controller does not brake the arm's self-motion, {where}; loop.nullspace_damping brakes it"
+        return "; ".join(filter(None, (brakes, told)))
 
     @property
     def assumed(self) -> list[str]:
