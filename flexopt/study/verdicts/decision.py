@@ -173,8 +173,10 @@ def decide(
     doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
     if doubted:
         reason = f"nonlinear runs do not confirm {_doubted(doubted, unconfirmed)}"
-        does = "is stable on every ground" if refuted is not None and refuted.holds else ""
-        return Decision("cannot tell", doubted[0], reason + _no_gains(tried, refuted, does, doubt, gains))
+        if refuted is not None and refuted.holds:
+            # Why not is mostly the same as without.
+            reason += f"; nor {spoken(refuted.name)} with others{_named(gains)}"
+        return Decision("cannot tell", doubted[0], reason)
     with_others = f", nor with {tried}" if tried else ""
     if refuted is not None and refuted.holds:
         with_others = _no_gains(tried, refuted, "is", doubt, gains)
@@ -188,9 +190,12 @@ def _no_gains(
     """What a place does with other gains by the linear loop, and why runs do not confirm it; else that none help."""
     if refuted is None or not does:
         return f"; no gains worth a change are found with {tried}" * bool(tried)
-    named = f" ({gains_in_words(gains)})" if gains else ""
     told = f": {doubt}" if doubt else ""
-    return f"; with others{named} {spoken(refuted.name)} {does}, but nonlinear runs do not confirm that{told}"
+    return f"; with others{_named(gains)} {spoken(refuted.name)} {does}, but nonlinear runs do not confirm that{told}"
+
+
+def _named(gains: Mapping[str, Sequence[float]] | None) -> str:
+    return f" ({gains_in_words(gains)})" if gains else ""
 
 
 def gains_in_words(gains: Mapping[str, Sequence[float]], units: Sequence[str] = ("", "", "")) -> str:
