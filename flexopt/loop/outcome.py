@@ -157,9 +157,9 @@ class LoopPoint:
 
         No feedback of the end-point holds it. 0 of joints at which it is below `FELT` of what they carry.
         """
-        _, unheld, carried = self._at_rest
-        found = np.zeros(len(unheld))
-        if self._excess and self.rests:
+        found = np.zeros(self.motions.plant.n_actuated)
+        if self._excess and self.motions.own_model and self.rests:
+            _, unheld, carried = self._at_rest
             felt = np.abs(unheld) > FELT * np.abs(carried)
             found[felt] = unheld[felt]
         return found

@@ -41,8 +41,6 @@ ACROSS, CLOSE = 5, 20
 BENT = 3.0
 # Members that a worst case is looked for at.
 MEMBERS = 64
-# Of members, how many are asked for their self-motion, one by one: those, and the slowest.
-DRIVEN = MEMBERS + 1
 # From corner to corner towards the worst of a measure.
 WALK = 5
 # Gains at which loops are looked at for one that grows, as far as this share of the least that is known to be allowed.
@@ -300,18 +298,17 @@ class UncertainLoop:
         members = self.box.members(MEMBERS)
         return self.slowest(members, self.decays(members))
 
-    def fastest_drift(self, members: Vector) -> ValueAt:
+    def fastest_drift(self, members: Vector, points: Sequence[LoopPoint]) -> ValueAt:
         """The largest growth rate of a redundant arm's self-motion found in the box, 1/s, and where.
 
-        Among the first `DRIVEN` members (n, k), and by a search with exact gradients from the one that drifts fastest.
-        NaN where nothing acts on it. Where it moves the base so much that it is taken for a motion of the loop, its
-        rate is the decay's.
+        Among members (n, k), whose loops `points` are, and by a search with exact gradients from the one that drifts
+        fastest. NaN where nothing acts on it. Where it moves the base so much that it is taken for a motion of the
+        loop, its rate is the decay's.
         """
         middle = np.full(len(self.box.uncertainty), 0.5)
         if not self.settings.redundant:
             return math.nan, middle
-        members = members[:DRIVEN]
-        rates = [max(self.outcome(u).loop.drift, default=-math.inf) for u in members]
+        rates = [max(point.loop.drift, default=-math.inf) for point in points]
         fastest = max(rates)
         if not math.isfinite(fastest):
             return math.nan, middle
@@ -325,41 +322,19 @@ class UncertainLoop:
         found, there = self._least(against, first)
         return max((fastest, first), (-found, there), key=lambda each: each[0])
 
-    def unheld(self, members: Vector) -> tuple[dict[str, float], dict[str, float]]:
-        """What drives a redundant arm's self-motion the most among the first `DRIVEN` members (n, k), and where.
-
-        As of `LoopPoint`, N m or N by joint, and factors and values by name; empty of none.
-        """
-        if not (self.gravity and self.settings.redundant):
-            return {}, {}
-        found = np.array([self.outcome(u).unheld for u in members[:DRIVEN]])
-        most = int(np.argmax(np.abs(found).max(axis=1)))
-        if not found[most].any():
-            return {}, {}
-        return dict(zip(self.box.machine.joints, found[most].tolist(), strict=True)), self.box.told(members[most])
-
     @cached_property
     def _target(self) -> Vector:
         return self.outcome().end_point
 
-    def off_target(self, u: Vector) -> float:
+    def off_target(self, point: LoopPoint) -> float:
         """How far beside its target feedback holds a member's end-point at rest, m; NaN where it holds it nowhere.
 
         Without weight, and up to what the search for rest leaves, 0.
         """
         if not self.gravity:
             return 0.0
-        point = self.outcome(u)
         off = float(np.linalg.norm(point.end_point - self._target)) if point.rests else math.nan
         return 0.0 if off <= ARRIVED else off
-
-    def farthest_off(self, members: Vector) -> tuple[float, dict[str, float]]:
-        """The largest `off_target` of these members (n, k), m, and where: factors and values by name; empty of none."""
-        found = np.array([self.off_target(u) for u in members])
-        if np.isnan(found).all():
-            return math.nan, {}
-        most = int(np.nanargmax(found))
-        return float(found[most]), self.box.told(members[most]) if found[most] else {}
 
     def slower(self, members: Vector) -> Vector:
         """Where a search with exact gradients leads from the slowest of these members (n, k): (k,)."""

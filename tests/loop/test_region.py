@@ -10,6 +10,7 @@ import pytest
 
 import flexopt
 from flexopt.foundation.arrays import Vector
+from flexopt.loop.beside_decay import BesideDecay
 from flexopt.loop.certified import characteristic_cells
 from flexopt.loop.certified.bernstein import bernstein
 from flexopt.loop.certified.certificate import DECAY, RegionProof, certified_radius, certify
@@ -382,8 +383,8 @@ def test_a_drift_over_the_ranges_is_told_with_where(posture: tuple[float, ...]) 
     assert f"self-motion drifts, e-fold in {1 / fastest:.3g} s, the worst found, at stiffness {where:g}" in repr(found)
     assert found.to_dict()["drift"] == found.drift
     # A search leads there from the middle, too.
-    drift, u = loop.fastest_drift(np.array([[0.5]]))
-    assert (drift, loop.box.theta(u)[0]) == (pytest.approx(fastest, rel=1e-6), pytest.approx(where))
+    beside = BesideDecay.of(loop, np.array([[0.5]]))
+    assert (beside.drift, beside.drift_at["stiffness"]) == (pytest.approx(fastest, rel=1e-6), pytest.approx(where))
 
 
 def test_without_a_drift_none_is_told() -> None:
@@ -416,5 +417,5 @@ def test_two_drifts_that_meet_are_drifts_still() -> None:
         assert -found.growth_rate == pytest.approx(-known[2].real, rel=1e-9)
         # Not one of a pair is left behind.
         assert sorted(found.multipliers.imag) == pytest.approx(sorted(-found.multipliers.imag))
-    drift, u = loop.fastest_drift(np.array([[0.0]]))
-    assert (drift, u.tolist()) == (pytest.approx(soft[0].real), [0.0])
+    beside = BesideDecay.of(loop, np.array([[0.0]]))
+    assert (beside.drift, beside.drift_at["stiffness"]) == (pytest.approx(soft[0].real), 0.5)

@@ -11,17 +11,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import cast
 
+import numpy as np
+
 from flexopt.errors import InputError, raise_if_any
 from flexopt.foundation.arrays import BaseLike, PostureLike, Progress, Vector
 from flexopt.foundation.boundary import public, whole
 from flexopt.foundation.control import Control
 from flexopt.foundation.results import Result
 from flexopt.foundation.stages import Stages
+from flexopt.loop.beside_decay import BesideDecay
 from flexopt.loop.certified.certificate import BOXES, DECAY, RegionProof, certified_radius, certify
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.spectrum import OWN, UNBRAKED, drifting_self_motion, driven_self_motion, slow_self_motion
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, member_in_words
+from flexopt.loop.uncertain import MEMBERS, UncertainLoop, UncertaintyBox, member_in_words
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
@@ -197,9 +200,7 @@ def stable_region(
     radius, first, own, more = _radius(whole_box, points)
     stages.reach(boxes)
     radius_guaranteed = _radius_guaranteed(whole_box, radius, boxes, stages)
-    members = whole_box.box.members(points)
-    drift, drifting = whole_box.fastest_drift(members)
-    unheld, unheld_at = whole_box.unheld(members)
+    beside = BesideDecay.of(whole_box, np.vstack([box.members(points)[:MEMBERS], at]))
     last = whole_box.outcome(at).loop
     stages.reach(stages.total)
     guaranteed = proof is not None and proof.share(None) == 0 and not growing
@@ -216,10 +217,10 @@ def stable_region(
         radius=radius,
         radius_guaranteed=radius_guaranteed,
         radius_critical=first,
-        drift=drift,
-        drift_critical={} if math.isnan(drift) else box.told(drifting),
-        unheld=unheld,
-        unheld_at=unheld_at,
+        drift=beside.drift,
+        drift_critical=beside.drift_at,
+        unheld=beside.unheld,
+        unheld_at=beside.unheld_at,
         self_motion=last.self_motion,
         radius_self_motion=own,
         settings=settings,

@@ -190,7 +190,7 @@ def _sags(loop: UncertainLoop, u: Vector, until: str) -> str:
 
 def tilts(loop: UncertainLoop, u: Vector, end: float) -> str:
     """That other springs alone draw the arm off by most of `end`, m, and what helps; else empty."""
-    return TILTS if loop.off_target(u) > end / 2 else ""
+    return TILTS if loop.off_target(loop.outcome(u)) > end / 2 else ""
 
 
 def _full_levers(loop: UncertainLoop, more: Vector) -> str:

@@ -17,8 +17,9 @@ import numpy as np
 
 from flexopt.errors import NoSolutionFound, UnreachableTarget
 from flexopt.foundation.arrays import Vector
+from flexopt.loop.beside_decay import BesideDecay
 from flexopt.loop.settings import LoopSettings
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, ValueAt
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.broken import broken, resting
@@ -97,23 +98,9 @@ class PlaceLoops:
         first = min(range(len(found)), key=lambda k: found[k][0])
         return Slowest(*found[first], first)
 
-    def fastest_drift(self, members: Vector) -> ValueAt:
-        """The largest growth rate of the arm's self-motion found in the box, of all targets, and where."""
-        found = [loop.fastest_drift(members) for loop in self.loops]
-        return max(found, key=lambda each: -math.inf if math.isnan(each[0]) else each[0])
-
-    def unheld(self, members: Vector) -> tuple[dict[str, float], dict[str, float]]:
-        """What drives the arm's self-motion the most in the box, at any target, by joint, and where."""
-        found = [loop.unheld(members) for loop in self.loops]
-        return max(found, key=lambda each: max(map(abs, each[0].values()), default=0.0))
-
-    def farthest_off(self, members: Vector) -> tuple[float, dict[str, float]]:
-        """The farthest from its target, m, that feedback holds the end-point of these members at any target, and where.
-
-        NaN where it holds none of them.
-        """
-        found = [loop.farthest_off(members) for loop in self.loops]
-        return max(found, key=lambda each: -math.inf if math.isnan(each[0]) else each[0])
+    def beside_decay(self, members: Vector) -> BesideDecay:
+        """What the members (n, k) do besides at the targets, the worst of them."""
+        return BesideDecay.worst([BesideDecay.of(loop, members) for loop in self.loops])
 
     def runs(self, members: Vector, decays: Vector, duration: float | None) -> Runs:
         """Nonlinear runs of the members (n, k), with decays (K, n), s; of each the worst target's."""

@@ -419,7 +419,7 @@ def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, t
 
 
 def _tries(asked: Loop, stay: Place | None, others: Sequence[Place], unconfirmed: Mapping[str, str]) -> bool:
-    """Whether other gains are looked for: where ranges are given, or one may neither stay nor move with these."""
+    """Whether other gains are looked for: ranges are given, or one may not stay with these and has nowhere to move."""
     may_stay = stay is not None and stay.holds and stay.name not in unconfirmed
     return bool(gain_ranges(asked)) or not (may_stay or decide(stay, others, None, unconfirmed).word == "move")
 
@@ -508,10 +508,7 @@ def _place(
     # Where ranges do not hold the file's own numbers, these are none of the worst.
     own = 0 if place.box.holds_nominal else 1
     held = [(each.base, each.posture) for each in stands]
-    ordered = np.vstack([slowest.member, points])
-    drift, drifting = place.fastest_drift(ordered)
-    unheld, unheld_at = place.unheld(ordered)
-    rests_off, rests_off_at = place.farthest_off(np.vstack([points[:MEMBERS], corners, slowest.member]))
+    singly = np.unique(np.vstack([points[:MEMBERS], corners, slowest.member]), axis=0)
 
     def band(measure: str, factor: float = 1.0) -> Band:
         sense, each, further = SENSES[measure], list[list[float]](), list[float]()
@@ -540,12 +537,7 @@ def _place(
         slowest_at=place.box.told(slowest.member),
         slowest_hz=looked[slowest.target][-1][0].loop.frequency_hz,
         slowest_target=slowest.target,
-        drift=drift,
-        drift_at={} if math.isnan(drift) else place.box.told(drifting),
-        unheld=unheld,
-        unheld_at=unheld_at,
-        rests_off=rests_off,
-        rests_off_at=rests_off_at,
+        **place.beside_decay(singly)._asdict(),
         better=better,
         allowed_gain=band(ALLOWED_GAIN),
         delay_margin=band(DELAY_MARGIN),
