@@ -6,6 +6,7 @@ In: a configuration problem for each target, the steps between them, a loop. Out
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -23,17 +24,31 @@ from flexopt.selection.outcomes.shared import SharedProgram, ShortestWay
 from flexopt.selection.outcomes.starting import values_at
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.several.by_loop import ByLoop, climbs_from, places_by_loop, shared_program
-from flexopt.selection.several.postures import Reached
+from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.results import BasePlan, FixedPlacement
-from flexopt.selection.several.standing import standing_along
-from flexopt.selection.several.ways import Layer, coarse_ways, no_way, nodes_of, on_lines, travelled
+from flexopt.selection.several.standing import spread, standing_along
+from flexopt.selection.several.ways import (
+    Layer,
+    coarse_ways,
+    distinct,
+    no_way,
+    nodes_of,
+    on_lines,
+    travelled,
+    ways_of_lengths,
+)
 from flexopt.selection.starts import kept_by_none
 
 # Gains with which coarse ways are looked for, where they are chosen; ways for each.
 GAINS, WAYS = 6, 3
+# Placements to stand still in, none near a better one, that ways start from, for each of these gains; and with how many
+# times the usual postures they are looked at again.
+STANDS, FINER = 6, 6
 # Configurations of a target that these are made of: as many times the points that a measure looks at, together, but not
 # fewer for a target than so many.
 NODES, FEWEST = 4, 60
+# Postures of a placement that are looked at where the base stands still, at least.
+POSTURES = 4
 # Of the best value, what the shortest way may give up.
 SLACK = 1e-4
 
@@ -92,7 +107,7 @@ def outcome_plan(
         raise _kept_nowhere(problems, layers)
     program = shared_program(asked, problems, along.coupling, along.steps, layers[0][0][:, 0], begin)
     still = _standing(program, along, common, found, workers)
-    looked = _looked(program, along, [_thinned(layer, _most(program)) for layer in layers], workers)
+    looked = _looked(program, along, [_thinned(layer, _most(program)) for layer in layers], coarse_ways, workers)
     looked += [] if still is None else [program.joined([own for _, own in still[0].parts(still[1].y)])]
     if not looked:
         raise no_way()
@@ -151,11 +166,19 @@ def _standing(
     """
     coupling, joints, steps = standing_along(along)
     still = replace(program, coupling=coupling, steps=joints)
+    along = replace(along, steps=steps)
+
+    def looked_at(reached: list[Reached]) -> list[Vector]:
+        most = max(POSTURES, _most(program) // max(1, len(reached[0].value)))
+        return _looked(program, along, [_held_at(each, most) for each in reached], _ways_of_placements, workers)
+
     some = np.linspace(0, common.shape[1] - 1, min(_most(program), common.shape[1]), dtype=int)
-    layers = [_allowed(first.z[:, some], first.value[some]) for first, *_ in found]
-    looked = _looked(program, replace(along, steps=steps), layers, workers)
+    looked = looked_at([each.of(some.tolist()) for each, *_ in found])
     if not looked:
         return None
+    # A redundant arm's best posture may be narrower than the spacing of a few.
+    best = np.unique([along.of(y[: program.n_z] * along.scale, 0)[: common.shape[0]] for y in looked], axis=0).T
+    looked += looked_at([reached_from(problem, best, problem.seed, FINER) for problem in along.problems])
     ys = [still.joined([own for _, own in program.parts(y)]) for y in looked]
     try:
         found_there = climbs_from(still, ys, workers)
@@ -170,10 +193,14 @@ def _fixed(program: SharedProgram, end: Climbed) -> FixedPlacement:
     return FixedPlacement.of(len(program.problem.machine.base_coordinates), zs, values)
 
 
-def _allowed(z: Vector, value: Vector) -> Layer:
-    """Those of configurations (n_z, N, C) that are allowed."""
-    good = np.isfinite(value).ravel()
-    return z.reshape(len(z), -1)[:, good], value.ravel()[good]
+def _held_at(reached: Reached, most: int) -> Layer:
+    """Of each placement so many of the postures that are allowed, at even numbers, of the next one others."""
+    kept = np.zeros(reached.value.shape, dtype=bool)
+    for j, allowed in enumerate(np.isfinite(reached.value)):
+        postures = np.flatnonzero(allowed)
+        count = min(most, postures.size)
+        kept[j, postures[(j + np.arange(count) * postures.size // max(1, count)) % max(1, postures.size)]] = True
+    return reached.z[:, kept], reached.value[kept]
 
 
 def _gains(program: SharedProgram) -> Vector:
@@ -194,7 +221,29 @@ def _thinned(layer: Layer, most: int) -> Layer:
     return layer[0][:, some], layer[1][some]
 
 
-def _looked(program: SharedProgram, along: Program, layers: list[Layer], workers: int) -> list[Vector]:
+def _ways_of_placements(along: Program, layers: list[Layer], count: int) -> list[Vector]:
+    """Coarse ways on which the base stands still: the best of several lengths, so many, and of other placements."""
+    n_b = along.first.measures.plant.n_base
+    bases = np.unique(layers[0][0][:n_b], axis=1)
+    of_placements = list[list[tuple[float, Vector]]]()
+    for base in bases.T:
+        there = [(z[:n_b] == base[:, None]).all(axis=0) for z, _ in layers]
+        own = [(z[:, at], values[at]) for (z, values), at in zip(layers, there, strict=True)]
+        of_placements.append(ways_of_lengths(along, own))
+    ranked = list[list[Vector]]()
+    for ways in zip(*of_placements, strict=True):
+        chosen = spread(bases, np.array([worth for worth, _ in ways]), STANDS)
+        ranked += [[ways[j][1] for j in chosen]] if chosen else []
+    return [*distinct([ways[0] for ways in ranked])[:count], *(ranked[0][1:] if ranked else [])]
+
+
+def _looked(
+    program: SharedProgram,
+    along: Program,
+    layers: list[Layer],
+    ways: Callable[[Program, list[Layer], int], list[Vector]],
+    workers: int,
+) -> list[Vector]:
     """Coarse ways y through configurations of every target; none where a target has none."""
     found = list[Vector]()
     if not all(values.size for _, values in layers):
@@ -205,7 +254,7 @@ def _looked(program: SharedProgram, along: Program, layers: list[Layer], workers
             ys = [np.append(own / target.problem.scale, gains) for own in z.T]
             values = np.array(values_at(target, ys, workers))
             valued.append((z[:, np.isfinite(values)], values[np.isfinite(values)]))
-        found += [np.append(x / along.scale, gains) for x in coarse_ways(along, valued, WAYS)]
+        found += [np.append(x / along.scale, gains) for x in ways(along, valued, WAYS)]
     return found
 
 

@@ -161,18 +161,38 @@ def kept_somewhere(
     return zs[0][: bases.shape[0], :, 0], [Reached(z, kept, kept) for z in zs]
 
 
+def spread(bases: Vector, worth: Vector, count: int) -> list[int]:
+    """Numbers of up to `count` placements, the best first, none near a better one.
+
+    How near is near: half of what `count` points on a grid would be apart, less where not as many are found so.
+    """
+    order = [int(k) for k in np.argsort(-worth, kind="stable") if np.isfinite(worth[k])]
+    widths = np.ptp(bases[:, order], axis=1) if order and bases.size else np.zeros(0)
+    x = bases[widths > 0] / widths[widths > 0, None] if widths.size else np.zeros((0, bases.shape[1]))
+    if not x.shape[0]:
+        return order[:1]
+    radius = 0.5 * count ** (-1 / x.shape[0])
+    taken: list[int] = []
+    while len(taken) < min(count, len(order)) and radius > NEAREST:
+        for k in order:
+            if len(taken) < count and all(np.abs(x[:, k] - x[:, j]).max() > radius for j in taken):
+                taken.append(k)
+        radius /= 2
+    return sorted(taken, key=order.index)
+
+
 def _starts(program: Program, bases: Vector, found: list[Reached], count: int, seed: int) -> list[Vector]:
     """Up to `count` starts x, the most promising first, no two near each other."""
     reaches = np.array([np.isfinite(reached.violation).any(axis=1) for reached in found])
     if not reaches.all(axis=0).any():
         best = int(reaches.sum(axis=0).argmax()) if reaches.size else 0
         raise none_reaches_all(len(found), np.flatnonzero(~reaches[:, best]).tolist() if reaches.size else None)
-    near = _spread(bases, _worth(program, found), AGAIN * count)
+    near = spread(bases, _worth(program, found), AGAIN * count)
     bases = bases[:, near]
     again = [reached_from(problem, bases, seed, FINER) for problem in program.problems]
     both = [joined(reached.of(near), more) for reached, more in zip(found, again, strict=True)]
     picks = [_picks(reached) for reached in both]
-    chosen = _spread(bases, _worth(program, both), count)
+    chosen = spread(bases, _worth(program, both), count)
     return [program.packed([r.z[:, j, pick[j]] for r, pick in zip(both, picks, strict=True)]) for j in chosen]
 
 
@@ -225,26 +245,6 @@ def _worth(program: Program, found: list[Reached]) -> Vector:
         return np.where(whole, worth, -np.inf)
     off = np.array([reached.violation.min(axis=1) for reached in found])
     return np.where(np.isfinite(off).all(axis=0), -off.max(axis=0), -np.inf)
-
-
-def _spread(bases: Vector, worth: Vector, count: int) -> list[int]:
-    """Numbers of up to `count` placements, the best first, none near a better one.
-
-    How near is near: half of what `count` points on a grid would be apart, less where not as many are found so.
-    """
-    order = [int(k) for k in np.argsort(-worth, kind="stable") if np.isfinite(worth[k])]
-    widths = np.ptp(bases[:, order], axis=1) if order and bases.size else np.zeros(0)
-    x = bases[widths > 0] / widths[widths > 0, None] if widths.size else np.zeros((0, bases.shape[1]))
-    if not x.shape[0]:
-        return order[:1]
-    radius = 0.5 * count ** (-1 / x.shape[0])
-    taken: list[int] = []
-    while len(taken) < min(count, len(order)) and radius > NEAREST:
-        for k in order:
-            if len(taken) < count and all(np.abs(x[:, k] - x[:, j]).max() > radius for j in taken):
-                taken.append(k)
-        radius /= 2
-    return sorted(taken, key=order.index)
 
 
 def _exchanged(program: Program, x: Vector, seed: int) -> Vector | None:

@@ -45,19 +45,27 @@ def nodes_of(found: list[Reached]) -> Layer:
 
 def coarse_ways(program: Program, layers: list[Layer], count: int) -> list[Vector]:
     """Up to `count` ways x, for several lengths of the longest step; none where a layer is empty."""
-    if any(values.size == 0 for _, values in layers):
-        return []
+    return distinct([way for worth, way in ways_of_lengths(program, layers) if np.isfinite(worth)])[:count]
+
+
+def ways_of_lengths(program: Program, layers: list[Layer]) -> list[tuple[float, Vector]]:
+    """For each length of the longest step the worst V of the best way and it, x; −∞ where there is none."""
     first = program.first
     n_z = first.scale.size
+    nothing = -np.inf, np.zeros(0)
+    if any(values.size == 0 for _, values in layers):
+        return [nothing] * len(LONGER)
     limits = np.full((len(layers) - 1, n_z), np.inf)
     for (i, _), limit in zip(program.coupling.pairs, program.steps, strict=True):
         limits[i // n_z, i % n_z] = limit
-    ways: list[Vector] = []
-    for longer in LONGER:
-        way = _best_way([(z / first.scale[:, None], value) for z, value in layers], limits * longer, first.turning)
-        if way is not None and not any(np.array_equal(way, other) for other in ways):
-            ways.append(way)
-    return [way * program.scale for way in ways[:count]]
+    scaled = [(z / first.scale[:, None], values) for z, values in layers]
+    ways = [_best_way(scaled, limits * longer, first.turning) or nothing for longer in LONGER]
+    return [(worth, way * program.scale if way.size else way) for worth, way in ways]
+
+
+def distinct(ways: list[Vector]) -> list[Vector]:
+    """Each of the ways once."""
+    return [way for k, way in enumerate(ways) if not any(np.array_equal(way, other) for other in ways[:k])]
 
 
 def no_way() -> NoSolutionFound:
@@ -66,8 +74,8 @@ def no_way() -> NoSolutionFound:
     return NoSolutionFound(f"no way was found to start from: {sentence}", violations={}, iterate={})
 
 
-def _best_way(layers: list[Layer], limits: Vector, turns: NDArray[np.bool_]) -> Vector | None:
-    """The shortest of the ways with the highest worst V, or None where steps cannot join the layers."""
+def _best_way(layers: list[Layer], limits: Vector, turns: NDArray[np.bool_]) -> tuple[float, Vector] | None:
+    """The highest worst V and the shortest of the ways with it, or None where steps cannot join the layers."""
     steps = [
         _lengths(before[0], after[0], limit, turns)
         for (before, after), limit in zip(pairwise(layers), limits, strict=True)
@@ -93,7 +101,7 @@ def _best_way(layers: list[Layer], limits: Vector, turns: NDArray[np.bool_]) -> 
     for k in range(1, len(points)):
         step = points[k] - points[k - 1]
         points[k] = points[k - 1] + np.where(turns, _shortest_turn(step), step)
-    return np.concatenate(points)
+    return floor, np.concatenate(points)
 
 
 def _lengths(before: Vector, after: Vector, limit: Vector, turns: NDArray[np.bool_]) -> Vector:
