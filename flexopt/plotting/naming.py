@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any, cast
 
 import numpy as np
@@ -20,6 +19,7 @@ from matplotlib.patches import Patch
 from matplotlib.path import Path
 from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox, BboxBase
+from numpy.typing import NDArray
 
 from flexopt.foundation.palette import colors
 from flexopt.plotting.shape import Points
@@ -107,6 +107,7 @@ class Names(Artist):
         marks = axes.transData.transform(self._crosses.T)
         others += [Bbox([mark - CROSS * point, mark + CROSS * point]) for mark in marks]
         paths = [patch.get_transform().transform_path(patch.get_path()) for patch in self._machine]
+        extents = [path.get_extents() for path in paths]
         anchors, centers, boxes = list[Points](), list[Points](), list[Bbox]()
         for named, given in zip(self._names, self._given, strict=True):
             # An annotation beyond the axes would have no size.
@@ -125,7 +126,7 @@ class Names(Artist):
             places = places[:, inside] if inside.any() else places
             if not places.shape[1]:
                 places = np.repeat(cast(Points, start).T[None], 2, axis=0)
-            k = _free(places[1], half + CLEAR * point, paths, others, boxes)
+            k = _free(places[1], half + CLEAR * point, paths, extents, others, boxes)
             anchors.append(places[0, k])
             centers.append(places[1, k])
             boxes.append(Bbox([places[1, k] - half, places[1, k] + half]))
@@ -185,23 +186,48 @@ def _along(shown: Points, border: Points, start: Points, away: float) -> Points:
 
 
 def _free(
-    centers: Points, half: Points, machine: Sequence[Path], others: Sequence[BboxBase], names: Sequence[BboxBase]
+    centers: Points,
+    half: Points,
+    machine: Sequence[Path],
+    extents: Sequence[BboxBase],
+    others: Sequence[BboxBase],
+    names: Sequence[BboxBase],
 ) -> int:
     """The first of places (n, 2) with a clear view; where there is none, that which least is drawn on.
 
     The very first need be clear of the machine and the others alone: names that meet there part.
+
+    `extents`: of the machine's outlines.
     """
-    extents = [path.get_extents() for path in machine]
-    best, fewest = 0, np.inf
-    for k, center in enumerate(centers):
-        box = Bbox([center - half, center + half])
-        met = sum(near.overlaps(box) and path.intersects_bbox(box) for near, path in zip(extents, machine, strict=True))
-        met += sum(bool(box.overlaps(other)) for other in (*others, *(names if k else ())))
-        if met < fewest:
-            best, fewest = k, met
-        if not met:
+    low, high = centers - half, centers + half
+    near = _meeting(low, high, extents)
+    among = _meeting(low, high, names)
+    among[0] = False
+    met = _meeting(low, high, others).sum(axis=1) + among.sum(axis=1)
+    # Outlines of the machine are slow to ask: only those near to a place that may yet be the best.
+    most = met + near.sum(axis=1)
+    best = int(most.argmin())
+    fewest = int(most[best])
+    for k in np.argsort(met, kind="stable").tolist():
+        count = int(met[k])
+        if (count, k) >= (fewest, best):
             break
+        box = Bbox([low[k], high[k]])
+        for i in np.flatnonzero(near[k]).tolist():
+            count += machine[i].intersects_bbox(box)
+            if count > fewest:
+                break
+        fewest, best = min((fewest, best), (count, k))
     return best
+
+
+def _meeting(low: Points, high: Points, boxes: Sequence[BboxBase]) -> NDArray[np.bool_]:
+    """Which of rectangles with these corners (n, 2) overlap which of boxes, (n, boxes)."""
+    found = np.ones((len(low), len(boxes)), dtype=bool)
+    least, most = (np.reshape([getattr(box, end) for box in boxes], (-1, 2)) for end in ("min", "max"))
+    for i in range(2):
+        found &= (low[:, i, None] <= most[:, i]) & (least[:, i] <= high[:, i, None])
+    return found
 
 
 def _moves(boxes: Sequence[BboxBase], named: Points, still: Sequence[BboxBase], frame: BboxBase) -> Points:
@@ -224,15 +250,19 @@ def _moves(boxes: Sequence[BboxBase], named: Points, still: Sequence[BboxBase], 
     inside = (np.abs(own[:count] - middle) <= room).all(axis=1)
     for _ in range(ROUNDS):
         met = False
-        for i, j in combinations(range(len(every)), 2):
-            over = half[i] + half[j] - np.abs(center[i] - center[j])
-            if i >= count or over.min() <= 0:
-                continue
-            met, k = True, int(over[0] < over[1]) ^ 1
-            sign = 1.0 if (order if j < count else own)[i, k] >= order[j, k] else -1.0
-            away = (half[i, k] + half[j, k] - sign * (center[i, k] - center[j, k]) + SLACK) * sign
-            center[i, k] += away if j >= count else away / 2
-            center[j, k] -= 0.0 if j >= count else away / 2
+        for i in range(count):
+            j = i + 1
+            while len(over := half[i] + half[j:] - np.abs(center[i] - center[j:])):
+                hits = np.flatnonzero((over > 0).all(axis=1))
+                if not hits.size:
+                    break
+                j += int(hits[0])
+                met, k = True, int(over[hits[0], 0] < over[hits[0], 1]) ^ 1
+                sign = 1.0 if (order if j < count else own)[i, k] >= order[j, k] else -1.0
+                away = (half[i, k] + half[j, k] - sign * (center[i, k] - center[j, k]) + SLACK) * sign
+                center[i, k] += away if j >= count else away / 2
+                center[j, k] -= 0.0 if j >= count else away / 2
+                j += 1
         kept = np.clip(center[:count], middle - room, middle + room)
         center[:count][inside] = kept[inside]
         if not met:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch, Polygon
+from matplotlib.path import Path
 from matplotlib.transforms import Affine2D
 from PIL import Image
 from shapely import LineString, MultiPoint, Point, box
@@ -340,6 +341,21 @@ def test_names_of_obstacles_close_together_lie_on_no_other(selection):
         drawn = {text.get_text(): text.xyann for axes in panels for text in axes.texts}
         assert faults(figure) == []
         assert drawn == {text.get_text(): text.xyann for axes in panels for text in axes.texts}
+
+
+def test_in_a_crowd_the_machines_outlines_are_asked_only_for_places_that_may_be_the_best(selection, monkeypatch):
+    """Each name has some 2 000 places, in each of two views, and is drawn twice."""
+    shape, asked_of, count = shape_of(selection.problem.machine, selection.best.evaluation), Path.intersects_bbox, 20
+    calls = list[int]()
+    monkeypatch.setattr(Path, "intersects_bbox", lambda *given: calls.append(1) or asked_of(*given))
+    around = np.random.default_rng(0).uniform(-7.0, 7.0, (count, 2)).tolist()
+    asked = read_constraints({"clearance": {"distance": 0.1, "obstacles": [
+        {"kind": "sphere", "name": f"tree number {k}", "center": [*at, 1.0], "radius": 1.0} for k, at in enumerate(around)
+    ]}})  # fmt: skip
+    figure = Figure(figsize=(6.0, 7.8), layout="constrained")
+    draw_views(figure.subplots(2), [Actor(shape, "C0")], np.array([4.0, 0.5, 2.0]), asked, name="target")
+    figure.savefig(io.BytesIO())
+    assert 0 < len(calls) < 100 * count
 
 
 @pytest.mark.parametrize("size", ["screen", "paper"])
