@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any, cast
 
@@ -16,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.algebra.feasible import feasible_steps, repeated, shortest_steps
-from flexopt.errors import NoSolutionFound
+from flexopt.errors import NoSolutionFound, UnreachableTarget
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, TargetLike, Vector
 from flexopt.foundation.boundary import public
@@ -94,6 +95,11 @@ def inverse_kinematics(
         settled = [_under_gravity(plant, point, placement, posture) for posture in reached]
         reached = list(_into_limits(machine, np.array(settled).T).T)
     found = [posture for posture in reached if inside_limits(machine, posture[:, None])[0]]
+    if not found and reached and free:
+        # Narrow limits may lie between the points of the sample: Newton steps lead into them.
+        with suppress(UnreachableTarget):
+            moved = _by_iteration(plant, point, placement, gravity, seed)
+            found = [posture for posture in moved if elbow is None or np.sin(posture[-1]) * ELBOW_SIGN[elbow] > 0]
     if not found:
         bent = "" if elbow is None else f" with the elbow {elbow}"
         why = f"every posture{bent} that reaches it breaks a joint limit" if reached else ""

@@ -114,6 +114,11 @@ def sample_configurations(problem: SelectionProblem, starts: int, areas: Constra
         return z, unit
 
     z, unit = sampled(size)
+    if problem.present_base is not None and problem.present_posture is not None:
+        # Where few postures reach the target the present one may be near one that does.
+        now = np.concatenate([problem.present_base, problem.present_posture]).clip(problem.lower, problem.upper)
+        size, z = size + 1, np.column_stack([z, now])
+        unit = np.column_stack([unit, ((now - region.low)[loose] / (region.high - region.low)[loose])])
     z, off = onto_target(problem, z)
     there = z[:n_b, off <= FEASIBLE]
     places = places_left_out(plant, areas, region.low[:n_b], region.high[:n_b], there, problem.seed)
