@@ -21,7 +21,8 @@ class BesideDecay(NamedTuple):
     Attributes:
         drift: the largest growth rate of a redundant arm's self-motion, 1/s; see `UncertainLoop.fastest_drift`.
         unheld: what drives the self-motion the most, as of `LoopPoint`, by joint, N m or N.
-        rests_off: how far beside its target feedback holds the end-point at rest, m; NaN where it holds it nowhere.
+        rests_off: how far beside its target feedback holds the end-point at rest, m, of members that come to rest; NaN
+            where none does.
     """
 
     drift: float
@@ -41,7 +42,9 @@ class BesideDecay(NamedTuple):
         unheld = np.array([point.unheld for point in points])
         driven = int(np.argmax(np.abs(unheld).max(axis=1)))
         by_joint = dict(zip(loop.box.machine.joints, unheld[driven].tolist(), strict=True))
-        off = np.array([loop.off_target(point) for point in points])
+        # Of what grows there is a rest that it does not come to.
+        grows = [point.loop.growth_rate > point.loop.rounding for point in points]
+        off = np.where(grows, math.nan, [loop.off_target(point) for point in points])
         far = int(np.argmax(np.nan_to_num(off, nan=-1.0)))
         told = loop.box.told
         return cls(

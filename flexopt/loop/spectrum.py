@@ -40,6 +40,8 @@ CAUSES = {
 }
 # Steps of inverse iteration: next to an eigenvalue one or two do.
 ITERATIONS = 3
+# What of the unknown draws an arm off, and drives its self-motion.
+OTHER_WEIGHT = "another weight than the controller carries, or other springs under it,"
 # Of a loop that lets a redundant arm drift.
 UNBRAKED = "the loop does not brake the arm's self-motion, no part of the decay; loop.nullspace_damping does"
 
@@ -103,8 +105,8 @@ def driven_self_motion(unheld: Mapping[str, float], units: Sequence[str], where:
         return []
     name, unit = max(zip(unheld, units, strict=True), key=lambda joint: abs(unheld[joint[0]]))
     force = f"{abs(unheld[name]):.3g} {'N m' if unit == 'rad' else 'N'} of {name}"
-    weight = "weight that the controller does not know drives the arm's self-motion"
-    return [f"{weight}, by up to {force}, {where}: it moves off there, for feedback of the end-point does not hold it"]
+    driven = f"{OTHER_WEIGHT} drives the arm's self-motion"
+    return [f"{driven}, by up to {force}, {where}: it moves off there, for feedback of the end-point does not hold it"]
 
 
 def poles_of(multipliers: ArrayLike, period: float) -> ComplexArray:

@@ -101,7 +101,7 @@ def within_limits(problem: SelectionProblem, reached: Reached) -> Reached:
 
     Postures beyond are moved into the limits, and on the target, too: of a redundant arm a sample may have none inside.
     """
-    bare = _without_constraints(problem)
+    bare = without_constraints(problem)
     beyond = np.isfinite(reached.violation) & (_outside(bare, reached.z) > EDGE)
     z, reaches = reached.z.copy(), np.zeros(beyond.shape, dtype=bool)
     z[:, beyond], left = _moved_inside(bare, reached.z[:, beyond])
@@ -111,7 +111,7 @@ def within_limits(problem: SelectionProblem, reached: Reached) -> Reached:
     return Reached(every.z, np.where(inside, every.value, -np.inf), np.where(inside, every.violation, np.inf))
 
 
-def _without_constraints(problem: SelectionProblem) -> SelectionProblem:
+def without_constraints(problem: SelectionProblem) -> SelectionProblem:
     """The problem of reaching the target within the machine's limits alone."""
     n_b, n_task, kept = problem.measures.plant.n_base, problem.target.size, problem.asked.joint_margin
     joints = [replace(each, lower=each.lower - kept, upper=each.upper + kept) for each in problem.variables[n_b:]]

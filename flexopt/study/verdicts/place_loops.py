@@ -27,12 +27,13 @@ from flexopt.selection.continua import unwound, way_to
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
 from flexopt.selection.outcomes.result import ChosenByLoop, OutcomeSelection
+from flexopt.selection.places import FEASIBLE
 from flexopt.selection.problem import value_at
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import held_by_loop
-from flexopt.selection.several.postures import Reached, reached_from, within_limits
-from flexopt.selection.starts import apart
+from flexopt.selection.several.postures import Reached, reached_from, within_limits, without_constraints
+from flexopt.selection.starts import apart, violated
 from flexopt.study.verdicts.confirmation import Runs, long_enough, nonlinear_runs, of_all
 from flexopt.study.verdicts.decision import LEAST_TOLD, UNREACHED
 from flexopt.study.verdicts.places import STAY
@@ -212,8 +213,8 @@ def held_now(problem: SelectionProblem, now: Evaluation) -> Evaluation:
 def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bool = True) -> Configurations | None:
     """How the arm is held at each target from one placement (n_b,); None where one is not reached within the limits.
 
-    The allowed posture with the greatest objective, or where none is allowed, and `allowed` is False, that which breaks
-    the constraints the least.
+    The allowed posture with the greatest objective, or where none is allowed, and `allowed` is False, that with the
+    greatest of those which break the constraints the least.
     """
     found = list[Vector]()
     for still in [_standing_at(problem, base) for problem in problems]:
@@ -223,7 +224,7 @@ def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bo
             best = np.argsort(-worth, kind="stable")[: int(np.isfinite(worth).sum())]
             found.append(_best_held(still, reached.z[:, 0, best]))
         elif not allowed and np.isfinite(off).any():
-            found.append(reached.z[:, 0, int(off.argmin())])
+            found.append(_least_broken(still, reached.z[:, 0], off))
         else:
             return None
     return _evaluated(problems, [unwound(problem, z) for problem, z in zip(problems, found, strict=True)])
@@ -234,6 +235,15 @@ def _reached(still: SelectionProblem) -> Reached:
     base = still.lower[: still.measures.plant.n_base]
     reached = reached_from(still, base[:, None], still.seed, FINER)
     return reached if np.isfinite(reached.value).any() else within_limits(still, reached)
+
+
+def _least_broken(still: SelectionProblem, z: Vector, off: Vector) -> Vector:
+    """The best of postures z (n_z, N) that break the constraints the least, by `off` (N,), and of climbs from there."""
+    bare, alike = without_constraints(still), np.flatnonzero(off <= off.min() + FEASIBLE)
+    values = [value_at(bare, z[:, k]) for k in alike]
+    best = z[:, alike[np.argsort(-np.nan_to_num(values, nan=-np.inf), kind="stable")]]
+    climbed = _best_held(bare, best)
+    return climbed if violated(still, climbed[:, None])[0] <= off.min() + FEASIBLE else best[:, 0]
 
 
 def _best_held(still: SelectionProblem, z: Vector) -> Vector:

@@ -43,8 +43,8 @@ class PlaceVerdict(Result):
         unheld: torques, N m, and forces, N, by joint, with which a weight that the controller does not know drives a
             redundant arm's self-motion, where that is most (`unheld_at`); see `flexopt.Region`.
         rests_off: how far from its target the end-point comes to rest at most, m, among the members and corners: where
-            another weight, or other springs under it, draw an arm whose feedback has no integral part; NaN where
-            feedback is not found to hold it on any of them.
+            another weight, or other springs under it, draw an arm whose feedback has no integral part; of those on
+            which it does not grow, NaN where it grows, or falls, on all.
         rests_off_at: the member where that is: factors and values by name; empty where it comes to its target.
         better: share of the members on which it decays a tenth faster than in the present place.
         allowed_gain, delay_margin: as of `evaluate`; the least over the members, across the box through the worst of

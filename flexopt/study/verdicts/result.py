@@ -19,7 +19,7 @@ from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import unseen_told
 from flexopt.loop.outcome import FALLS_AT
 from flexopt.loop.settings import LoopSettings, in_calls
-from flexopt.loop.spectrum import driven_self_motion
+from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion
 from flexopt.loop.standard_move import SETTLED
 from flexopt.loop.uncertain import member_in_words
 from flexopt.model import AnyMachine
@@ -341,7 +341,9 @@ class Verdict(Pictured, Printed, Result):
         if many:
             # No one posture is how the arm is held.
             why = "the one that was given is not used" if given else "how the arm is held was not given"
-            return f"the postures that are best by {self.selection.objective} at each target: {why}"
+            which = "break the least at each target and are best of these" if self.present_breaks else "are best"
+            at = "" if self.present_breaks else " at each target"
+            return f"the postures that {which} by {self.selection.objective}{at}: {why}"
         if given:
             return ""
         now = getattr(self.selection, "initial", None)
@@ -433,8 +435,8 @@ class Verdict(Pictured, Printed, Result):
             return ""
         off.sort(key=lambda place: -place.rests_off)
         each = ", ".join(f"{place.rests_off:.3g} m ({spoken(place.name)})" for place in off)
-        drawn = "another weight than the controller carries, or other springs under it, hold the end-point off"
-        told = f"{drawn} its target at rest, by up to {each}, the most at {member_in_words(off[0].rests_off_at)}"
+        drawn = f"{OTHER_WEIGHT} holds the end-point off its target at rest"
+        told = f"{drawn}, by up to {each}, the most at {member_in_words(off[0].rests_off_at)}"
         known = any(INTEGRAL in said for said in (self.reason, *self.doubts.values()))
         return f"{told}; the settling time is that of the way to there{'' if known else f', and {INTEGRAL}'}"
 

@@ -19,7 +19,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Progress, TargetLike, Vector
 from flexopt.foundation.boundary import Keywords, number, public, whole
 from flexopt.foundation.documents import provenance
-from flexopt.foundation.plain import shown
+from flexopt.foundation.plain import listed, shown
 from flexopt.foundation.stages import Stages
 from flexopt.loop.evaluation import swing_unit
 from flexopt.loop.lag import lagged_modes
@@ -196,7 +196,7 @@ def verdict(
     first_runs = partial(_first_runs, loops, each, points[:runs], duration)
     shown = _each(told if runs else [], first_runs, stages.within)
     stages.next()
-    absent = _breaking(chosen, now_breaks or within[STAY]) if STAY in stands else unreached(chosen)
+    absent = _breaking(chosen, now_breaks, within[STAY]) if STAY in stands else unreached(chosen)
     known = {
         name: Place(name, decays[name], slowest[name].decay, drives[name][0],
                     besides_driving(solved, drives[name][1], stands[name]), drives[name][1])
@@ -229,7 +229,7 @@ def verdict(
         place=decision.place,
         reason=decision.reason,
         passed_over=decision.passed_over,
-        measure=_measure(decision, box, points, known, stay) if decision.word == "cannot tell" and known else "",
+        measure=_measure(decision, box, points, known, stay, bands) if decision.word == "cannot tell" and known else "",
         gains=confirmed.gains if confirmed and decision.word == "change gains" else {},
         with_gains=_with_gains(confirmed, stands, points, drives, chosen, within)
         if confirmed and decision.word == "change gains"
@@ -307,13 +307,15 @@ def _each(names: Collection[str], work: Callable[[str], T], tell: Progress) -> d
     return made
 
 
-def _breaking(chosen: Chosen, breaks: str) -> str:
-    """That the present place breaks constraints, and in which posture where none was given."""
+def _breaking(chosen: Chosen, now_breaks: str, within: str) -> str:
+    """That the present place breaks constraints, now or on some ground, and in which posture where none was given."""
     problem, *others = problems_of(chosen)
     if others:
-        return f"the present place, held as is best by {chosen.objective} at each target, {breaks}"
-    held = "" if problem.present_posture is not None else ", in one of the postures that reach the target,"
-    return f"the present place{held} {breaks}"
+        how = "as breaks the least and is best of these" if now_breaks else "as is best"
+        held = f", held {how} by {chosen.objective} at each target,"
+    else:
+        held = "" if problem.present_posture is not None else ", in one of the postures that reach the target,"
+    return f"the present place{held} {now_breaks or within}"
 
 
 def _with_present(
@@ -564,12 +566,20 @@ def _rows(each: Sequence[Vector]) -> Vector:
 
 
 def _measure(
-    decision: Decision, box: UncertaintyBox, points: Vector, known: Mapping[str, Place], stay: Place | None
-) -> str:
+    decision: Decision, box: UncertaintyBox, points: Vector, known: Mapping[str, Place], stay: Place | None,
+    bands: Mapping[str, PlaceVerdict],
+) -> str:  # fmt: skip
     """Which uncertain number decides."""
     if not decision.place and all((place.decays <= 0).all() for place in known.values()):
-        return f"nothing to measure: with the present gains every place grows on all {len(points)} grounds looked at"
+        grows = f"every place grows on all {len(points)} grounds looked at"
+        name = max(known, key=lambda name: bands[name].decay.nominal)
+        if box.holds_nominal and (nominal := bands[name].decay.nominal) > 0:
+            file = f"with the numbers of the file {spoken(name)} decays at {nominal:.3g}/s"
+            return f"to tell, measure {listed(box.names)}: {file}, though with others {grows}"
+        return f"nothing to measure: with the present gains {grows}"
     what, values = deciding(decision, known, stay)
+    if len(box.names) == 1 and values.min() < 0 < values.max():
+        return f"to tell, measure {box.names[0]}, of which alone {what} depends"
     # What has one sign everywhere no measurement changes.
     which, rank = matters_most(box, points, values.tolist()) if values.min() < 0 < values.max() else ("", 0.0)
     if which:

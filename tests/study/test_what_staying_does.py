@@ -1,0 +1,71 @@
+"""How staying is held where it breaks a constraint, where an arm rests, and what of the unknown would tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.loop.beside_decay import BesideDecay
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from tests.study.machines import three_links
+
+LOOP = {"kp": 1e4, "kv": 1e3}
+TARGETS = [(0.0, 1.6), (-0.3, 1.7)]
+
+
+@pytest.mark.long
+def test_a_placement_that_may_not_be_stood_on_is_held_as_well_as_any() -> None:
+    """All postures break an area alike: the best of them is taken, as where the area is free."""
+    machine = three_links()
+    free, barred = (
+        flexopt.verdict(
+            flexopt.select_stand(machine, TARGETS, base=0.0, starts=2, constraints=asked),
+            loop=LOOP, members=2, runs=0,
+        )
+        for asked in ({}, {"keep_out": [(-0.1, 0.1)]})
+    )  # fmt: skip
+    stay, held = free.places[0], barred.places[0]
+    assert stay.name == held.name == "stay"
+    # The objective's greatest value is 0 of a self-motion's whole part: up to rounding of w1, 5e-5 elsewhere.
+    assert held.w[:, 0] == pytest.approx(stay.w[:, 0], abs=1e-9)
+    assert barred.present_breaks
+    assert "held as breaks the least and is best of these by w1 at each target," in barred.reason
+    assert barred.taken.startswith("the postures that break the least at each target and are best of these by w1:")
+    assert free.taken.startswith("the postures that are best by w1 at each target:")
+
+
+@pytest.fixture(scope="module")
+def heavy() -> flexopt.Verdict:
+    """An arm that decays with the payload of its file, and grows or falls with much less and much more."""
+    machine = flexopt.load("boom-stick-bucket")
+    chosen = flexopt.select(machine, (6.0, 1.0), base=0.0, starts=2, gravity=True)
+    return flexopt.verdict(chosen, loop="default", ranges={"payload.mass": (500.0, 2000.0)}, members=6, runs=0)
+
+
+def test_where_the_numbers_of_the_file_decay_measuring_tells(heavy: flexopt.Verdict) -> None:
+    """On all members it grows, and a narrow range about the file's number gives the answer that is promised."""
+    assert heavy.word == "cannot tell"
+    assert all(place.decay.least < 0 < place.decay.nominal for place in heavy.places)
+    assert heavy.measure.startswith("to tell, measure payload.mass: with the numbers of the file ")
+    close = flexopt.verdict(
+        heavy.selection, loop="default", ranges={"payload.mass": (980.0, 1020.0)}, members=4, runs=0
+    )
+    assert close.word != "cannot tell"
+
+
+def test_what_grows_rests_nowhere(heavy: flexopt.Verdict) -> None:
+    """Beside the decays of all members at once, and where each is held."""
+    assert heavy.uncertainty
+    box = UncertaintyBox(heavy.selection.problem.machine, tuple(heavy.uncertainty), heavy.settings.dead_time)
+    members = np.linspace(0.0, 1.0, 13)[:, None]
+    for place in heavy.places:
+        loop = UncertainLoop(heavy.settings, place.base, place.posture, True, box)
+        decays, target = loop.decays(members), loop.outcome().end_point
+        ends = [loop.outcome(u).end_point for u in members[decays > 0]]
+        known = [float(np.linalg.norm(end - target)) for end in ends]
+        assert 0 < len(known) < len(members)
+        assert BesideDecay.of(loop, members).rests_off == pytest.approx(max(known))
+        # Of the members that the verdict looked at all grow.
+        assert np.isnan(place.rests_off)
+    assert heavy.rests_beside == ""
