@@ -6,9 +6,9 @@ In: a machine, its `Loop`, a configuration. Out: `LoopSettings`, the numbers tha
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -170,18 +170,23 @@ class LoopSettings(Result):
 
     def handed_on(self, where: str) -> str:
         """Which numbers follow from the posture of a place, and how other calls are given them; empty without any."""
-        found = {
-            name: f"{float(np.max(getattr(self, name))):.6g}"
-            for name, source in self.sources.items()
-            if source.startswith((SUITING, SERVING))
-        }
+        found = [name for name, source in self.sources.items() if source.startswith((SUITING, SERVING))]
         if not found:
             return ""
         names = f"the gains {' and '.join(found)} follow" if len(found) > 1 else f"the gain {next(iter(found))} follows"
         return (
             f"{names} from the posture of {where} and would be {'others' if len(found) > 1 else 'another'} elsewhere; "
-            f"to keep {'these' if len(found) > 1 else 'it'}: {in_calls(found)}"
+            f"to keep {'these' if len(found) > 1 else 'it'}: {self.in_calls(found)}"
         )
+
+    def in_calls(self, names: Collection[str]) -> str:
+        """How calls are given this loop: all of it in Python, in the shell the `names` of it, beside what was given."""
+        given = self.fixed.model_dump(exclude_defaults=True)
+        given = {name: each for name, each in given.items() if each != "inverse" and (name != "ki" or any(each))}
+        told = {name: _in_call(number) for name, number in given.items()}
+        table = ", ".join(f'"{name}": {number}' for name, number in told.items())
+        options = (f"--loop {name}={told[name].strip('[]').replace(' ', '')}" for name in names)
+        return f"loop={{{table}}}, in the shell {' '.join(options)}"
 
     def __repr__(self) -> str:
         gains = [f"{name} {_numbers(getattr(self, name.lower()))}{unit and ' ' + unit}"
@@ -203,10 +208,14 @@ def _numbers(values: Vector) -> str:
     return listed[0] if len(set(listed)) == 1 else f"[{', '.join(listed)}]"
 
 
-def in_calls(numbers: Mapping[str, str]) -> str:
-    """How calls are given these of a loop."""
-    table = ", ".join(f'"{name}": {number}' for name, number in numbers.items())
-    return f"loop={{{table}}}, in the shell {' '.join(f'--loop {name}={number}' for name, number in numbers.items())}"
+def _in_call(given: object) -> str:
+    """A number, several or a word as Python has them; equal numbers once."""
+    if isinstance(given, str):
+        return f'"{given}"'
+    if isinstance(given, float):
+        return f"{given:.10g}"
+    each = [f"{number:.10g}" for number in cast("Sequence[float]", given)]
+    return each[0] if len(set(each)) == 1 else f"[{', '.join(each)}]"
 
 
 def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity: bool = False) -> LoopSettings:

@@ -142,13 +142,13 @@ def test_places_can_be_chosen_by_a_weighted_sum_and_what_was_not_given_is_named(
     written = re.search(r"to keep it: loop=(.*), in the shell --loop kv=(.*)", shown)
     assert written is not None
     handed = json.loads(written[1])
-    assert handed == {"kv": float(written[2])}
+    assert handed == {"drive": "torque", "kp": 1e4, "kv": float(written[2]), "rate": 200.0}
     place = next(each for each in found.places if each.name != "stay")
     machine = flexopt.load("excavator")
     kept, anew = (
-        flexopt.outcome(machine, place.posture, base=place.base, loop={"kp": 1e4} | more).decay for more in (handed, {})
+        flexopt.outcome(machine, place.posture, base=place.base, loop=loop).decay for loop in (handed, {"kp": 1e4})
     )
-    assert kept == pytest.approx(place.decay.nominal, rel=1e-4)
+    assert kept == pytest.approx(place.decay.nominal, rel=1e-6)
     assert anew != pytest.approx(place.decay.nominal, rel=1e-2)
 
 

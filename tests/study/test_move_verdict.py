@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import math
 import re
 import warnings
@@ -326,19 +327,29 @@ def test_a_damper_that_is_too_much_for_the_sampling_rate_is_named() -> None:
     assert "half the sampling rate" not in sentence(1e3)
 
 
-def test_gains_that_were_chosen_are_handed_on_with_their_digits() -> None:
-    """At an optimum in a kink four digits would be another loop."""
-    machine, loop = flexopt.load("excavator"), {"kp_range": (10.0, 1e5), "kv_range": (10.0, 1e4), "rate": 100.0}
+@pytest.mark.parametrize(
+    "loop",
+    [
+        {"kp_range": (10.0, 1e5), "kv_range": (10.0, 1e4), "rate": 100.0},
+        {"kp_range": (0.1, 20.0), "drive": "velocity", "servo_gain": 2e4, "dead_time": 0.02, "filter_hz": 8.0},
+    ],
+    ids=["torque", "velocity"],
+)
+def test_gains_that_were_chosen_are_handed_on_with_their_digits(loop: dict[str, Any]) -> None:
+    """At an optimum in a kink four digits would be another loop, and so would gains alone of another drive."""
+    machine = flexopt.load("excavator")
     few: dict[str, Any] = {"base": 0.0, "objective": "decay", "starts": 2, "members": 2, "runs": 0}
     found = flexopt.verdict(machine, (0.0, 1.6), loop=loop, **few)
     words = re.search(
-        r"the gains were chosen with candidate 1; to keep them: .* --loop kp=(\S+) --loop kv=(\S+)", repr(found)
+        r"the gains were chosen with candidate 1; to keep them: loop=(.*), in the shell (.*)", repr(found)
     )
     assert words
     place = next(each for each in found.places if each.name == "candidate 1")
-    kept = dict(zip(("kp", "kv"), map(float, words.groups()), strict=True)) | {"rate": 100.0}
+    kept = json.loads(words[1])
     there = flexopt.outcome(machine, place.posture, base=place.base, loop=kept)
     assert there.decay == pytest.approx(place.decay.nominal, rel=1e-6)
+    told = {name: kept[name] for name in found.selection.gains[0]}
+    assert words[2] == " ".join(f"--loop {name}={number:.10g}" for name, number in told.items())
 
 
 @pytest.mark.long

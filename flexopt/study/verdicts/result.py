@@ -18,7 +18,7 @@ from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import unseen_told
 from flexopt.loop.outcome import FALLS_AT
-from flexopt.loop.settings import LoopSettings, in_calls
+from flexopt.loop.settings import LoopSettings
 from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion
 from flexopt.loop.standard_move import SETTLED
 from flexopt.loop.uncertain import member_in_words
@@ -290,8 +290,8 @@ class Verdict(Pictured, Printed, Result):
         """Which gains follow from the posture or were chosen, and how other calls are given them; empty of none."""
         where = "the present place" if self._stay else FIRST
         follow = self.settings.handed_on(f"{where} at target 1" if len(self.problems) > 1 else where)
-        gains = {name: f"{gain:.10g}" for name, gain in chosen_gains(self.selection).items()}
-        chosen = f"the gains were chosen with {FIRST}; to keep them: {in_calls(gains)}" if gains else ""
+        gains = chosen_gains(self.selection)
+        chosen = f"the gains were chosen with {FIRST}; to keep them: {self.settings.in_calls(gains)}" if gains else ""
         return "; ".join(filter(None, (chosen, follow)))
 
     @property
