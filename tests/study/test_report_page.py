@@ -142,6 +142,9 @@ def test_the_chosen_place_is_the_verdicts(judged: flexopt.Report) -> None:
     words = f"Chosen: {verdict.place}, which the verdict is about; candidate 1 has the best w1."
     assert [text.count(words) for _, text in page.all("figcaption")].count(1) == 1
     assert words in [text for _, text in page.all("p")]
+    # What is told of the choice's own best is not of the one that is drawn.
+    said = f"Of candidate 1: {'; '.join(judged.selection.remarks)}"
+    assert any(text.startswith(study_page.sentence(said)) for _, text in page.all("p"))
     assert f"{verdict.place} (drawn as chosen: the verdict's)" in {
         text for tag in ("th", "td") for _, text in page.all(tag)
     }

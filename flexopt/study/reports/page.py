@@ -160,6 +160,8 @@ def _remarks(report: Report) -> tuple[str, ...]:
     selection, about = report.selection, report.about
     if isinstance(selection, Stand) and isinstance(about, Stand) and about is not selection:
         return (*filter(None, [selection.left_open]), *about.remarks)
+    if isinstance(selection, Selection) and selection.remarks and chosen_number(report) != 1:
+        return (f"of candidate 1: {'; '.join(selection.remarks)}",)
     return selection.remarks
 
 
