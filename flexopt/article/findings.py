@@ -142,7 +142,8 @@ def concave(curves: Sequence[Curve]) -> ArticleFinding:
     """Has w_1 one maximum along y_d, as a concave objective would?"""
     peaks = {f"{c.control}, elbow {c.elbow}": c.maxima() for c in curves}
     listed = "; ".join(f"{name}: x = {', '.join(f'{x:.3f}' for x in xs)} m" for name, xs in peaks.items())
-    sentence = f"w_1 has several local maxima along y = {curves[0].y:g} m of the workspace ({listed})."
+    bent = f"the arm at least {curves[0].margin_deg:g}° from straight and from folded"
+    sentence = f"w_1 has several local maxima along y = {curves[0].y:g} m of the workspace, {bent} ({listed})."
     holds = all(x.size <= 1 for x in peaks.values())
     quote = "a weighted sum … will violate the concavity of the objective function"
     return ArticleFinding("concavity", quote, "section 4", holds, sentence, {"maxima": peaks})

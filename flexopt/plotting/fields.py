@@ -223,8 +223,8 @@ def draw_best(axes: Axes, plane: FieldPlane, values: Array) -> None:
     row, column = np.unravel_index(int(np.nanargmax(values)), values.shape)
     x, y = plane.scaled
     axes.plot(
-        x[column], y[row], "*", color=colors().chosen, markeredgecolor="black", markersize=12, markeredgewidth=0.8,
-        linestyle="none", label="best place of this panel", zorder=6,
+        x[column], y[row], "*", color="black", markeredgecolor="white", markersize=16, markeredgewidth=0.8,
+        linestyle="none", label="best place of this panel", zorder=4,
     )  # fmt: skip
 
 

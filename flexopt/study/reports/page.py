@@ -62,8 +62,8 @@ MARKS = {
     "end-point": "cross: the end-point",
 }
 FOLLOWED = (
-    " From the chosen configuration on each posture is the one nearest to its neighbour's: where none is drawn another "
-    "posture may still reach."
+    " From the chosen configuration on each posture is the one nearest to its neighbour's. Where none is drawn it does "
+    "not reach, or breaks a limit, a range or a constraint of the problem; another posture may still do."
 )
 
 

@@ -5,6 +5,7 @@ In: what was selected, for one target or several. Out: a `WorkspaceMap` and the 
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -16,8 +17,10 @@ from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
+from flexopt.selection.places import FEASIBLE
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.others import other_stand
+from flexopt.selection.starts import violated
 from flexopt.study.maps.grid import closed_form
 from flexopt.study.maps.workspace import map_workspace, takes_long
 from flexopt.study.maps.workspace_map import WorkspaceMap
@@ -74,7 +77,12 @@ def surroundings(selection: Selection | Stand | BasePlan, points: int) -> Worksp
     given["points"] = (points, points)
     if len(machine.base_coordinates) > 1:
         end_point = problem.target.tolist()
-        return map_workspace(machine, over="base", posture=best.posture, base=best.base, end_point=end_point, **given)
+        for axis, low, high in zip(
+            ("x_range", "y_range"), problem.lower.tolist(), problem.upper.tolist(), strict=False
+        ):
+            given |= {axis: (low, high)} if 0 < high - low < math.inf else {}
+        whole = map_workspace(machine, over="base", posture=best.posture, base=best.base, end_point=end_point, **given)
+        return _allowed(whole, problem, best)
     if closed_form(machine):
         return map_workspace(machine, elbow=elbow_of(machine, best), **given)
     if len(rows) > 1:
@@ -83,6 +91,20 @@ def surroundings(selection: Selection | Stand | BasePlan, points: int) -> Worksp
     if len(machine.joints) > 1:
         return map_workspace(machine, over="posture", posture=best.posture[2:], base=best.base, **given)
     return None
+
+
+def _allowed(chart: WorkspaceMap, problem: SelectionProblem, best: Evaluation) -> WorkspaceMap:
+    """A map over the placement, blank where its posture breaks a limit, a range or a constraint of the problem."""
+    dataset, coordinates = chart.dataset, [name.removeprefix("base_") for name in chart.axes]
+    postures = np.asarray(dataset["posture"].values).reshape(len(problem.machine.joints), -1)
+    z = np.vstack([np.tile(best.base[:, None], postures.shape[1]), postures])
+    planes = np.meshgrid(*(dataset[axis].values for axis in chart.axes), indexing="ij")
+    for name, plane in zip(coordinates, planes, strict=True):
+        z[problem.machine.base_coordinates.index(name)] = plane.ravel()
+    beyond = (np.maximum(problem.lower[:, None] - z, z - problem.upper[:, None]) / problem.scale[:, None]).max(axis=0)
+    kept = np.maximum(violated(problem, z), beyond) <= FEASIBLE
+    shown = {name: each.where(kept.reshape(planes[0].shape)) for name, each in dataset.items() if each.dtype == float}
+    return replace(chart, dataset=dataset.assign(shown))
 
 
 def elbow_of(machine: AnyMachine, stand: Evaluation) -> Elbow:
@@ -127,4 +149,12 @@ def marks_in(selection: Selection | Stand | BasePlan, drawn: WorkspaceMap) -> di
     target = dict(zip(machine.task_rows, problem.target.tolist(), strict=True))
     if drawn.options["over"] == "base" and all(axis.removeprefix("base_") in target for axis in drawn.axes):
         marks["end-point"] = target[columns.removeprefix("base_")], target[rows.removeprefix("base_")]
-    return marks
+    # What lies beside the plane has no place in it.
+    ends = [
+        (float(drawn.dataset[axis].values.min()), float(drawn.dataset[axis].values.max())) for axis in (columns, rows)
+    ]
+    return {
+        name: point
+        for name, point in marks.items()
+        if all(low <= x <= high for x, (low, high) in zip(point, ends, strict=True))
+    }

@@ -1,0 +1,43 @@
+"""The map around what was chosen, on a problem that says where the machine may stand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+from shapely import affinity
+
+import flexopt
+from flexopt.study.reports.surroundings import marks_in, surroundings
+
+BARRED, POSTURE = ((1.0, -2.0), (2.0, -2.0), (2.0, 1.0), (1.0, 1.0)), (0.2, 0.5, -1.2, -0.5)
+
+
+@pytest.mark.long
+def test_a_map_of_placements_is_blank_where_the_machine_may_not_stand() -> None:
+    """The footprint beside the barred area by Shapely; the range is the map's; the chosen place is within."""
+    machine = flexopt.load("slewing-excavator")
+    target = flexopt.evaluate(machine, POSTURE).end_point
+    asked = {"keep_out": [BARRED]}
+    chosen = flexopt.select(
+        machine, target, base=(0.0, 0.0, 0.0), base_range={"x": (-3.0, 3.0), "y": (-3.0, 3.0)}, starts=2,
+        constraints=asked,
+    )  # fmt: skip
+    found = surroundings(chosen, 16)
+    assert found is not None
+    x, y = (np.asarray(found.dataset[f"base_{name}"].values) for name in "xy")
+    assert (x.min(), x.max(), y.min(), y.max()) == (-3.0, 3.0, -3.0, 3.0)
+    w = np.asarray(found.dataset["w"].values)[0]
+    yaw, own, rock = chosen.best.z[2], shapely.Polygon(machine.support_points), shapely.Polygon(BARRED)
+    turned, tried = affinity.rotate(own, yaw, origin=(0, 0), use_radians=True), 0
+    for (row, column), value in np.ndenumerate(w):
+        stand = affinity.translate(turned, x[column], y[row])
+        tried += int(overlaps := rock.intersection(stand).area > 1e-6)
+        assert not overlaps or np.isnan(value)
+    assert 0 < tried < w.size
+    assert np.isfinite(w).any()
+    marks = marks_in(chosen, found)
+    assert {"chosen", "present"} <= set(marks)
+    # The end-point lies beside the plane.
+    assert target[0] > 3.0
+    assert "end-point" not in marks
