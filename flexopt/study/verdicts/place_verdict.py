@@ -120,7 +120,7 @@ class PlaceVerdict(Result):
     @property
     def broken(self) -> str:
         """What it breaks where other numbers than the file's hold, a sentence; empty where nothing."""
-        told = "constraints.within of these numbers has flexopt's own constraints kept there, too"
+        told = "constraints.within of these numbers keeps constraints there, too, all but Functions of one's own"
         return self.breaks and f"{self.name} {self.breaks}; {told}"
 
     @property
