@@ -33,6 +33,7 @@ from flexopt.study.verdicts.place_loops import configurations_of, held_at, unrea
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import allowed, told
 from flexopt.study.verdicts.result import GROUND_ASSUMED
+from tests.study.machines import gantry
 
 ARTICLE = {"kp": 1e4, "kv": 1e3}
 
@@ -309,6 +310,36 @@ def test_what_new_gains_are_worse_by_is_told(tmp_path: Path) -> None:
     found.to_html(tmp_path / "verdict.html")
     words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
     assert "Left of the arrow: stay, with the gains as they are" in words
+
+
+@pytest.mark.long
+def test_new_gains_have_room_below_those_that_grow() -> None:
+    """The decay hardly rises up to twice these gains, and right above the fastest another motion grows."""
+    data = gantry()
+    found = flexopt.verdict(
+        flexopt.tree_from_dict(data), (1.2, 0.3, 1.5), base=(0.0, 0.0, 0.0), loop={"kp": 1e5, "kv": 2e4},
+        members=4, runs=0, starts=4,
+    )  # fmt: skip
+    assert found.word == "change gains"
+    new = found.with_gains
+    assert new is not None
+    grounds = list[Any]()
+    for factor in (0.5, 1.0, 2.0):
+        other = copy.deepcopy(data)
+        for body in other["bodies"][:3]:
+            body["joint"]["stiffness"] *= factor
+        grounds.append(flexopt.tree_from_dict(other))
+
+    def decay(times: float) -> float:
+        gains = {name: times * values[0] for name, values in found.gains.items()}
+        return min(flexopt.outcome(ground, new.posture, base=new.base, loop=gains).decay for ground in grounds)
+
+    best = max(map(decay, np.linspace(2.0, 2.4, 9)))
+    assert decay(1.0) >= 0.9 * best * (1 - 1e-2)
+    assert decay(0.9) < 0.9 * best
+    assert decay(2.0) > 0.0 > decay(2.6)
+    # The room that the row tells.
+    assert new.allowed_gain.least / found.gains["kp"][0] > 2.0
 
 
 @pytest.mark.long

@@ -1,4 +1,4 @@
-"""The best gains of a loop in one place: those with which its slowest member decays fastest.
+"""The best gains of a loop in one place: those with which its slowest member decays fastest, or nearly, with room.
 
 In: a loop in a place, members, ranges of its gains. Out: the loop with other gains.
 """
@@ -6,7 +6,7 @@ In: a loop in a place, members, ranges of its gains. Out: the loop with other ga
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -21,6 +21,8 @@ from flexopt.study.verdicts.place_loops import PlaceLoops
 # Gains tried along each range at first, evaluations of the search that follows, and by how much all gains together
 # are tried where no range is given.
 GRID, EVALUATIONS, LEAST, MOST = 9, 80, 1e-2, 10.0
+# By which factor gains are lowered until they are too low, and how often the last step is halved then.
+LOWER, HALVINGS = 0.8, 6
 
 
 def best_gains(loop: PlaceLoops, asked: Loop, members: Vector) -> PlaceLoops:
@@ -50,6 +52,42 @@ def best_gains(loop: PlaceLoops, asked: Loop, members: Vector) -> PlaceLoops:
         options={"maxfev": EVALUATIONS, "initial_simplex": _simplex(start, axes)},
     )  # fmt: skip
     return with_gains(found.x if found.fun < min(values) else start)
+
+
+def lowered(loop: PlaceLoops, asked: Loop, factor: float) -> PlaceLoops:
+    """The loop with the gains that `best_gains` seeks times one factor."""
+    ranges, now = gain_ranges(asked), loop.settings
+    logs = {name: math.log(factor * getattr(now, name)[0]) for name in ranges} or math.log(factor)
+    return loop.with_settings(_scaled(now, logs))
+
+
+def most_room(
+    loop: PlaceLoops, asked: Loop, now: LoopSettings, members: Vector, keeps: Callable[[float], bool]
+) -> float:
+    """The least factor of the best gains, 1 at most, down to which the decay of the slowest member is as `keeps` asks.
+
+    Decay hardly falls up to the gain at which another motion grows, so that the best gains may lie right below it: all
+    the room between that and these is won by lowering them. Not below `asked`'s ranges; with none, not below 0.01 times
+    the gains `now`.
+    """
+    ends = {name: math.exp(logarithms(ends)[0]) for name, ends in gain_ranges(asked).items()}
+    ends = ends or {name: LEAST * getattr(now, name).max() for name in ("kp", "kv")}
+    gains = {name: getattr(loop.settings, name).max() for name in ends}
+    least = min(1.0, max((ends[name] / gain for name, gain in gains.items() if gain > 0), default=1.0))
+
+    def serves(factor: float) -> bool:
+        return keeps(float(lowered(loop, asked, factor).decays(members).min()))
+
+    kept = 1.0
+    while kept > least and serves(lower := max(LOWER * kept, least)):
+        kept = lower
+    if kept == least:
+        return kept
+    low = max(LOWER * kept, least)
+    for _ in range(HALVINGS):
+        middle = math.sqrt(low * kept)
+        low, kept = (low, middle) if serves(middle) else (middle, kept)
+    return kept
 
 
 def tried_gains(asked: Loop) -> str:

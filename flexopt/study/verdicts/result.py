@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -133,12 +134,17 @@ class Verdict(Pictured, Printed, Result):
         stay = now if self.with_gains and stay is None else stay
         if stay is None or self.word not in ("move", "change gains"):
             return no_better
-        highest = f"above {self.settings.highest_kp:.4g}"
+        bears, unit, highest = "bears Kp up to {}", self.settings.gain_units[0], self.settings.highest_kp
+        if self.with_gains:
+            # Of other gains it is the room above them that counts.
+            kp = self.settings.kp.tolist()
+            bears, unit, highest = "bears {}", "times its gains", highest / _first(kp)
+            there, stay = _in_gains(there, self.gains["kp"]), _in_gains(stay, kp)
         compared = (
             ("decays at {}", "decay", "least", 1.0, "1/s", ""),
             ("settles in {}", "settling", "greatest", 1.0, "s", ""),
             (f"moves the base by {{}} in a move of {MOVE:g} m", "swing", "greatest", 1e3, f"m{there.swing_unit}", ""),
-            ("bears Kp up to {}", "allowed_gain", "least", 1.0, self.settings.gain_units[0], highest),
+            (bears, "allowed_gain", "least", 1.0, unit, f"above {highest:.4g}"),
             ("bears {} more of dead time", "delay_margin", "least", 1e3, "ms", "any number of"),
         )
         found = list[str]()
@@ -527,6 +533,17 @@ def _interval(each: Uncertainty, machine: AnyMachine) -> str:
     low, high = each.value or (0.0, 0.0)
     units = {machine.parameters[k].unit for k in parameters_of(each.of, machine)} or {"s"}
     return f"{each.name} {low:g} to {high:g} {' or '.join(sorted(units))}".rstrip()
+
+
+def _first(kp: Sequence[float]) -> float:
+    """That of the first row that has one, of which an allowed gain is."""
+    return next((x for x in kp if x > 0), 1.0)
+
+
+def _in_gains(place: PlaceVerdict, kp: Sequence[float]) -> PlaceVerdict:
+    """The place with its least allowed gain in times its own."""
+    band = place.allowed_gain
+    return replace(place, allowed_gain=replace(band, least=band.least / _first(kp)))
 
 
 def _row(place: PlaceVerdict, gain: str, wide: int) -> str:

@@ -53,7 +53,7 @@ from flexopt.study.verdicts.decision import (
     ranked,
     spoken,
 )
-from flexopt.study.verdicts.gain_search import best_gains, tried_gains
+from flexopt.study.verdicts.gain_search import best_gains, lowered, most_room, tried_gains
 from flexopt.study.verdicts.place_loops import (
     Chosen,
     Configurations,
@@ -79,6 +79,8 @@ SIZES = {"members": whole(2, 100_000), "runs": whole(0, 100_000)}
 STAGES = 5
 # So often gains are sought again for a member that was not among the few.
 EXCHANGES = 3
+# So often runs halve the way from gains that they do not confirm to higher ones that they do.
+HALVED = 2
 UNPLACED = Fault("base", "is needed: where the machine stands now, from which it may pay to move")
 T = TypeVar("T")
 
@@ -206,7 +208,9 @@ def verdict(
     doubts = {name: why for name, run in shown.items() if (why := _doubt(run)) is not None}
     tried = tried_gains(asked) if known and _tries(asked, stay, rest, doubts) else ""
     changed = (
-        _changed(asked, known, loops, slowest, points, partial(_runs_of, points[:runs], duration)) if tried else None
+        _changed(asked, known, doubts, loops, slowest, points, partial(_runs_of, points[:runs], duration))
+        if tried
+        else None
     )
     confirmed, refuted = (changed, None) if changed and changed.doubt is None else (None, changed)
     stages.next()
@@ -442,6 +446,7 @@ def _alternates(loops: Mapping[str, PlaceLoops], slowest: Mapping[str, Slowest])
 def _changed(
     asked: Loop,
     known: Mapping[str, Place],
+    doubts: Mapping[str, str],
     loops: Mapping[str, PlaceLoops],
     slowest: Mapping[str, Slowest],
     points: Vector,
@@ -449,9 +454,10 @@ def _changed(
 ) -> _Changed:
     """The place that is best with other gains; the present one where it is nearly as good.
 
-    Gains are those of `[loop]`'s ranges; without ranges, all gains times a factor.
+    Gains are those of `[loop]`'s ranges; without ranges, all gains times a factor. They are the lowest with which the
+    place is nearly as good, worth the change, and confirmed by `runs_of`.
     """
-    found = list[tuple[Place, PlaceLoops]]()
+    found = list[tuple[Place, PlaceLoops, Vector]]()
     for name, place in known.items():
         few = np.concatenate([loops[name].box.corners(FEW), slowest[name].member[None]])
         tried = list[tuple[Place, PlaceLoops]]()
@@ -465,12 +471,45 @@ def _changed(
             if worst.decay >= expected - FASTER * abs(expected):
                 break
             few = np.concatenate([few, worst.member[None]])
-        found.append(max(tried, key=lambda each: each[0].slowest))
-    most = max(place.slowest for place, _ in found)
+        found.append((*max(tried, key=lambda each: each[0].slowest), few))
+    most = max(place.slowest for place, *_ in found)
     near = [each for each in found if each[0].slowest >= most - FASTER * abs(most)]
-    place, loop = min(near, key=lambda each: each[0].drive)
-    names = ("kp", "kv", *(["ki"] if loop.settings.feedback == "pid" else []))
-    return _Changed(place, loop, {name: getattr(loop.settings, name).tolist() for name in names}, runs_of(loop))
+    place, best, few = min(near, key=lambda each: each[0].drive)
+    stay, others = known.get(STAY), [each for name, each in known.items() if name != STAY]
+
+    def keeps(decay: float) -> bool:
+        worth = decide(stay, others, place._replace(slowest=decay), doubts).word == "change gains"
+        return worth and decay >= most - FASTER * abs(most)
+
+    def at(factor: float) -> tuple[Place, PlaceLoops, Vector]:
+        loop = lowered(best, asked, factor)
+        decays = loop.decays(points)
+        worst = loop.slowest(points, decays)
+        return place._replace(decays=decays.min(axis=0), slowest=worst.decay), loop, worst.member
+
+    def told(there: Place, loop: PlaceLoops) -> _Changed:
+        names = ("kp", "kv", *(["ki"] if loop.settings.feedback == "pid" else []))
+        return _Changed(there, loop, {name: getattr(loop.settings, name).tolist() for name in names}, runs_of(loop))
+
+    lowest, least = None, 1.0
+    for _ in range(EXCHANGES if keeps(place.slowest) else 0):
+        least = most_room(best, asked, loops[place.name].settings, few, keeps)
+        there, loop, member = at(least)
+        if least < 1.0 and keeps(there.slowest):
+            lowest = told(there, loop)
+            break
+        few = np.concatenate([few, member[None]])
+    if lowest is not None and lowest.doubt is None:
+        return lowest
+    kept, high = told(place, best), 1.0
+    for _ in range(HALVED if lowest is not None and kept.doubt is None else 0):
+        middle = math.sqrt(least * high)
+        there, loop, _ = at(middle)
+        if keeps(there.slowest) and (higher := told(there, loop)).doubt is None:
+            kept, high = higher, middle
+        else:
+            least = middle
+    return kept
 
 
 def _with_gains(
