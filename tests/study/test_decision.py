@@ -166,6 +166,34 @@ def test_what_a_move_alone_brings_is_no_merit_of_other_gains() -> None:
     assert other.reason.endswith("with the present ones 0.62/s at most, at near")
 
 
+def test_a_place_that_runs_refute_is_none_to_stay_at_with_the_present_gains() -> None:
+    """Gains that runs confirm are told though they decay more slowly; all that decays faster is told to be refuted."""
+    near, slower = place("near", 1.19 * GROUNDS, 1.0), place("stay", 0.9 * GROUNDS)
+    found = decide(STAY, [], slower, {"stay": "it is off"})
+    assert (found.word, found.place) == ("change gains", "stay")
+    assert found.reason == (
+        "with the new gains the slowest decay at the present place is 0.45/s; with the present ones the present place is "
+        "stable on every ground, too, but nonlinear runs do not confirm it (it is off)"
+    )
+    assert decide(STAY, [], slower).word == "stay"
+    both = decide(STAY, [near], place("near", 1.2 * GROUNDS, 1.0), {"stay": "it is off", "near": "it is off"})
+    assert both.word == "change gains"
+    assert both.reason.endswith(
+        "the present place and near are stable on every ground, too, but nonlinear runs do not confirm them (it is off)"
+    )
+    one = decide(STAY, [near], place("stay", 1.2 * GROUNDS), {"near": "it is off"})
+    assert one.word == "change gains"
+    assert one.reason.endswith(
+        "with the present ones 0.5/s at most where nonlinear runs confirm it, at the present place; they do not confirm "
+        "near (it is off)"
+    )
+    other = decide(STAY, [place("near", 0.5 * GROUNDS, 1.0)], place("near", 0.8 * GROUNDS, 1.0), {"stay": "it is off"})
+    assert other.word == "change gains"
+    assert other.reason.endswith("at near; they do not confirm the present place (it is off)")
+    # Not worth it beside what runs confirm.
+    assert decide(STAY, [near], place("near", 1.2 * GROUNDS, 1.0), {"stay": "it is off"}).word != "change gains"
+
+
 def test_no_place_is_said_to_be_better_nowhere_without_a_look_at_all() -> None:
     """Three places are as good as staying; a fourth, which grows on one ground, decays faster on all others."""
     alike = {f"candidate {k}": GROUNDS for k in (1, 2, 3)}

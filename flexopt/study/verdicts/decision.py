@@ -140,9 +140,11 @@ def decide(
     found = f"no place found{sought and f' by {sought}'}{KEEPING * barred}"
     sound = [place for place in others if place.holds and place.name not in unconfirmed]
     best = _best([place for place in sound if stay is None or _pays(place, stay)])
-    if changed is not None and changed.holds and _spares(changed, stay, best, sound):
-        doubted = [place for place in others if place.holds and place.name in unconfirmed]
-        doubts = {place.name: unconfirmed[place.name] for place in doubted}
+    staying = may_stay(stay, unconfirmed)
+    every = [*([] if stay is None else [stay]), *others]
+    doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
+    if changed is not None and changed.holds and _spares(changed, staying, best, sound):
+        doubts = {name: unconfirmed[name] for name in doubted}
         return Decision("change gains", changed.name, _why_gains(changed, stay, best, sound, doubts, found))
     if best is not None:
         reason = f"{absent}; slowest decay there {best.slowest:.3g}/s"
@@ -153,13 +155,13 @@ def decide(
             reason += f"; slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
         takes = ", ".join(filter(None, [f"a drive of {way(best.drive):.3g} m", best.otherwise]))
         return Decision("move", best.name, f"{reason}, for {takes}", _passed_over(best, stay, others, unconfirmed))
-    if stay is not None and stay.holds and stay.name not in unconfirmed:
-        share, rival = _rival(stay, others)
+    if staying is not None:
+        share, rival = _rival(staying, others)
         if share <= 1 - MOST:
             most = max(share, most)
             where = f"more than {percent(most)} of the grounds" if most else "any ground"
             reason = f"{found} {BETTER} on {where}"
-            return Decision("stay", stay.name, f"{reason}; slowest decay here {stay.slowest:.3g}/s")
+            return Decision("stay", staying.name, f"{reason}; slowest decay here {staying.slowest:.3g}/s")
         return Decision("cannot tell", rival.name, _why_not(rival, share, unconfirmed))
     if stay is not None and sound:
         first = _near(_slowest_alike(sound))
@@ -169,10 +171,8 @@ def decide(
         if stay.holds:
             reason = f"nonlinear runs do not confirm the present place{_because(unconfirmed[stay.name])}, and "
             reason += f"{first.name}, which they confirm, {BETTER} {where}"
-        does = f"{BETTER} in the worst case" if refuted is not None and _spares(refuted, stay, None, sound) else ""
+        does = f"{BETTER} in the worst case" if refuted is not None and _spares(refuted, staying, None, sound) else ""
         return Decision("cannot tell", first.name, reason + _no_gains(tried, refuted, does, doubt, gains))
-    every = [*([] if stay is None else [stay]), *others]
-    doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
     if doubted:
         reason = f"nonlinear runs do not confirm {_doubted(doubted, unconfirmed)}"
         if refuted is not None and refuted.holds:
@@ -328,11 +328,16 @@ def _best(moves: Sequence[Place]) -> Place | None:
     return _near([place for place in moves if place.slowest >= (1 - FASTER) * most])
 
 
-def _spares(changed: Place, stay: Place | None, best: Place | None, sound: Sequence[Place]) -> bool:
-    """Whether other gains are worth more than what can be had with these, in any place."""
+def may_stay(stay: Place | None, unconfirmed: Mapping[str, str]) -> Place | None:
+    """The present place, if it is one to stay at: stable, and not refuted by runs."""
+    return stay if stay is not None and stay.holds and stay.name not in unconfirmed else None
+
+
+def _spares(changed: Place, staying: Place | None, best: Place | None, sound: Sequence[Place]) -> bool:
+    """Whether other gains are worth more than what can be had with these, in any place that runs confirm."""
     if best is not None:
         return changed.slowest >= best.slowest and _nearer(changed, best)
-    had = [place.slowest for place in (*sound, *([stay] if stay is not None and stay.holds else []))]
+    had = [place.slowest for place in (*sound, *([] if staying is None else [staying]))]
     return not had or bool(faster(np.array(changed.slowest), np.array(max(had))))
 
 
@@ -347,16 +352,21 @@ def _why_gains(
     reason = f"with the new gains the slowest decay at {spoken(changed.name)} is {changed.slowest:.3g}/s"
     if best is not None:
         return f"{reason}, as much as {best.name} has with the present ones, {best.slowest:.3g}/s"
-    if stay is not None and stay.holds:
-        had = max([stay, *sound], key=lambda place: place.slowest)
-        return f"{reason}, with the present ones {had.slowest:.3g}/s at most, at {spoken(had.name)}"
+    staying = may_stay(stay, doubts)
+    had = [*([] if staying is None else [staying]), *sound]
+    if had and stay is not None and stay.holds:
+        first = max(had, key=lambda place: place.slowest)
+        where = " where nonlinear runs confirm it" * bool(doubts)
+        told = f"{reason}, with the present ones {first.slowest:.3g}/s at most{where}, at {spoken(first.name)}"
+        return told + (f"; they do not confirm {_doubted([*doubts], doubts)}" if doubts else "")
     if sound and stay is not None:
         rival = max(sound, key=lambda place: place.better_than(stay))
         share = f"{BETTER} than the present place on {percent(rival.better_than(stay))} of them only"
         return f"{reason}; with the present ones {rival.name} is stable on every ground, too, but {share}"
     if doubts:
-        one = len(doubts) == 1
-        stable = f"{listed(doubts)} {'is' if one else 'are'} stable on every ground, too"
-        them = ("it" if one else "them") if not any(doubts.values()) else _doubted([*doubts], doubts)
+        one, whys = len(doubts) == 1, set(doubts.values())
+        stable = f"{listed(map(spoken, doubts))} {'is' if one else 'are'} stable on every ground, too"
+        them = "it" if one else "them"
+        them = f"{them}{_because(whys.pop())}" if len(whys) == 1 else _doubted([*doubts], doubts)
         return f"{reason}; with the present ones {stable}, but nonlinear runs do not confirm {them}"
     return f"{reason}; with the present ones {found} is stable on every ground"

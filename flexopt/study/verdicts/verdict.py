@@ -49,6 +49,7 @@ from flexopt.study.verdicts.decision import (
     decide,
     deciding,
     faster,
+    may_stay,
     percent,
     ranked,
     spoken,
@@ -426,8 +427,8 @@ def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, t
 
 def _tries(asked: Loop, stay: Place | None, others: Sequence[Place], unconfirmed: Mapping[str, str]) -> bool:
     """Whether other gains are looked for: ranges are given, or one may not stay with these and has nowhere to move."""
-    may_stay = stay is not None and stay.holds and stay.name not in unconfirmed
-    return bool(gain_ranges(asked)) or not (may_stay or decide(stay, others, None, unconfirmed).word == "move")
+    goes = may_stay(stay, unconfirmed) is not None or decide(stay, others, None, unconfirmed).word == "move"
+    return bool(gain_ranges(asked)) or not goes
 
 
 def _alternates(loops: Mapping[str, PlaceLoops], slowest: Mapping[str, Slowest]) -> str:
