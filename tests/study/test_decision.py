@@ -172,8 +172,8 @@ def test_a_place_that_runs_refute_is_none_to_stay_at_with_the_present_gains() ->
     found = decide(STAY, [], slower, {"stay": "it is off"})
     assert (found.word, found.place) == ("change gains", "stay")
     assert found.reason == (
-        "with the new gains the slowest decay at the present place is 0.45/s; with the present ones the present place is "
-        "stable on every ground, too, but nonlinear runs do not confirm it (it is off)"
+        "with the new gains the slowest decay at the present place is 0.45/s; with the present ones the present place "
+        "is stable on every ground, too, but nonlinear runs do not confirm it (it is off)"
     )
     assert decide(STAY, [], slower).word == "stay"
     both = decide(STAY, [near], place("near", 1.2 * GROUNDS, 1.0), {"stay": "it is off", "near": "it is off"})
@@ -184,8 +184,8 @@ def test_a_place_that_runs_refute_is_none_to_stay_at_with_the_present_gains() ->
     one = decide(STAY, [near], place("stay", 1.2 * GROUNDS), {"near": "it is off"})
     assert one.word == "change gains"
     assert one.reason.endswith(
-        "with the present ones 0.5/s at most where nonlinear runs confirm it, at the present place; they do not confirm "
-        "near (it is off)"
+        "with the present ones 0.5/s at most where nonlinear runs confirm it, at the present place; they do not "
+        "confirm near (it is off)"
     )
     other = decide(STAY, [place("near", 0.5 * GROUNDS, 1.0)], place("near", 0.8 * GROUNDS, 1.0), {"stay": "it is off"})
     assert other.word == "change gains"
@@ -244,11 +244,16 @@ def test_reasons_say_what_is_so() -> None:
     assert none.reason.endswith(f"; no gains worth a change are found with {others}")
     refuted = decide(partly, [near], tried="others", refuted=changed, doubt="it is short", gains={"kp": [2.0]})
     assert refuted.reason.endswith(
-        "; with others (kp 2) the present place decays at least 10 % faster in the worst case, but nonlinear runs do not "
-        "confirm that: it is short"
+        "; with other gains (kp 2) the present place decays at least 10 % faster in the worst case, but nonlinear runs "
+        "do not confirm that: it is short"
     )
     shaky = decide(STAY, [], unconfirmed={"stay": "why"}, tried="others", refuted=changed, doubt="it is short")
-    assert shaky.reason == ("nonlinear runs do not confirm the present place (why); nor the present place with others")
+    nor = "nonlinear runs do not confirm the present place (why); nor the present place with other gains"
+    assert shaky.reason == f"{nor}: it is short"
+    # What is why without them, too, is not told again.
+    for doubt, told in (("why", ""), ("", ""), ("it is short; why", ": it is short")):
+        again = decide(STAY, [], unconfirmed={"stay": "why"}, tried="others", refuted=changed, doubt=doubt)
+        assert again.reason == f"{nor}{told}"
     doubted = decide(STAY, [place("near", GROUNDS)], unconfirmed={"stay": ""})
     assert doubted.reason == (
         "nonlinear runs do not confirm the present place, and near, which they confirm, decays at least 10 % faster on "
@@ -265,12 +270,12 @@ def test_reasons_say_what_is_so() -> None:
 def test_gains_that_runs_do_not_confirm_are_not_said_to_grow() -> None:
     grows = place("stay", -GROUNDS)
     refuted = decide(grows, [], tried="others", refuted=place("stay", GROUNDS))
-    assert refuted.reason.endswith("with others the present place is, but nonlinear runs do not confirm that")
+    assert refuted.reason.endswith("with other gains the present place is, but nonlinear runs do not confirm that")
     assert "nor with others" in decide(grows, [], tried="others", refuted=grows).reason
     named = decide(
         grows, [], tried="others", refuted=place("stay", GROUNDS), gains={"kp": [0.4, 0.4], "kv": [0.015, 0.015]}
     )
-    assert "; with others (kp 0.4, kv 0.015) the present place is, but" in named.reason
+    assert "; with other gains (kp 0.4, kv 0.015) the present place is, but" in named.reason
 
 
 def test_what_tells_growing_from_stable_grounds_is_to_be_measured() -> None:

@@ -176,8 +176,9 @@ def decide(
     if doubted:
         reason = f"nonlinear runs do not confirm {_doubted(doubted, unconfirmed)}"
         if refuted is not None and refuted.holds:
-            # Why not is mostly the same as without.
-            reason += f"; nor {spoken(refuted.name)} with others{_named(gains)}"
+            whys = {part for name in doubted for part in unconfirmed[name].split(BETWEEN)}
+            other = BETWEEN.join(part for part in doubt.split(BETWEEN) if part not in whys)
+            reason += f"; nor {spoken(refuted.name)} with other gains{_named(gains)}{other and f': {other}'}"
         return Decision("cannot tell", doubted[0], reason)
     with_others = f", nor with {tried}" if tried else ""
     if refuted is not None and refuted.holds:
@@ -193,7 +194,9 @@ def _no_gains(
     if refuted is None or not does:
         return f"; no gains worth a change are found with {tried}" * bool(tried)
     told = f": {doubt}" if doubt else ""
-    return f"; with others{_named(gains)} {spoken(refuted.name)} {does}, but nonlinear runs do not confirm that{told}"
+    return (
+        f"; with other gains{_named(gains)} {spoken(refuted.name)} {does}, but nonlinear runs do not confirm that{told}"
+    )
 
 
 def _named(gains: Mapping[str, Sequence[float]] | None) -> str:
