@@ -306,6 +306,8 @@ def test_what_new_gains_are_worse_by_is_told(tmp_path: Path) -> None:
         f"bears {1e3 * new.delay_margin.least:.4g} instead of {1e3 * stay.delay_margin.least:.4g} ms more of dead time"
     )
     assert told in found.drawbacks
+    room, now = new.allowed_gain.least / found.gains["kp"][0], stay.allowed_gain.least / loop["kp"]
+    assert f"bears {room:.4g} instead of {now:.4g} times its gains" in found.drawbacks
     assert found.to_dict()["with_gains"]["delay_margin"]["least"] == new.delay_margin.least
     found.to_html(tmp_path / "verdict.html")
     words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
