@@ -678,12 +678,13 @@ def test_what_is_worse_where_it_moves_is_told() -> None:
     )
     assert told_of(allowed_gain=1e4) == "in the worst case it bears Kp up to 1e+04 instead of 2e+04 N m there"
     assert "drawbacks" in found.to_dict()
-    # Up to what a move counts as settled within it rests at the target.
-    for rests, words in (
-        (1.9e-3, ""),
-        (5e-3, "in the worst case it comes to rest 0.005 instead of 0.001 m off the target there"),
+    # Up to what a move counts as settled within it rests at the target; where nothing holds it, it rests nowhere.
+    for now, rests, words in (
+        (1e-3, 1.9e-3, ""),
+        (1e-3, 5e-3, "in the worst case it comes to rest 0.005 instead of 0.001 m off the target there"),
+        (math.nan, 5e-3, ""),
     ):
-        places = [replace(stay, rests_off=1e-3), *found.places[1:]]
+        places = [replace(stay, rests_off=now), *found.places[1:]]
         places[k] = replace(stay, name=found.place, rests_off=rests)
         assert replace(found, places=tuple(places)).drawbacks == words
     # What has no border where it stands has one there.

@@ -158,7 +158,8 @@ class Verdict(Pictured, Printed, Result):
                 found.append(words.format(f"{factor * value:.4g} instead of {instead} {unit}"))
             elif measure == "settling" and math.isnan(value) and not math.isnan(before):
                 found.append(f"does not settle in a minute instead of in {before:.4g} s")
-        if there.rests_off >= max(SETTLED * MOVE, (1 + FASTER) * stay.rests_off):
+        # NaN where nothing holds it: then there is no less to compare with.
+        if there.rests_off >= SETTLED * MOVE and there.rests_off >= (1 + FASTER) * stay.rests_off:
             found.append(f"comes to rest {there.rests_off:.3g} instead of {stay.rests_off:.3g} m off the target")
         how = "with the new gains it" if self.with_gains else "it"
         told = f"in the worst case {how} {', '.join(found)} there" if found else ""
