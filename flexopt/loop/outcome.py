@@ -455,8 +455,8 @@ class LoopPoint:
         does.
         """
         late, angle, row = crossing.late / self.period, crossing.angle, crossing.row
-        whole = max(math.floor(late) - 1, 0)
         for _ in range(ROUNDS):
+            whole = max(math.floor(late) - 1, 0)
             response = _Response(self.sample.later(self.dead_time + (late - whole) * self.period))
             ends = next((ends for ends in BESIDE * angle if response.crosses(row, *ends)), None)
             if ends is None:
@@ -464,7 +464,8 @@ class LoopPoint:
             angle = response.crossing(row, *ends)
             left = ((response.phase(row, angle) - angle * whole) % math.tau - math.pi) / angle
             late += left
-            if abs(left) <= SETTLED * late:
+            # Before it is late at all nothing grows: it was nearly there only.
+            if late < 0 or abs(left) <= SETTLED * late:
                 break
         return late * self.period
 

@@ -6,7 +6,7 @@ In: a machine, its `Loop`, a configuration. Out: `LoopSettings`, the numbers tha
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, cast
 
@@ -176,16 +176,18 @@ class LoopSettings(Result):
         names = f"the gains {' and '.join(found)} follow" if len(found) > 1 else f"the gain {next(iter(found))} follows"
         return (
             f"{names} from the posture of {where} and would be {'others' if len(found) > 1 else 'another'} elsewhere; "
-            f"to keep {'these' if len(found) > 1 else 'it'}: {self.in_calls(found)}"
+            f"to keep {'these' if len(found) > 1 else 'it'}: {self.in_calls}"
         )
 
-    def in_calls(self, names: Collection[str]) -> str:
-        """How calls are given this loop: all of it in Python, in the shell the `names` of it, beside what was given."""
+    @property
+    def in_calls(self) -> str:
+        """How calls are given this loop, all of it: gains alone would be those of another drive."""
         given = self.fixed.model_dump(exclude_defaults=True)
         given = {name: each for name, each in given.items() if each != "inverse" and (name != "ki" or any(each))}
         told = {name: _in_call(number) for name, number in given.items()}
         table = ", ".join(f'"{name}": {number}' for name, number in told.items())
-        options = (f"--loop {name}={told[name].strip('[]').replace(' ', '')}" for name in names)
+        plain = {name: number.strip('[]"').replace(" ", "") for name, number in told.items()}
+        options = (f"--loop {name}={number}" for name, number in plain.items())
         return f"loop={{{table}}}, in the shell {' '.join(options)}"
 
     def __repr__(self) -> str:

@@ -139,10 +139,12 @@ def test_places_can_be_chosen_by_a_weighted_sum_and_what_was_not_given_is_named(
     found = flexopt.verdict(problem, loop={"kp": 1e4}, members=2, runs=0)
     assert shown.strip() == repr(found)
     # The gain that follows from the present posture would be another at a candidate; handed on it is the one judged.
-    written = re.search(r"to keep it: loop=(.*), in the shell --loop kv=(.*)", shown)
+    written = re.search(r"to keep it: loop=(.*), in the shell (.*)", shown)
     assert written is not None
     handed = json.loads(written[1])
-    assert handed == {"drive": "torque", "kp": 1e4, "kv": float(written[2]), "rate": 200.0}
+    options = dict(option.removeprefix("--loop ").split("=") for option in re.findall(r"--loop \S+", written[2]))
+    assert handed == {"drive": "torque", "kp": 1e4, "kv": float(options["kv"]), "rate": 200.0}
+    assert list(options) == list(handed)
     place = next(each for each in found.places if each.name != "stay")
     machine = flexopt.load("excavator")
     kept, anew = (

@@ -277,6 +277,20 @@ def test_a_border_beyond_a_hundred_samples_is_found(number):
     assert not replace(here, dead_time=here.dead_time + margin * (1 + 1e-4)).loop.stable
 
 
+def test_a_border_that_is_near_zero_only_by_the_frequency_response_is_none():
+    """What would be late by less than nothing; the margin stands where the decay does not beside it."""
+    data = EXCAVATOR.to_dict()
+    data["base"]["stiffness"] = {name: 0.59460355750 * value for name, value in data["base"]["stiffness"].items()}
+    machine, posture, base = flexopt.machine_from_dict(data), (0.8029277051070434, 1.6900874123286727), 1.6154176528
+    loop = {"dead_time": 0.01, "kp": 171.54280448824815, "kv": 15150.266050702685}
+    margin = flexopt.outcome(machine, posture, base=base, loop=loop).delay_margin
+
+    def decay(more: float) -> float:
+        return flexopt.outcome(machine, posture, base=base, loop=loop | {"dead_time": 0.01 + more}).decay
+
+    assert min(map(decay, np.linspace(0.0, 0.99 * margin, 12))) > 0 > decay(1.01 * margin)
+
+
 def test_a_delay_margin_is_looked_for_up_to_what_is_asked():
     here = outcome(EXCAVATOR, POSTURE_B)
     margin = here.delay_margin().value

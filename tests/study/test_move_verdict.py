@@ -381,8 +381,8 @@ def test_gains_that_were_chosen_are_handed_on_with_their_digits(loop: dict[str, 
     kept = json.loads(words[1])
     there = flexopt.outcome(machine, place.posture, base=place.base, loop=kept)
     assert there.decay == pytest.approx(place.decay.nominal, rel=1e-6)
-    told = {name: kept[name] for name in found.selection.gains[0]}
-    assert words[2] == " ".join(f"--loop {name}={number:.10g}" for name, number in told.items())
+    assert set(found.selection.gains[0]) <= set(kept)
+    assert words[2] == " ".join(f"--loop {name}={number}" for name, number in kept.items())
 
 
 @pytest.mark.long

@@ -41,9 +41,10 @@ RULE = (
     "far as it ever was. CHANGE GAINS: other gains that were "
     "tried do in a place what no move does with the present gains, or no place is stable on every ground and other "
     "gains make one so; runs confirm it; they are tried where the loop has ranges for them, or where the present place "
-    "is not stable on every ground, or not confirmed, and there is none to move to. The fastest that are found are "
-    f"lowered together while the slowest decay is within {100 * FASTER:.0f} % of the best, worth the change, and runs "
-    "confirm it: that leaves room below gains at which the loop grows. "
+    "is not stable on every ground, or not confirmed, and there is none to move to. The place is the present one, "
+    "unless another, each with its own other gains, is better by the rule of MOVE. The fastest that are found are "
+    f"lowered together, by half at most, while the slowest decay is within {100 * FASTER:.0f} % of the best, worth the "
+    "change, and runs confirm it: that leaves room below gains at which the loop grows. "
     "STAY: the present place is stable on every ground, runs confirm it, and no "
     f"other is better on more than {100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else. A present place that "
     "breaks constraints that were asked for is none to stay at, and is not among the places, nor is one from which the "
@@ -139,7 +140,7 @@ def decide(
     """
     found = f"no place found{sought and f' by {sought}'}{KEEPING * barred}"
     sound = [place for place in others if place.holds and place.name not in unconfirmed]
-    best = _best([place for place in sound if stay is None or _pays(place, stay)])
+    best = _best([place for place in sound if stay is None or pays(place, stay)])
     staying = may_stay(stay, unconfirmed)
     every = [*([] if stay is None else [stay]), *others]
     doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
@@ -271,7 +272,7 @@ def _passed_over(best: Place, stay: Place | None, others: Sequence[Place], uncon
         why = f"{BETTER} on {percent(place.better_than(stay))} of the grounds only"
     elif place.name in unconfirmed:
         why = f"nonlinear runs do not confirm it{_because(unconfirmed[place.name])}"
-    elif stay is not None and not _pays(place, stay):
+    elif stay is not None and not pays(place, stay):
         why = "not in its worst case"
     else:
         why = f"its slowest decay is {place.slowest:.3g}/s only"
@@ -288,7 +289,8 @@ def percent(share: float) -> str:
     return f"{next(each for each in told if side(float(each) / 100) == side(share))} %"
 
 
-def _pays(place: Place, stay: Place) -> bool:
+def pays(place: Place, stay: Place) -> bool:
+    """Whether a move from the present place to another is worth it, as by `RULE`."""
     return place.better_than(stay) >= MOST and bool(faster(np.array(place.slowest), np.array(stay.slowest)))
 
 

@@ -300,7 +300,7 @@ class Verdict(Pictured, Printed, Result):
         where = "the present place" if self._stay else FIRST
         follow = self.settings.handed_on(f"{where} at target 1" if len(self.problems) > 1 else where)
         gains = chosen_gains(self.selection)
-        chosen = f"the gains were chosen with {FIRST}; to keep them: {self.settings.in_calls(gains)}" if gains else ""
+        chosen = f"the gains were chosen with {FIRST}; to keep them: {self.settings.in_calls}" if gains else ""
         return "; ".join(filter(None, (chosen, follow)))
 
     @property

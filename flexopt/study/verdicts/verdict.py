@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any, NamedTuple, TypeVar, Unpack, cast
+from typing import Any, TypeVar, Unpack, cast
 
 import numpy as np
 
@@ -39,10 +39,10 @@ from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.asked import any_problem
 from flexopt.study.verdicts.broken_places import broken_at, broken_within
+from flexopt.study.verdicts.changed_gains import ChangedGains, GainChange, doubt_of
 from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import (
     BETTER,
-    FASTER,
     MOST,
     Decision,
     Place,
@@ -54,7 +54,7 @@ from flexopt.study.verdicts.decision import (
     ranked,
     spoken,
 )
-from flexopt.study.verdicts.gain_search import best_gains, lowered, most_room, tried_gains
+from flexopt.study.verdicts.gain_search import tried_gains
 from flexopt.study.verdicts.place_loops import (
     Chosen,
     Configurations,
@@ -78,10 +78,6 @@ MEMBERS, RUNS = 64, 16
 SIZES = {"members": whole(2, 100_000), "runs": whole(0, 100_000)}
 # Choosing places, decays there, runs, gains, and what the loop does in each place.
 STAGES = 5
-# So often gains are sought again for a member that was not among the few.
-EXCHANGES = 3
-# So often runs halve the way from gains that they do not confirm to higher ones that they do.
-HALVED = 2
 UNPLACED = Fault("base", "is needed: where the machine stands now, from which it may pay to move")
 T = TypeVar("T")
 
@@ -206,10 +202,10 @@ def verdict(
         for name in told if name in fit
     }  # fmt: skip
     stay, rest = known.get(STAY), [place for name, place in known.items() if name != STAY]
-    doubts = {name: why for name, run in shown.items() if (why := _doubt(run)) is not None}
+    doubts = {name: why for name, run in shown.items() if (why := doubt_of(run)) is not None}
     tried = tried_gains(asked) if known and _tries(asked, stay, rest, doubts) else ""
     changed = (
-        _changed(asked, known, doubts, loops, slowest, points, partial(_runs_of, points[:runs], duration))
+        GainChange(asked, known, loops, slowest, doubts, points, partial(_runs_of, points[:runs], duration)).best()
         if tried
         else None
     )
@@ -223,7 +219,8 @@ def verdict(
         sought=_sought(chosen),
     )  # fmt: skip
     barred = {name: shares[name] for name in others if STAY in fit and name not in fit}
-    decision = _with_present(with_barred(decision, barred), absent if stay is None else "", chosen, held.get(STAY))
+    decision = with_barred(_beside_staying(decision, confirmed), barred)
+    decision = _with_present(decision, absent if stay is None else "", chosen, held.get(STAY))
     bands = _each(told, lambda name: _place(
         name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name], drives[name],
         shown.get(name), chosen, within[name],
@@ -323,6 +320,12 @@ def _breaking(chosen: Chosen, now_breaks: str, within: str) -> str:
     return f"the present place{held} {now_breaks or within}"
 
 
+def _beside_staying(decision: Decision, confirmed: ChangedGains | None) -> Decision:
+    """The decision, with what staying with other gains does where it sends the machine elsewhere with some."""
+    staying = confirmed.staying if confirmed and decision.word == "change gains" else ""
+    return replace(decision, reason=f"{decision.reason}; {staying}") if staying else decision
+
+
 def _with_present(
     decision: Decision, absent: str, chosen: Chosen, held: Sequence[tuple[Vector, Vector]] | None
 ) -> Decision:
@@ -350,24 +353,6 @@ def with_barred(decision: Decision, shares: Mapping[str, float]) -> Decision:
     return replace(
         decision, reason=f"{decision.reason}; {barred}: constraints.within seeks places that keep them there"
     )
-
-
-def _doubt(runs: Runs | None) -> str | None:
-    """Why the first of nonlinear runs that do not confirm a place does not; None where they do, or none were made."""
-    return None if runs is None or runs.confirming >= MOST else next(filter(None, runs.reasons), "")
-
-
-class _Changed(NamedTuple):
-    """A place with other gains: its loop with these, the gains by name, nonlinear runs if any were asked for."""
-
-    place: Place
-    loop: PlaceLoops
-    gains: dict[str, list[float]]
-    runs: Runs | None
-
-    @property
-    def doubt(self) -> str | None:
-        return _doubt(self.runs)
 
 
 def _runs_of(members: Vector, duration: float | None, loop: PlaceLoops) -> Runs | None:
@@ -444,77 +429,8 @@ def _alternates(loops: Mapping[str, PlaceLoops], slowest: Mapping[str, Slowest])
     return why
 
 
-def _changed(
-    asked: Loop,
-    known: Mapping[str, Place],
-    doubts: Mapping[str, str],
-    loops: Mapping[str, PlaceLoops],
-    slowest: Mapping[str, Slowest],
-    points: Vector,
-    runs_of: Callable[[PlaceLoops], Runs | None],
-) -> _Changed:
-    """The place that is best with other gains; the present one where it is nearly as good.
-
-    Gains are those of `[loop]`'s ranges; without ranges, all gains times a factor. They are the lowest with which the
-    place is nearly as good, worth the change, and confirmed by `runs_of`.
-    """
-    found = list[tuple[Place, PlaceLoops, Vector]]()
-    for name, place in known.items():
-        few = np.concatenate([loops[name].box.corners(FEW), slowest[name].member[None]])
-        tried = list[tuple[Place, PlaceLoops]]()
-        for _ in range(EXCHANGES):
-            best = best_gains(loops[name], asked, few)
-            decays = best.decays(points)
-            worst = best.slowest(points, decays)
-            tried.append((Place(name, decays.min(axis=0), worst.decay, place.drive, turn=place.turn), best))
-            # With other gains another member may be the slowest: then gains are sought for it, too.
-            expected = float(best.decays(few).min())
-            if worst.decay >= expected - FASTER * abs(expected):
-                break
-            few = np.concatenate([few, worst.member[None]])
-        found.append((*max(tried, key=lambda each: each[0].slowest), few))
-    most = max(place.slowest for place, *_ in found)
-    near = [each for each in found if each[0].slowest >= most - FASTER * abs(most)]
-    place, best, few = min(near, key=lambda each: each[0].drive)
-    stay, others = known.get(STAY), [each for name, each in known.items() if name != STAY]
-
-    def keeps(decay: float) -> bool:
-        worth = decide(stay, others, place._replace(slowest=decay), doubts).word == "change gains"
-        return worth and decay >= most - FASTER * abs(most)
-
-    def at(factor: float) -> tuple[Place, PlaceLoops, Vector]:
-        loop = lowered(best, asked, factor)
-        decays = loop.decays(points)
-        worst = loop.slowest(points, decays)
-        return place._replace(decays=decays.min(axis=0), slowest=worst.decay), loop, worst.member
-
-    def told(there: Place, loop: PlaceLoops) -> _Changed:
-        names = ("kp", "kv", *(["ki"] if loop.settings.feedback == "pid" else []))
-        return _Changed(there, loop, {name: getattr(loop.settings, name).tolist() for name in names}, runs_of(loop))
-
-    lowest, least = None, 1.0
-    for _ in range(EXCHANGES if keeps(place.slowest) else 0):
-        least = most_room(best, asked, loops[place.name].settings, few, keeps)
-        there, loop, member = at(least)
-        if least < 1.0 and keeps(there.slowest):
-            lowest = told(there, loop)
-            break
-        few = np.concatenate([few, member[None]])
-    if lowest is not None and lowest.doubt is None:
-        return lowest
-    kept, high = told(place, best), 1.0
-    for _ in range(HALVED if lowest is not None and kept.doubt is None else 0):
-        middle = math.sqrt(least * high)
-        there, loop, _ = at(middle)
-        if keeps(there.slowest) and (higher := told(there, loop)).doubt is None:
-            kept, high = higher, middle
-        else:
-            least = middle
-    return kept
-
-
 def _with_gains(
-    changed: _Changed,
+    changed: ChangedGains,
     stands: Mapping[str, Configurations],
     points: Vector,
     drives: Mapping[str, tuple[float, float]],

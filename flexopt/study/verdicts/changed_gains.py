@@ -1,0 +1,168 @@
+"""Where other gains help, and which: the place, its loop with these, and what nonlinear runs say of it.
+
+In: the places that one may stay in or move to, their loops with the present gains, what other gains are asked for. Out:
+the place with its gains, for a `Decision`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.loop.uncertain import FEW
+from flexopt.model.loop import Loop
+from flexopt.study.verdicts.confirmation import Runs
+from flexopt.study.verdicts.decision import FASTER, MOST, Place, decide, gains_in_words, pays
+from flexopt.study.verdicts.gain_search import best_gains, lowered, most_room
+from flexopt.study.verdicts.place_loops import PlaceLoops, Slowest
+from flexopt.study.verdicts.places import STAY
+
+# So often gains are sought again for a member that was not among the few.
+EXCHANGES = 3
+# So often runs halve the way from gains that they do not confirm to higher ones that they do.
+HALVED = 2
+
+
+class ChangedGains(NamedTuple):
+    """A place with other gains: its loop with these, nonlinear runs if any were asked for.
+
+    `staying`: where that is none to stay at, what staying with other gains does, in words; empty where it does not do.
+    """
+
+    place: Place
+    loop: PlaceLoops
+    runs: Runs | None
+    staying: str = ""
+
+    @property
+    def gains(self) -> dict[str, list[float]]:
+        """By name."""
+        settings = self.loop.settings
+        names = ("kp", "kv", *(["ki"] if settings.feedback == "pid" else []))
+        return {name: getattr(settings, name).tolist() for name in names}
+
+    @property
+    def doubt(self) -> str | None:
+        """See `doubt_of`."""
+        return doubt_of(self.runs)
+
+
+def doubt_of(runs: Runs | None) -> str | None:
+    """Why the first of nonlinear runs that do not confirm a place does not; None where they do, or none were made."""
+    return None if runs is None or runs.confirming >= MOST else next(filter(None, runs.reasons), "")
+
+
+class _Tried(NamedTuple):
+    """A place with other gains, and the few members that these were sought for (n, k)."""
+
+    place: Place
+    loop: PlaceLoops
+    few: Vector
+
+
+@dataclass(frozen=True)
+class GainChange:
+    """What other gains are sought of.
+
+    Attributes:
+        asked: of the loop: gains are those of its ranges; without ranges, all gains times a factor.
+        known: the places by name;  loops, slowest: of each, with the present gains.
+        doubts: why nonlinear runs do not confirm a place with the present gains, by its name.
+        points: members (n, k);  runs_of: nonlinear runs of a place's loop.
+    """
+
+    asked: Loop
+    known: Mapping[str, Place]
+    loops: Mapping[str, PlaceLoops]
+    slowest: Mapping[str, Slowest]
+    doubts: Mapping[str, str]
+    points: Vector
+    runs_of: Callable[[PlaceLoops], Runs | None]
+
+    def best(self) -> ChangedGains:
+        """The place to be in, each with the lowest gains that do as well as its fastest.
+
+        The present one, unless a move from it pays, as by `RULE`, or runs refute it and confirm another.
+        """
+        fastest = {name: self._fastest(name) for name in self.known}
+        stay = self._lowest(fastest.pop(STAY)) if STAY in fastest and fastest[STAY].place.holds else None
+        refuted = stay is not None and stay.doubt is not None
+        places = [each.place for each in fastest.values()]
+        others = places if stay is None or refuted else [place for place in places if pays(place, stay.place)]
+        if stay is not None and not others:
+            return stay
+        most = max(place.slowest for place in others)
+        nearest = min((place for place in others if place.slowest >= _alike(most)), key=lambda place: place.drive)
+        other = self._lowest(fastest[nearest.name])
+        worse = other.doubt is not None or not (refuted or stay is None or pays(other.place, stay.place))
+        if stay is None or worse:
+            return stay or other
+        told = f"staying with {gains_in_words(stay.gains)} does, too, more slowly: {stay.place.slowest:.3g}/s"
+        return other._replace(staying="" if refuted else told)
+
+    def _with(self, name: str, loop: PlaceLoops) -> tuple[Place, Vector]:
+        """A place with a loop of other gains, and its slowest member (k,)."""
+        decays = loop.decays(self.points)
+        worst = loop.slowest(self.points, decays)
+        return self.known[name]._replace(decays=decays.min(axis=0), slowest=worst.decay, otherwise=""), worst.member
+
+    def _fastest(self, name: str) -> _Tried:
+        loop, tried = self.loops[name], list[_Tried]()
+        few = np.concatenate([loop.box.corners(FEW), self.slowest[name].member[None]])
+        for _ in range(EXCHANGES):
+            best = best_gains(loop, self.asked, few)
+            place, member = self._with(name, best)
+            tried.append(_Tried(place, best, few))
+            # With other gains another member may be the slowest: then gains are sought for it, too.
+            expected = float(best.decays(few).min())
+            if place.slowest >= _alike(expected):
+                break
+            few = np.concatenate([few, member[None]])
+        return max(tried, key=lambda each: each.place.slowest)._replace(few=few)
+
+    def _lowest(self, fastest: _Tried) -> ChangedGains:
+        """The lowest gains with which a place is nearly as good as with its fastest, worth it, and confirmed."""
+        (place, best, few), name = fastest, fastest.place.name
+        stay, others = self.known.get(STAY), [each for key, each in self.known.items() if key != STAY]
+
+        def keeps(decay: float) -> bool:
+            worth = decide(stay, others, place._replace(slowest=decay), self.doubts).word == "change gains"
+            return worth and decay >= _alike(place.slowest)
+
+        def at(factor: float) -> _Tried:
+            loop = lowered(best, self.asked, factor)
+            there, member = self._with(name, loop)
+            return _Tried(there, loop, member[None])
+
+        def told(tried: _Tried) -> ChangedGains:
+            return ChangedGains(tried.place, tried.loop, self.runs_of(tried.loop))
+
+        lowest, least = None, 1.0
+        for _ in range(EXCHANGES if keeps(place.slowest) else 0):
+            least = most_room(best, self.asked, self.loops[name].settings, few, keeps)
+            tried = at(least)
+            if least < 1.0 and keeps(tried.place.slowest):
+                lowest = told(tried)
+                break
+            few = np.concatenate([few, tried.few])
+        if lowest is not None and lowest.doubt is None:
+            return lowest
+        kept, high = told(fastest), 1.0
+        for _ in range(HALVED if lowest is not None and kept.doubt is None else 0):
+            middle = math.sqrt(least * high)
+            tried = at(middle)
+            if keeps(tried.place.slowest) and (higher := told(tried)).doubt is None:
+                kept, high = higher, middle
+            else:
+                least = middle
+        return kept
+
+
+def _alike(decay: float) -> float:
+    """Down to which decay another counts as this one, 1/s."""
+    return decay - FASTER * abs(decay)
