@@ -315,6 +315,24 @@ def test_what_new_gains_are_worse_by_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+def test_with_other_gains_what_staying_does_is_told() -> None:
+    """Where it is sent elsewhere with some, staying with its own is told, and is as the same loop is asked for."""
+    asked: dict[str, Any] = {"base": 0.0, "starts": 3, "members": 4, "runs": 0}
+    asked |= {"ranges": {"stiffness": (0.6, 1.6)}}
+    loop: dict[str, Any] = {"drive": "velocity", "kp": 30.0, "kv": 0.0, "servo_gain": 1e5, "dead_time": 0.05}
+    machine = flexopt.load("boom-stick-bucket")
+    found = flexopt.verdict(machine, (6.0, 1.0), loop=loop, **asked)
+    assert (found.word, found.places[0].name) == ("change gains", "stay")
+    assert found.place != "stay"
+    told = re.search(r"; staying with kp (\S+), kv 0 does, too, more slowly: (\S+)/s", found.reason)
+    assert told
+    again = flexopt.verdict(machine, (6.0, 1.0), loop=loop | {"kp": float(told[1])}, **asked).places[0]
+    assert again.decay.least == pytest.approx(float(told[2]), rel=2e-3)
+    assert found.with_gains is not None
+    assert found.with_gains.decay.least > 1.1 * again.decay.least
+
+
+@pytest.mark.long
 def test_new_gains_have_room_below_those_that_grow() -> None:
     """The decay hardly rises up to twice these gains, and right above the fastest another motion grows."""
     data = gantry()
@@ -336,10 +354,10 @@ def test_new_gains_have_room_below_those_that_grow() -> None:
         gains = {name: times * values[0] for name, values in found.gains.items()}
         return min(flexopt.outcome(ground, new.posture, base=new.base, loop=gains).decay for ground in grounds)
 
-    best = max(map(decay, np.linspace(2.0, 2.4, 9)))
+    best = max(map(decay, np.linspace(1.0, 2.4, 15)))
     assert decay(1.0) >= 0.9 * best * (1 - 1e-2)
-    assert decay(0.9) < 0.9 * best
-    assert decay(2.0) > 0.0 > decay(2.6)
+    # As low as half of the fastest.
+    assert decay(2.0) >= 0.99 * best > 0.0 > decay(2.6)
     # The room that the row tells.
     assert new.allowed_gain.least / found.gains["kp"][0] > 2.0
 
