@@ -201,7 +201,9 @@ def _free(
     """
     low, high = centers - half, centers + half
     near = _meeting(low, high, extents)
-    among = _meeting(low, high, names)
+    # Two names in a row nearer than their height would read as one.
+    gap = np.array([2 * half[1], 0.0])
+    among = _meeting(low - gap, high + gap, names)
     among[0] = False
     met = _meeting(low, high, others).sum(axis=1) + among.sum(axis=1)
     # Outlines of the machine are slow to ask: only those near to a place that may yet be the best.

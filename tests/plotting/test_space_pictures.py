@@ -343,6 +343,26 @@ def test_names_of_obstacles_close_together_lie_on_no_other(selection):
         assert drawn == {text.get_text(): text.xyann for axes in panels for text in axes.texts}
 
 
+def test_names_of_a_wall_and_of_a_cable_along_it_do_not_read_as_one():
+    """Seen from above there is room for both between the two: in a row they are as far apart as a name is high."""
+    machine = flexopt.load("slewing-excavator")
+    shape = shape_of(machine, flexopt.evaluate(machine, (0.3, -0.3, -1.2, -0.6)))
+    asked = read_constraints({"clearance": {"distance": 0.1, "obstacles": [
+        {"kind": "box", "name": "wall", "center": [0.0, 3.0, 1.0], "size": [30.0, 0.3, 2.0]},
+        {"kind": "box", "name": "cable", "center": [0.0, 2.0, 6.0], "size": [60.0, 0.02, 0.02]},
+    ]}})  # fmt: skip
+    figure = Figure(figsize=(7.0, 8.0), layout="constrained")
+    panels = figure.subplots(2)
+    draw_views(panels, [Actor(shape, "C0")], shape.skeleton[:, -1], asked, name="target")
+    assert faults(figure) == []
+    wall, cable = (
+        next(text.get_window_extent() for text in panels[1].texts if text.get_text() == name)
+        for name in ("wall", "cable")
+    )
+    in_a_row = abs(wall.y0 - cable.y0) < wall.height
+    assert not in_a_row or max(wall.x0, cable.x0) - min(wall.x1, cable.x1) > wall.height - 1
+
+
 def test_in_a_crowd_the_machines_outlines_are_asked_only_for_places_that_may_be_the_best(selection, monkeypatch):
     """Each name has some 2 000 places, in each of two views, and is drawn twice."""
     shape, asked_of, count = shape_of(selection.problem.machine, selection.best.evaluation), Path.intersects_bbox, 20
