@@ -10,7 +10,7 @@ import pytest
 import flexopt
 from flexopt.loop.uncertain import UncertaintyBox, matters_most
 from flexopt.model.loop import Loop
-from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, faster, ranked
+from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, faster, gains_in_words, ranked
 from flexopt.study.verdicts.gain_search import tried_gains
 from flexopt.study.verdicts.verdict import first_places, fit_places, overlooked, shares_better, with_barred
 
@@ -434,3 +434,10 @@ def test_where_few_grounds_grow_the_decay_itself_decides() -> None:
     what, values = deciding(decide(stay, [rival]), {"stay": stay, "candidate 1": rival}, stay)
     assert what == "how far candidate 1 is from growing"
     assert values == pytest.approx(rival.decays - rival.decays.mean())
+
+
+def test_gains_of_several_task_rows_are_told_each() -> None:
+    """One number where they are one."""
+    assert gains_in_words({"kp": [4.0, 6.0, 4.0], "kv": [1.0, 1.0, 1.0]}, ("N m", "N m s")) == (
+        "kp [4, 6, 4] N m, kv 1 N m s"
+    )

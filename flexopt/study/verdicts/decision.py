@@ -205,10 +205,13 @@ def _named(gains: Mapping[str, Sequence[float]] | None) -> str:
 
 
 def gains_in_words(gains: Mapping[str, Sequence[float]], units: Sequence[str] = ("", "", "")) -> str:
-    """Of the first task row; `units` of kp, kv, ki."""
-    return ", ".join(
-        f"{name} {values[0]:.4g} {unit}".rstrip() for (name, values), unit in zip(gains.items(), units, strict=False)
-    )
+    """Of each task row where they differ; `units` of kp, kv, ki."""
+    told = list[str]()
+    for (name, values), unit in zip(gains.items(), units, strict=False):
+        each = [f"{value:.4g}" for value in values]
+        rows = each[0] if len(set(each)) == 1 else f"[{', '.join(each)}]"
+        told.append(f"{name} {rows} {unit}".rstrip())
+    return ", ".join(told)
 
 
 def spoken(place: str) -> str:

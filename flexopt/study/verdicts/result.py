@@ -447,7 +447,9 @@ class Verdict(Pictured, Printed, Result):
         drawn = f"{OTHER_WEIGHT} holds the end-point off its target at rest"
         told = f"{drawn}, by up to {each}, the most at {member_in_words(off[0].rests_off_at)}"
         known = any(INTEGRAL in said for said in (self.reason, *self.doubts.values()))
-        return f"{told}; the settling time is that of the way to there{'' if known else f', and {INTEGRAL}'}"
+        settles = any(math.isfinite(place.settling.greatest) for place in off)
+        way = ["the settling time is that of the way to there"] * settles
+        return "; ".join([told, *way, *([] if known else [INTEGRAL])])
 
     @property
     def servo_proposed(self) -> str:
