@@ -324,7 +324,9 @@ def test_with_other_gains_what_staying_does_is_told() -> None:
     found = flexopt.verdict(machine, (6.0, 1.0), loop=loop, **asked)
     assert (found.word, found.places[0].name) == ("change gains", "stay")
     assert found.place != "stay"
-    told = re.search(r"; staying with kp (\S+), kv 0 does, too, more slowly: (\S+)/s", found.reason)
+    told = re.search(
+        r"; staying with kp (\S+) 1/s, kv 0 is stable on every ground, too: slowest decay (\S+)/s", found.reason
+    )
     assert told
     again = flexopt.verdict(machine, (6.0, 1.0), loop=loop | {"kp": float(told[1])}, **asked).places[0]
     assert again.decay.least == pytest.approx(float(told[2]), rel=2e-3)

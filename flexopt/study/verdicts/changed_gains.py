@@ -7,9 +7,9 @@ the place with its gains, for a `Decision`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from flexopt.study.verdicts.places import STAY
 
 # So often gains are sought again for a member that was not among the few.
 EXCHANGES = 3
+# So many places to move to are run with other gains, until they are confirmed in one.
+PLACES = 3
 # So often runs halve the way from gains that they do not confirm to higher ones that they do.
 HALVED = 2
 
@@ -31,7 +33,8 @@ HALVED = 2
 class ChangedGains(NamedTuple):
     """A place with other gains: its loop with these, nonlinear runs if any were asked for.
 
-    `staying`: where that is none to stay at, what staying with other gains does, in words; empty where it does not do.
+    `staying`: of another place than the present one, what staying with other gains does, in words; empty where that is
+    stable nowhere, or runs refute it.
     """
 
     place: Place
@@ -94,16 +97,24 @@ class GainChange:
         refuted = stay is not None and stay.doubt is not None
         places = [each.place for each in fastest.values()]
         others = places if stay is None or refuted else [place for place in places if pays(place, stay.place)]
-        if stay is not None and not others:
+        other, tried = None, 0
+        while others and tried < PLACES and (other is None or other.doubt is not None):
+            found, tried = self._lowest(fastest[_nearest(others)]), tried + 1
+            other = found if other is None or found.doubt is None else other
+            others = [place for place in others if place.name != found.place.name]
+        if stay is None or other is None:
+            return cast(ChangedGains, stay or other)
+        serves = self._changes(other.place) or not self._changes(stay.place)
+        if other.doubt is not None or not (refuted or (serves and pays(other.place, stay.place))):
             return stay
-        most = max(place.slowest for place in others)
-        nearest = min((place for place in others if place.slowest >= _alike(most)), key=lambda place: place.drive)
-        other = self._lowest(fastest[nearest.name])
-        worse = other.doubt is not None or not (refuted or stay is None or pays(other.place, stay.place))
-        if stay is None or worse:
-            return stay or other
-        told = f"staying with {gains_in_words(stay.gains)} does, too, more slowly: {stay.place.slowest:.3g}/s"
+        gains = gains_in_words(stay.gains, stay.loop.settings.gain_units)
+        told = f"staying with {gains} is stable on every ground, too: slowest decay {stay.place.slowest:.3g}/s"
         return other._replace(staying="" if refuted else told)
+
+    def _changes(self, place: Place) -> bool:
+        """Whether the word is to change gains, of a place with other gains."""
+        stay, others = self.known.get(STAY), [each for name, each in self.known.items() if name != STAY]
+        return decide(stay, others, place, self.doubts).word == "change gains"
 
     def _with(self, name: str, loop: PlaceLoops) -> tuple[Place, Vector]:
         """A place with a loop of other gains, and its slowest member (k,)."""
@@ -128,11 +139,9 @@ class GainChange:
     def _lowest(self, fastest: _Tried) -> ChangedGains:
         """The lowest gains with which a place is nearly as good as with its fastest, worth it, and confirmed."""
         (place, best, few), name = fastest, fastest.place.name
-        stay, others = self.known.get(STAY), [each for key, each in self.known.items() if key != STAY]
 
         def keeps(decay: float) -> bool:
-            worth = decide(stay, others, place._replace(slowest=decay), self.doubts).word == "change gains"
-            return worth and decay >= _alike(place.slowest)
+            return decay >= _alike(place.slowest) and self._changes(place._replace(slowest=decay))
 
         def at(factor: float) -> _Tried:
             loop = lowered(best, self.asked, factor)
@@ -145,8 +154,11 @@ class GainChange:
         lowest, least = None, 1.0
         for _ in range(EXCHANGES if keeps(place.slowest) else 0):
             least = most_room(best, self.asked, self.loops[name].settings, few, keeps)
+            # Less is not worth what the decay loses.
+            if least * (1 + FASTER) > 1.0:
+                break
             tried = at(least)
-            if least < 1.0 and keeps(tried.place.slowest):
+            if keeps(tried.place.slowest):
                 lowest = told(tried)
                 break
             few = np.concatenate([few, tried.few])
@@ -161,6 +173,12 @@ class GainChange:
             else:
                 least = middle
         return kept
+
+
+def _nearest(places: Sequence[Place]) -> str:
+    """The name of that with the least drive among those that are nearly as good as the best."""
+    least = _alike(max(place.slowest for place in places))
+    return min((place for place in places if place.slowest >= least), key=lambda place: place.drive).name
 
 
 def _alike(decay: float) -> float:

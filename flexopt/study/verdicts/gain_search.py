@@ -74,7 +74,7 @@ def most_room(
     ends = {name: math.exp(logarithms(ends)[0]) for name, ends in gain_ranges(asked).items()}
     ends = ends or {name: LEAST * getattr(now, name).max() for name in ("kp", "kv")}
     gains = {name: getattr(loop.settings, name).max() for name in ends}
-    least = min(1.0, max(LEAST_SHARE, *(ends[name] / gain for name, gain in gains.items() if gain > 0)))
+    least = min(1.0, max([LEAST_SHARE, *(ends[name] / gain for name, gain in gains.items() if gain > 0)]))
 
     def serves(factor: float) -> bool:
         return keeps(float(lowered(loop, asked, factor).decays(members).min()))
