@@ -154,9 +154,13 @@ def sample_configurations(problem: SelectionProblem, starts: int, areas: Constra
     ), 0.0
 
 
-def violated(problem: SelectionProblem, z: Vector) -> Vector:
-    """The largest violation of any row at points z (n_z, N), in units of the scales; infinite where it is no number."""
-    worst = np.maximum(beyond_rows(problem, z).max(axis=1), _short(problem, z))
+def violated(problem: SelectionProblem, z: Vector, *, target: bool = True) -> Vector:
+    """The largest violation of any row at points z (n_z, N), in units of the scales; infinite where it is no number.
+
+    `target`: those of the target, too.
+    """
+    rows = beyond_rows(problem, z)[:, 0 if target else problem.target.size :]
+    worst = np.maximum(rows.max(axis=1), _short(problem, z))
     return np.where(np.isfinite(worst), worst, np.inf)
 
 

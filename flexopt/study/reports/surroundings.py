@@ -102,7 +102,8 @@ def _allowed(chart: WorkspaceMap, problem: SelectionProblem, best: Evaluation) -
     for name, plane in zip(coordinates, planes, strict=True):
         z[problem.machine.base_coordinates.index(name)] = plane.ravel()
     beyond = (np.maximum(problem.lower[:, None] - z, z - problem.upper[:, None]) / problem.scale[:, None]).max(axis=0)
-    kept = np.maximum(violated(problem, z), beyond) <= FEASIBLE
+    # Under gravity the map's postures, held as without, are beside the target by what the machine sags.
+    kept = np.maximum(violated(problem, z, target=False), beyond) <= FEASIBLE
     shown = {name: each.where(kept.reshape(planes[0].shape)) for name, each in dataset.items() if each.dtype == float}
     return replace(chart, dataset=dataset.assign(shown))
 
