@@ -21,8 +21,16 @@ from flexopt.selection.outcomes.result import ChosenByLoop, asked_of_loop
 from flexopt.selection.outcomes.shared import SharedProgram
 from flexopt.selection.outcomes.starting import starts_from
 from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.several.postures import Reached, reached_from
 from flexopt.selection.several.results import ConfigurationSet, TargetConfiguration
 from flexopt.selection.solve import constraint_values
+
+# Placements to stand still in, none near a better one, that are looked at again, and with how many times the usual
+# postures.
+STANDS, FINER = 6, 6
+# Configurations that are looked at: as many times the points that a measure looks at, together, but not fewer for a
+# target than so many.
+NODES, FEWEST = 4, 60
 
 
 @dataclass(frozen=True, repr=False)
@@ -94,6 +102,19 @@ def shared_program(
     """
     parts = asked.parts(problems[0], problems[0].quantities.evaluated(z))
     return SharedProgram(**parts, problems=problems, coupling=coupling, steps=steps, begin=begin)
+
+
+def reached_finer(problems: Sequence[SelectionProblem], bases: Vector) -> list[Reached]:
+    """What is reached of each target from few placements (n_b, N), by a finer sample of postures than from many.
+
+    A redundant arm's best posture may be narrower than the spacing of a few.
+    """
+    return [reached_from(problem, bases, problem.seed, FINER) for problem in problems]
+
+
+def most_looked(program: SharedProgram, gains: int = 1) -> int:
+    """Configurations of a target that are looked at with each of so many gains."""
+    return max(FEWEST, NODES * program.measure.looked // (len(program.problems) * gains))
 
 
 class Climbs(NamedTuple):

@@ -23,8 +23,16 @@ from flexopt.selection.outcomes.program import least_over
 from flexopt.selection.outcomes.shared import SharedProgram, ShortestWay
 from flexopt.selection.outcomes.starting import values_at
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.several.by_loop import ByLoop, climbs_from, places_by_loop, shared_program
-from flexopt.selection.several.postures import Reached, reached_from
+from flexopt.selection.several.by_loop import (
+    STANDS,
+    ByLoop,
+    climbs_from,
+    most_looked,
+    places_by_loop,
+    reached_finer,
+    shared_program,
+)
+from flexopt.selection.several.postures import Reached
 from flexopt.selection.several.results import BasePlan, FixedPlacement
 from flexopt.selection.several.standing import spread, standing_along
 from flexopt.selection.several.ways import (
@@ -41,12 +49,6 @@ from flexopt.selection.starts import kept_by_none
 
 # Gains with which coarse ways are looked for, where they are chosen; ways for each.
 GAINS, WAYS = 6, 3
-# Placements to stand still in, none near a better one, that ways start from, for each of these gains; and with how many
-# times the usual postures they are looked at again.
-STANDS, FINER = 6, 6
-# Configurations of a target that these are made of: as many times the points that a measure looks at, together, but not
-# fewer for a target than so many.
-NODES, FEWEST = 4, 60
 # Postures of a placement that are looked at where the base stands still, at least.
 POSTURES = 4
 # Of the best value, what the shortest way may give up.
@@ -176,9 +178,8 @@ def _standing(
     looked = looked_at([each.of(some.tolist()) for each, *_ in found])
     if not looked:
         return None
-    # A redundant arm's best posture may be narrower than the spacing of a few.
     best = np.unique([along.of(y[: program.n_z] * along.scale, 0)[: common.shape[0]] for y in looked], axis=0).T
-    looked += looked_at([reached_from(problem, best, problem.seed, FINER) for problem in along.problems])
+    looked += looked_at(reached_finer(along.problems, best))
     ys = [still.joined([own for _, own in program.parts(y)]) for y in looked]
     try:
         found_there = climbs_from(still, ys, workers)
@@ -213,7 +214,7 @@ def _gains(program: SharedProgram) -> Vector:
 
 def _most(program: SharedProgram) -> int:
     """Configurations of a target that are looked at."""
-    return max(FEWEST, NODES * program.measure.looked // (len(program.problems) * len(_gains(program))))
+    return most_looked(program, len(_gains(program)))
 
 
 def _thinned(layer: Layer, most: int) -> Layer:

@@ -21,15 +21,24 @@ from flexopt.selection.outcomes.choice import EQUAL
 from flexopt.selection.outcomes.shared import SharedProgram
 from flexopt.selection.outcomes.starting import values_at
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.several.by_loop import ByLoop, Climbs, climbs_from, places_by_loop, shared_program
+from flexopt.selection.several.by_loop import (
+    STANDS,
+    ByLoop,
+    Climbs,
+    climbs_from,
+    most_looked,
+    places_by_loop,
+    reached_finer,
+    shared_program,
+)
 from flexopt.selection.several.postures import Reached, joined, reached_from
 from flexopt.selection.several.results import Stand
-from flexopt.selection.several.standing import kept_somewhere, one_placement, other_placements
+from flexopt.selection.several.standing import kept_somewhere, one_placement, other_placements, spread
 
 # Postures of a target that are looked at from a placement.
 POSTURES = 6
-# So many times the usual number of postures is reached where the base stands in one placement.
-FINER = 6
+# Points y of one placement that were looked at, the best of them first, with the worst target's measure there.
+LookedAt = list[tuple[float, Vector]]
 
 
 @dataclass(frozen=True, repr=False)
@@ -99,18 +108,22 @@ def _climbed(
 ) -> Climbs:
     """Where climbs from the best of what was looked at lead."""
     # Of one placement there is time for more postures.
-    finer = FINER if bases.shape[1] == 1 else 1
-    found = [reached_from(problem, bases, problem.seed, finer) for problem in problems]
+    finer = bases.shape[1] == 1
+    found = reached_finer(problems, bases) if finer else [reached_from(each, bases, each.seed) for each in problems]
     if not (whole := _allowed(found)).size:
         bases, kept = kept_somewhere(problems, bases, found, workers)
-        # Held otherwise there, too: what is best for the problems' own objective need not be for the loop.
-        again = [reached_from(problem, bases, problem.seed, FINER) for problem in problems]
-        found = [joined(one, other) for one, other in zip(kept, again, strict=True)]
-        whole = _allowed(found)
+        # LookedAt otherwise there, too: what is best for the problems' own objective need not be for the loop.
+        found = [joined(one, other) for one, other in zip(kept, reached_finer(problems, bases), strict=True)]
+        whole, finer = _allowed(found), True
     z = found[0].z[:, whole[0], int(np.argmax(np.isfinite(found[0].value[whole[0]])))]
     coupling = one_placement(problems, np.ones(len(problems)), weighted=False).coupling
     program = shared_program(asked, problems, coupling, np.zeros(0), z)
-    return climbs_from(program, _looked(program, found, whole, workers), workers, progress)
+    held = _looked(program, found, whole, workers)
+    plant = problems[0].measures.plant
+    # An arm that is not redundant has few postures, which have been looked at.
+    if not finer and plant.n_actuated > plant.n_task:
+        held += _looked_finer(program, held, workers)
+    return climbs_from(program, [y for of_one in held for _, y in of_one], workers, progress)
 
 
 def _allowed(found: list[Reached]) -> NDArray[np.int64]:
@@ -134,10 +147,10 @@ def joined_at(program: SharedProgram, y: Vector, zs: list[Vector]) -> Vector:
     return program.joined([np.append(z / target.problem.scale, own[z.size :]) for z, (target, own) in parts])
 
 
-def _looked(program: SharedProgram, found: list[Reached], whole: Any, workers: int) -> list[Vector]:
-    """Points y: placements that reach all targets, gains from their ranges, and the best of some postures for each.
+def _looked(program: SharedProgram, found: list[Reached], whole: Any, workers: int) -> list[LookedAt]:
+    """Placements that reach all targets, with gains from their ranges, as `_held`.
 
-    Of few placements without gains more postures are looked at, and the second best, … of each, too.
+    Of few placements without gains more postures are looked at.
     """
     count, measure, ranges = len(program.problems), program.measure, program.ranges
     unit = low_discrepancy(1 + len(ranges), max(1, measure.looked // count), program.problem.seed)
@@ -147,20 +160,41 @@ def _looked(program: SharedProgram, found: list[Reached], whole: Any, workers: i
     # Without gains a placement that is drawn again is the same point.
     numbers = numbers if ranges else list(dict.fromkeys(numbers))
     more = max(1, len(gains) // (POSTURES * len(numbers)))
-    picked = list[list[list[Vector]]]()
+    return _held(program, [reached.of(numbers) for reached in found], list(gains[: len(numbers)]), more, workers)
+
+
+def _looked_finer(program: SharedProgram, held: list[LookedAt], workers: int) -> list[LookedAt]:
+    """The best of these placements that stand apart, with their gains, as `_held` of a finer sample of postures."""
+    best = [of_one[0] for of_one in held if of_one]
+    n_b = len(program.problem.machine.base_coordinates)
+    bases = np.array([program.z(y)[:n_b] for _, y in best]).reshape(len(best), n_b).T
+    chosen = spread(bases, np.array([worth for worth, _ in best]), STANDS)
+    if not chosen:
+        return []
+    gains = [best[k][1][program.n_z :] for k in chosen]
+    more = max(1, most_looked(program) // (POSTURES * len(chosen)))
+    return _held(program, reached_finer(program.problems, bases[:, chosen]), gains, more, workers)
+
+
+def _held(program: SharedProgram, found: list[Reached], gains: list[Vector], more: int, workers: int) -> list[LookedAt]:
+    """For each placement with its gains the best of some postures for each target, and the second best, … so many."""
+    picked = list[list[LookedAt]]()
     for target, reached in zip(program.targets, found, strict=True):
         ys, of = list[Vector](), list[int]()
-        for i, j in enumerate(numbers):
+        for j, own in enumerate(gains):
             postures = np.flatnonzero(np.isfinite(reached.value[j]))
             # Even numbers of those that are allowed.
             some = postures[np.linspace(0, len(postures) - 1, min(more * POSTURES, len(postures))).astype(int)]
-            ys += [np.append(reached.z[:, j, c] / target.problem.scale, gains[i]) for c in some]
-            of += [i] * len(some)
+            ys += [np.append(reached.z[:, j, c] / target.problem.scale, own) for c in some]
+            of += [j] * len(some)
         values = values_at(target, ys, workers)
-        best: list[list[Vector]] = [[] for _ in numbers]
+        best: list[LookedAt] = [[] for _ in gains]
         order: list[int] = np.argsort(-np.array(values), kind="stable").tolist()
         for k in order:
-            best[of[k]].append(ys[k])
+            best[of[k]].append((values[k], ys[k]))
         picked.append(best)
-    each = (zip(*(own[i] for own in picked), strict=False) for i in range(len(numbers)))
-    return [program.joined(list(parts)) for ranked in each for parts in islice(ranked, more)]
+    each = (zip(*(own[j] for own in picked), strict=False) for j in range(len(gains)))
+    return [
+        [(min(value for value, _ in parts), program.joined([y for _, y in parts])) for parts in islice(ranked, more)]
+        for ranked in each
+    ]

@@ -15,7 +15,8 @@ from flexopt.model.loop import Loop
 from flexopt.selection.outcomes.measures import Decay
 from flexopt.selection.several import outcome_plan, ways
 from flexopt.selection.several.outcome_plan import OutcomePlan
-from tests.selection.loops import EXCAVATOR, STRAIGHT, posture_at
+from tests.selection.loops import EXCAVATOR, posture_at
+from tests.selection.several.redundant import HIGH, REDUNDANT, best_decays
 from tests.study.machines import three_links
 
 PATH = [(0.0, 1.6), (0.9, 1.1)]
@@ -114,10 +115,6 @@ def test_small_ones_and_gains_along_a_way() -> None:
             assert min(each) <= plan.worth * (1 + 2e-4)
 
 
-REDUNDANT: dict[str, Any] = {"base": 0.0, "objective": "decay", "loop": {"kp": 1e4, "kv": 1e3}, "workers": 1}
-HIGH = [(0.0, 1.6), (-0.5, 1.7)]
-
-
 def test_the_postures_of_a_redundant_arm_do_not_multiply_what_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 100 points that a measure looks at a target has four times its half; a placement at least four postures."""
     monkeypatch.setattr(Decay, "looked", 100)
@@ -142,39 +139,13 @@ def test_the_postures_of_a_redundant_arm_do_not_multiply_what_is_looked_at(monke
     assert plan.worth >= plan.standing * (1 - 1.01e-4)
 
 
-def held(x: float, target: tuple[float, float], last: Vector) -> Vector:
-    """Postures (3, N) of `three_links` in x, by elementary geometry: both elbows at angles of the last link."""
-    data = three_links().to_dict()
-    foot, rest = data["base"]["length"], data["base"]["rest_angle"]
-    one, two, three = (link["length"] for link in data["links"])
-    east = target[0] - three * np.cos(last) - x - foot * np.cos(rest)
-    north = target[1] - three * np.sin(last) - foot * np.sin(rest)
-    cosine = (east**2 + north**2 - one**2 - two**2) / (2 * one * two)
-    found = list[Vector]()
-    for elbow in np.arccos(np.where(np.abs(cosine) <= 1, cosine, np.nan)) * np.array([[1.0], [-1.0]]):
-        boom = np.arctan2(north, east) - np.arctan2(two * np.sin(elbow), one + two * np.cos(elbow))
-        found.append(np.array([boom - rest, elbow, last - boom - elbow]))
-    every: Vector = np.concatenate(found, axis=1)
-    bent = np.abs(np.remainder(every[1:] + np.pi, 2 * np.pi) - np.pi)
-    return every[:, ((bent > STRAIGHT) & (bent < np.pi - STRAIGHT)).all(axis=0)]
-
-
 @pytest.mark.long
 def test_no_placement_of_a_redundant_arm_of_a_scan_is_better() -> None:
     """Placements by angles of the last link by elbows; the joints have no rates, so each target has its own best."""
     machine = three_links()
     plan = flexopt.plan_base(machine, HIGH, starts=5, **REDUNDANT)
     assert isinstance(plan, OutcomePlan)
-    settings = loop_settings(machine, Loop(**REDUNDANT["loop"]), flexopt.evaluate(machine, (0.3, 2.2, 2.2)))
-    last, grid = np.linspace(-np.pi, np.pi, 90, endpoint=False), np.linspace(-2.6, 3.7, 64)
-    best = np.full((len(HIGH), grid.size), -np.inf)
-    for k, target in enumerate(HIGH):
-        for j, x in enumerate(grid.tolist()):
-            postures = held(x, target, last)
-            if postures.size:
-                varied = {"base": np.full((1, postures.shape[1]), x), "posture": postures}
-                varied |= {"p": np.tile(np.array([p.value for p in machine.parameters])[:, None], postures.shape[1])}
-                best[k, j] = decays(machine, settings, varied).decay.max()
+    best = best_decays()
     assert best.min(axis=0).max() > 0.015
     assert plan.standing >= best.min(axis=0).max()
     assert plan.worth >= best.max(axis=1).min() * (1 - 1.01e-4)

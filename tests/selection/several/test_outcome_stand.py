@@ -23,6 +23,8 @@ from flexopt.study.reports import page
 from flexopt.study.verdicts.place_loops import configurations_of, held_at
 from tests.oracles.spatial import in_space
 from tests.selection.loops import EXCAVATOR, posture_at, worth
+from tests.selection.several.redundant import HIGH, REDUNDANT, best_decays
+from tests.study.machines import three_links
 
 TARGETS = [(0.0, 1.6), (0.3, 1.3)]
 LOOP = {"kp": 1e4, "kv": 1e3, "dead_time": 0.0031}
@@ -74,6 +76,23 @@ def test_no_placement_of_a_scan_is_better(name: str, monkeypatch: pytest.MonkeyP
     assert f"Objective {name}, Jacobian inverse control" in page._sentence(report)
     told_there = [each.remark.removesuffix(", the worst") for each in page._listed(report)]
     assert told_there == [f"{name} {number(value, 4)} {found.unit}" for value in found.V]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("starts", [5, None])
+def test_no_placement_of_a_redundant_arm_of_a_scan_is_better(starts: int | None) -> None:
+    """The best posture of each target is narrower than the spacing of a few."""
+    machine, best = three_links(), best_decays().min(axis=0).max()
+    assert best > 0.015
+    found = flexopt.select_stand(machine, HIGH, starts=starts, **REDUNDANT)
+    assert found.worth >= best
+    each = list[float]()
+    for place, target in zip(found.places, HIGH, strict=True):
+        own = place.evaluation
+        np.testing.assert_array_equal(own.base, found.base)
+        np.testing.assert_allclose(own.end_point, target, atol=1e-8)
+        each.append(flexopt.outcome(machine, own.posture, base=own.base, loop=REDUNDANT["loop"]).decay)
+    assert min(each) == pytest.approx(found.worth, rel=1e-9)
 
 
 @pytest.mark.long
