@@ -36,6 +36,8 @@ LEAST, MOST = 64, 2**18
 DRAWN, SHARE = 200, 0.95
 # A bound on a share of the variance below which it is rounding.
 NOTHING = 1e-12
+# Share of |a_i||b_i| up to which w_i is none, whatever moves it: a joint that is held a microradian aside makes it.
+NEGLIGIBLE = 1e-9
 
 
 @by
@@ -253,10 +255,13 @@ class _Outputs:
         self.modes = self.measures.plant.n_passive
 
     def values(self, members: Vector) -> Vector:
-        """(m, N)."""
+        """(m, N); 0 of what is next to nothing in all members."""
         p, _ = self.box.numbers_at(np.array([self.box.theta(u) for u in members]).T)
         postures = np.tile(self.posture[:, None], len(members))
-        return w_of_few(self.measures, self.base, postures, np.ascontiguousarray(p))
+        w = w_of_few(self.measures, self.base, postures, np.ascontiguousarray(p))
+        middle = self.box.numbers(np.full(members.shape[1], 0.5))[0]
+        size = self.measures.w.call([self.base, self.posture, middle])[1].full()
+        return np.where(np.abs(w).max(axis=1, keepdims=True) <= NEGLIGIBLE * size, 0.0, w)
 
     def slopes(self, u: Vector) -> Vector:
         """∂w/∂u (m, k)."""

@@ -147,3 +147,17 @@ def test_text_has_units_and_no_rounding() -> None:
     assert next(line for line in lines if line.startswith("  decay")).endswith(" 1/s")
     assert "does nothing" in lines[2]
     assert not any(rounded in repr(found) for rounded in ("-0.000 ", "-0.000,", "-0.000]"))
+
+
+def test_what_is_next_to_nothing_matters_to_none() -> None:
+    """An arm that works to the side, but for a turn of a microradian: the modes across it are not seen."""
+    machine, ranges = (
+        flexopt.load("slewing-excavator"),
+        {"payload.mass": (0.0, 500.0), "undercarriage.mass": (1.2e4, 1.4e4)},
+    )
+    aside = flexopt.sensitivity(machine, (1e-6, 0.5, -1.2, -0.5), ranges=ranges, samples=64)
+    sizes = flexopt.evaluate(machine, (1e-6, 0.5, -1.2, -0.5))
+    unseen = [k for k, (w, size) in enumerate(zip(sizes.w, sizes.scale, strict=True)) if abs(w) < 1e-9 * size]
+    assert unseen
+    assert [aside.said[k] for k in unseen] == ["nothing"] * len(unseen)
+    assert "nothing" not in [aside.said[k] for k in range(len(sizes.w)) if k not in unseen]
