@@ -212,8 +212,11 @@ class OutcomeSelection(ChosenByLoop, Selection):
             return ""
         if self.criterion.sign * (self.best.objective - now) > ALIKE * abs(self.best.objective):
             return ""
-        how = "as much" if self.criterion.sign > 0 else "as little"
-        return f"nothing to gain: the present configuration has {how} {self.measure}"
+        sign = self.criterion.sign
+        if sign * (now - self.best.objective) > ALIKE * abs(now):
+            how = "more" if sign > 0 else "less"
+            return f"the search found nothing as good as the present configuration, which has {how} {self.measure}"
+        return f"nothing to gain: the present configuration has {'as much' if sign > 0 else 'as little'} {self.measure}"
 
     @property
     def present_told(self) -> str:
