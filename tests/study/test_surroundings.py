@@ -42,3 +42,15 @@ def test_a_map_of_placements_is_blank_where_the_machine_may_not_stand(gravity: b
     # The end-point lies beside the plane.
     assert target[0] > 3.0
     assert "end-point" not in marks
+
+
+@pytest.mark.long
+def test_across_a_way_that_is_held_the_map_shows_how_it_would_be() -> None:
+    """As of a machine on rails: no placement of the plane but one line could be stood on."""
+    machine = flexopt.load("slewing-excavator")
+    target = flexopt.evaluate(machine, POSTURE).end_point
+    held = {"x": (-3.0, 3.0), "y": (0.0, 0.0)}
+    chosen = flexopt.select(machine, target, base=(0.0, 0.0, 0.0), base_range=held, starts=2)
+    found = surroundings(chosen, 12)
+    assert found is not None
+    assert np.isfinite(np.asarray(found.dataset["w"].values)[0]).mean() > 0.2

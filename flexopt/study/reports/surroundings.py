@@ -101,7 +101,10 @@ def _allowed(chart: WorkspaceMap, problem: SelectionProblem, best: Evaluation) -
     planes = np.meshgrid(*(dataset[axis].values for axis in chart.axes), indexing="ij")
     for name, plane in zip(coordinates, planes, strict=True):
         z[problem.machine.base_coordinates.index(name)] = plane.ravel()
-    beyond = (np.maximum(problem.lower[:, None] - z, z - problem.upper[:, None]) / problem.scale[:, None]).max(axis=0)
+    # Across a way that is held, as rails do, it is shown how it would be.
+    free = problem.lower < problem.upper
+    low, high, size = (x[free, None] for x in (problem.lower, problem.upper, problem.scale))
+    beyond = (np.maximum(low - z[free], z[free] - high) / size).max(axis=0)
     # Under gravity the map's postures, held as without, are beside the target by what the machine sags.
     kept = np.maximum(violated(problem, z, target=False), beyond) <= FEASIBLE
     shown = {name: each.where(kept.reshape(planes[0].shape)) for name, each in dataset.items() if each.dtype == float}
