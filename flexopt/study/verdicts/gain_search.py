@@ -21,9 +21,9 @@ from flexopt.study.verdicts.place_loops import PlaceLoops
 # Gains tried along each range at first, evaluations of the search that follows, and by how much all gains together
 # are tried where no range is given.
 GRID, EVALUATIONS, LEAST, MOST = 9, 80, 1e-2, 10.0
-# By which factor gains are lowered until they are too low, how often the last step is halved then, and the least
-# share of the fastest: a gain margin of 2 is as much as is asked for, and settling takes longer with lower ones.
-LOWER, HALVINGS, LEAST_SHARE = 0.8, 6, 0.5
+# So many times as high gains are to hold, too; in which steps gains are lowered for that, and how often the last one is
+# halved where it is too much.
+ROOM, LOWER, HALVINGS = 2.0, 0.5**0.25, 6
 
 
 def best_gains(loop: PlaceLoops, asked: Loop, members: Vector) -> PlaceLoops:
@@ -65,29 +65,30 @@ def lowered(loop: PlaceLoops, asked: Loop, factor: float) -> PlaceLoops:
 def most_room(
     loop: PlaceLoops, asked: Loop, now: LoopSettings, members: Vector, keeps: Callable[[float], bool]
 ) -> float:
-    """The least factor of the best gains, 1 at most, down to which the decay of the slowest member is as `keeps` asks.
+    """The factor of the best gains, 1 at most, with which `ROOM` times as high ones do not grow, or as near as can be.
 
-    Decay hardly falls up to the gain at which another motion grows, so that the best gains may lie right below it: all
-    the room between that and these is won by lowering them. Not below half of them, nor below `asked`'s ranges; with
+    Decay hardly falls up to the gain at which another motion grows, so that the best gains may lie right below it. They
+    are lowered as long as the decay of the slowest member is as `keeps` asks, and not below `asked`'s ranges; with
     none, not below 0.01 times the gains `now`.
     """
     ends = {name: math.exp(logarithms(ends)[0]) for name, ends in gain_ranges(asked).items()}
     ends = ends or {name: LEAST * getattr(now, name).max() for name in ("kp", "kv")}
     gains = {name: getattr(loop.settings, name).max() for name in ends}
-    least = min(1.0, max([LEAST_SHARE, *(ends[name] / gain for name, gain in gains.items() if gain > 0)]))
+    least = min(1.0, max((ends[name] / gain for name, gain in gains.items() if gain > 0), default=1.0))
 
-    def serves(factor: float) -> bool:
-        return keeps(float(lowered(loop, asked, factor).decays(members).min()))
+    def decay(factor: float) -> float:
+        return float(lowered(loop, asked, factor).decays(members).min())
 
     kept = 1.0
-    while kept > least and serves(lower := max(LOWER * kept, least)):
-        kept = lower
-    if kept == least:
-        return kept
-    low = max(LOWER * kept, least)
-    for _ in range(HALVINGS):
-        middle = math.sqrt(low * kept)
-        low, kept = (low, middle) if serves(middle) else (middle, kept)
+    while kept > least and decay(ROOM * kept) <= 0:
+        low = max(LOWER * kept, least)
+        if keeps(decay(low)):
+            kept = low
+            continue
+        for _ in range(HALVINGS):
+            middle = math.sqrt(low * kept)
+            low, kept = (low, middle) if keeps(decay(middle)) else (middle, kept)
+        break
     return kept
 
 
