@@ -259,7 +259,7 @@ class _Outputs:
         p, _ = self.box.numbers_at(np.array([self.box.theta(u) for u in members]).T)
         postures = np.tile(self.posture[:, None], len(members))
         w = w_of_few(self.measures, self.base, postures, np.ascontiguousarray(p))
-        middle = self.box.numbers(np.full(members.shape[1], 0.5))[0]
+        middle = self.box.numbers(0.5 * np.ones(members.shape[1]))[0]
         size = self.measures.w.call([self.base, self.posture, middle])[1].full()
         return np.where(np.abs(w).max(axis=1, keepdims=True) <= NEGLIGIBLE * size, 0.0, w)
 

@@ -36,6 +36,8 @@ TILT = 0.7  # rad, under its weight at full reach
 PREFIXES = ((1e3, "k", "N/mm"), (1e6, "M", "kN/mm"))  # what stiffnesses may be in; per metre and per millimetre
 WEAK = 0.01  # of the torque or force that holds the weight beyond a joint at full reach
 TIP_SPEED_MAX = 100.0  # m/s
+# Where uncertain numbers are given.
+RANGE, WITHIN = "range", "constraints.within"
 GRAVITY = (0.5, 30.0)  # m/s², where there is any
 LIGHT = 0.01  # mass of the base over that of the arm that it carries
 HEAVY = 10.0  # payload over the machine's own mass
@@ -93,8 +95,10 @@ def implausible_numbers(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     return tuple(found)
 
 
-def distant_ranges(machine: AnyMachine, known: Sequence[Uncertainty]) -> Iterator[ImplausibleNumber]:
-    """What of the uncertain numbers lies far from the file's own: a value for a factor, or per cent."""
+def distant_ranges(
+    machine: AnyMachine, known: Sequence[Uncertainty], field: str = RANGE
+) -> Iterator[ImplausibleNumber]:
+    """What of the uncertain numbers of a field lies far from the file's own: a value for a factor, or per cent."""
     for each in known:
         low, high = each.factor or each.value or (0.0, 0.0)
         chosen = () if each.of == (LATE,) else parameters_of(each.of, machine)
@@ -109,7 +113,7 @@ def distant_ranges(machine: AnyMachine, known: Sequence[Uncertainty]) -> Iterato
                 # Of robot files the frame is hardly the one that the range was measured in.
                 sentence = f"does not contain the file's own number, {own:.4g}{unit}"
                 meant = "it counts from the body's joint, of a root link from [base] point"
-                yield ImplausibleNumber(f"range of {each.name}", f"{ends}{unit}", sentence, meant)
+                yield ImplausibleNumber(f"{field} of {each.name}", f"{ends}{unit}", sentence, meant)
             continue
         meant = "is it in another unit?"
         if each.value is not None and low <= 1 <= high:
@@ -117,7 +121,7 @@ def distant_ranges(machine: AnyMachine, known: Sequence[Uncertainty]) -> Iterato
         elif each.factor is not None and low >= DISTANT:
             meant = f"probably in per cent: [{low / 100:g}, {high / 100:g}]"
         what = f"the file's own number, {own:.4g}{unit}" if each.value is not None else "1, the file's own number"
-        yield ImplausibleNumber(f"range of {each.name}", f"{ends}{unit}", f"lies far from {what}", meant)
+        yield ImplausibleNumber(f"{field} of {each.name}", f"{ends}{unit}", f"lies far from {what}", meant)
 
 
 def warn_weightless(machine: AnyMachine, *, asked: bool) -> None:

@@ -9,15 +9,17 @@ from typing import Any, NamedTuple, Unpack, cast
 
 import numpy as np
 
-from flexopt.errors import Fault, InputError, UnreachableTarget, raise_if_any
+from flexopt.errors import Fault, ImplausibleMachine, InputError, UnreachableTarget, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Interval, TargetLike, Vector
 from flexopt.foundation.boundary import Keywords, public
 from flexopt.foundation.control import control_damping
+from flexopt.foundation.warned import warn_user
 from flexopt.model import AnyMachine
 from flexopt.model.choices import EVERYTHING, assumes
 from flexopt.model.constraints import AnyConstraints, Constraints
 from flexopt.model.own import OBJECTIVES
+from flexopt.model.plausibility import WITHIN, distant_ranges
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.reach import arm_length, clipped, missed, outer_reach, reach, sampled_ranges, unreachable
@@ -79,8 +81,11 @@ def ask(arguments: Arguments, given: Mapping[str, Any]) -> _Asked | None:
 
 
 def only_notes(arguments: Arguments, given: Mapping[str, Any]) -> None:
-    """Note what arguments of a selection do not fit together."""
-    ask(arguments, given)
+    """Note what arguments of a selection do not fit together, and tell of numbers that are hardly meant."""
+    read = ask(arguments, given)
+    if read is not None and arguments.of is not None and not arguments.faults:
+        for finding in distant_ranges(arguments.of, read.constraints.within or (), WITHIN):
+            warn_user(str(finding), ImplausibleMachine)
 
 
 @public("select", together=only_notes, keywords=Keywords(SelectionOptions, SelectionKeywords), objective=OBJECTIVES)

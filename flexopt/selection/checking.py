@@ -20,7 +20,7 @@ from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine, Problem, load_file
 from flexopt.model.constraints import Constraints
 from flexopt.model.files import KINDS, ROBOT_SUFFIXES, read_source
-from flexopt.model.plausibility import REACH_MAX, ImplausibleNumber, distant_ranges
+from flexopt.model.plausibility import REACH_MAX, WITHIN, ImplausibleNumber, distant_ranges
 from flexopt.model.simulation import Experiment
 from flexopt.model.study import Study
 from flexopt.model.study_file import study_from
@@ -148,11 +148,13 @@ def _checked(loaded: AnyMachine | Problem | Experiment | Study, sentences: tuple
     loop = (loaded.loop if isinstance(loaded, AnyMachine | Problem) else None) or machine.loop
     found += slow_rate(machine, loop) if loop is not None else ()
     if isinstance(loaded, Problem):
+        asked = loaded.constraints or Constraints()
         found += [*_targets(loaded), *distant_ranges(machine, loaded.uncertainty)]
+        found += distant_ranges(machine, asked.within or (), WITHIN)
         refused = problem_refusals(loaded)
         faults = tuple(fault for fault in refused if not _of_the_present(fault))
         sentences = (*sentences, *(str(fault) for fault in refused if _of_the_present(fault)))
-        left = left_out(machine, loaded.constraints or Constraints())
+        left = left_out(machine, asked)
         sentences = (*sentences, *(f"constraints.{each.name}: {each.sentence}" for each in left))
     elif isinstance(loaded, Experiment):
         found += _offsets(loaded)

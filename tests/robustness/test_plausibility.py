@@ -784,6 +784,23 @@ def test_a_range_far_from_the_files_number_is_told(range_: Data, meant: str) -> 
     assert [warning.filename for warning in caught if "far from" in str(warning.message)] == [__file__]
 
 
+def test_corners_of_constraints_far_from_the_files_number_are_told(tmp_path: Path) -> None:
+    """A load in tonnes."""
+    file = tmp_path / "lift.toml"
+    file.write_text(
+        'name = "lift"\nmachine = "boom-stick-bucket"\n[target]\nend_point = [6.0, 1.0]\n'
+        '[constraints]\nholding = 0.9\nwithin = [{ of = "payload.mass", value = [0.25, 1.05] }]\n'
+    )
+    (found,) = flexopt.check(str(file)).findings
+    assert found.field == "constraints.within of payload.mass"
+    with pytest.warns(ImplausibleMachine, match="constraints.within of payload.mass") as caught:
+        flexopt.build_selection(
+            flexopt.load("boom-stick-bucket"), (6.0, 1.0),
+            constraints={"holding": 0.9, "within": [{"of": "payload.mass", "value": (0.25, 1.05)}]},
+        )  # fmt: skip
+    assert [warning.filename for warning in caught if "far from" in str(warning.message)] == [__file__]
+
+
 def test_a_centre_of_mass_counts_from_the_joint() -> None:
     """Of a root link from where its springs act, which is told where the range leaves out the file's own number."""
     digger, name = flexopt.load("slewing-excavator"), "house.com.x"
