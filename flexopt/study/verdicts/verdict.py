@@ -540,5 +540,6 @@ def _measure(
     which, rank = matters_most(box, points, values.tolist()) if values.min() < 0 < values.max() else ("", 0.0)
     if which:
         return f"to tell, measure {which}: {what} goes with it (rank correlation {rank:+.2f})"
-    seen = f"on the {len(points)} grounds looked at {what} follows none of the uncertain numbers alone"
-    return f"no single measurement is seen to tell: {seen}" if rank else ""
+    seen = f"on the {len(points)} grounds looked at {what} is not seen to follow one of the uncertain numbers alone"
+    more = f"; on as many as the usual {MEMBERS} members it may be" * (len(points) < MEMBERS)
+    return f"no single measurement is seen to tell: {seen}{more}" if rank else ""
