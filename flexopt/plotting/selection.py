@@ -253,6 +253,11 @@ def _draw_ranks(axes: Axes, selection: Selection) -> None:
         at = np.array(shown).reshape(-1, 2).T
         axes.plot(*at, marker, color=color, markeredgecolor=edge, markersize=size, linestyle="none")
     now, label = _objective_now(selection)
+    problem, initial = selection.problem, selection.initial
+    if problem.travel is not None and not isinstance(selection, OutcomeSelection):
+        label = label.replace(",", " less travel,", 1)
+        if now is not None and initial is not None:
+            now -= float(problem.travel_cost(problem.sought[0], initial.z[None])[0][0])
     if now is not None:
         axes.axhline(now, color=inks.present)
     axes.set_xlabel("candidate, by rank")

@@ -10,6 +10,8 @@ import pytest
 import flexopt
 from flexopt.loop.uncertain import UncertaintyBox, matters_most
 from flexopt.model.loop import Loop
+from flexopt.model.uncertainty import Uncertainty
+from flexopt.study.verdicts import verdict
 from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, faster, gains_in_words, ranked
 from flexopt.study.verdicts.gain_search import tried_gains
 from flexopt.study.verdicts.verdict import first_places, fit_places, overlooked, shares_better, with_barred
@@ -441,3 +443,26 @@ def test_gains_of_several_task_rows_are_told_each() -> None:
     assert gains_in_words({"kp": [4.0, 6.0, 4.0], "kv": [1.0, 1.0, 1.0]}, ("N m", "N m s")) == (
         "kp [4, 6, 4] N m, kv 1 N m s"
     )
+
+
+def test_what_alone_parts_a_few_grounds_is_named() -> None:
+    """Two of eight grounds, of which no correlation is sure; of as many that nothing parts more members are asked for."""
+    uncertain = (Uncertainty(of="stiffness", factor=(0.7, 1.3)), Uncertainty(of="payload.mass", value=(250.0, 1050.0)))
+    box = UncertaintyBox(flexopt.load("excavator"), uncertain, 0.0)
+    members = np.array([(0, 0), (0, 1), (1, 0), (1, 1), (0.3, 0.6), (0.5, 0.2), (0.7, 0.8), (0.9, 0.4)], dtype=float)
+    stay = place("stay", np.ones(8))
+
+    def told(fails: np.ndarray) -> str:
+        first = place("candidate 1", np.where(fails, 1.05, 1.3), 2.0)
+        decision = decide(stay, [first], None, {})
+        assert (decision.word, decision.place) == ("cannot tell", "candidate 1")
+        return verdict._measure(decision, box, members, {"stay": stay, "candidate 1": first}, stay, {})
+
+    light = members[:, 1] == 0
+    assert matters_most(box, members, np.where(light, -1.0, 1.0).tolist())[0] == ""
+    assert told(light).startswith(
+        "to tell, measure payload.mass, which alone parts the 8 grounds looked at by whether "
+    )
+    other = told(np.arange(8) == 4)
+    assert other.startswith("no single measurement is seen to tell: on the 8 grounds looked at ")
+    assert other.endswith("; on as many as the usual 64 members it may be")
