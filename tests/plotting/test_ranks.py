@@ -1,0 +1,29 @@
+"""Candidates by rank, of a choice that travel costs something."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import flexopt
+
+
+def test_what_travel_costs_is_said_on_the_axis_of_ranks() -> None:
+    """The present place, away from where travel counts from, and the candidates are in the same measure."""
+    machine, posture = flexopt.load("slewing-excavator"), [0.2, 0.5, -1.2, -0.5]
+    travel = {"cost": 0.5, "base": [1.0, 0.0, 0.0], "posture": posture}
+    chosen = flexopt.select(
+        machine, flexopt.evaluate(machine, posture).end_point, base=(0.0, 0.0, 0.0), posture=posture, starts=1,
+        constraints={"travel": travel},
+    )  # fmt: skip
+    axes = next(each for each in chosen.plot().axes if each.get_xlabel() == "candidate, by rank")
+    assert axes.get_ylabel().startswith("objective w1 less travel, 1/(kg m")
+    lines = [np.asarray(line.get_ydata(), dtype=float) for line in axes.get_lines()]
+    ranked = np.concatenate([line for line in lines if line.size == len(chosen.candidates) - 1 or line.size == 1])
+    assert sorted(ranked) == pytest.approx(sorted(each.objective for each in chosen.candidates))
+    assert chosen.initial is not None
+    problem = chosen.problem
+    away = (chosen.initial.z - np.array([1.0, 0.0, 0.0, *posture])) / problem.scale
+    less = 0.5 * problem.objective_scales[0] * float(away @ away)
+    assert less > 0
+    assert lines[-1][0] == pytest.approx(chosen.initial.w[0] - less)
