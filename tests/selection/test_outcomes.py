@@ -132,7 +132,10 @@ def test_there_is_something_to_gain_where_the_present_configuration_is_elsewhere
     assert "not at the target" in away.present_told
     assert away.nothing_to_gain == ""
     there = flexopt.evaluate(EXCAVATOR, away.best.evaluation.posture, base=away.best.evaluation.base)
-    assert replace(away, initial=there).nothing_to_gain.startswith("nothing to gain")
+    told = "the search found nothing as good as the present configuration, which has more "
+    assert replace(away, initial=there).nothing_to_gain.startswith(told)
+    alike = replace(away, initial=there, present=away.best.objective)
+    assert alike.nothing_to_gain.startswith("nothing to gain: the present configuration has as much ")
 
 
 @pytest.mark.long

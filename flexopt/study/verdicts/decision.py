@@ -5,6 +5,7 @@ In: decays of the present configuration and of others, on the same members of wh
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -177,8 +178,8 @@ def decide(
     if doubted:
         reason = f"nonlinear runs do not confirm {_doubted(doubted, unconfirmed)}"
         if refuted is not None and refuted.holds:
-            whys = {part for name in doubted for part in unconfirmed[name].split(BETWEEN)}
-            other = BETWEEN.join(part for part in doubt.split(BETWEEN) if part not in whys)
+            whys = {_kind(part) for name in doubted for part in unconfirmed[name].split(BETWEEN)}
+            other = BETWEEN.join(part for part in doubt.split(BETWEEN) if _kind(part) not in whys)
             reason += f"; nor {spoken(refuted.name)} with other gains{_named(gains)}{other and f': {other}'}"
         return Decision("cannot tell", doubted[0], reason)
     with_others = f", nor with {tried}" if tried else ""
@@ -236,6 +237,11 @@ def deciding(decision: Decision, known: Mapping[str, Place], stay: Place | None)
 
 def _because(why: str) -> str:
     return why and f" ({why})"
+
+
+def _kind(why: str) -> str:
+    """A doubt without its numbers."""
+    return re.sub(r"[-+±]?\d[\d.e+-]*", "", why)
 
 
 def _doubted(names: Sequence[str], unconfirmed: Mapping[str, str]) -> str:
