@@ -194,17 +194,21 @@ def build_one(
     )
 
     def looked(seed: int, areas: Constraints) -> tuple[Scan, float]:
-        sine_squared, found = math.sin(margin) ** 2, empty_scan(plant, reached=True)
-        if plant.closed_form:
-            found = scan_redundancy(
-                functions, target, intervals, objectives[0], sine_squared, limits, constraint_set, seed, areas
-            )
-            if found.size or not found.reached:
-                return found, 0.0
+        def moved() -> tuple[Scan, float]:
+            return sample_configurations(replace(problem, seed=seed), asked.starts or STARTS, areas)
+
+        if not plant.closed_form:
+            return moved()
+        sine_squared = math.sin(margin) ** 2
+        scan = scan_redundancy(
+            functions, target, intervals, objectives[0], sine_squared, limits, constraint_set, seed, areas
+        )
+        if scan.size or not scan.reached:
+            return scan, 0.0
         # Narrow limits may lie between the points of a scan: Newton steps lead into them.
-        moved, off = sample_configurations(replace(problem, seed=seed), asked.starts or STARTS, areas)
-        sines = plant.singularity_sine_squared(moved.base, moved.posture, plant.parameter_values).full()
-        return (moved, off) if np.any(sines >= sine_squared) or not plant.closed_form else (found, 0.0)
+        between = moved()[0]
+        sines = plant.singularity_sine_squared(between.base, between.posture, plant.parameter_values).full()
+        return (between if np.any(sines >= sine_squared) else scan), 0.0
 
     scan, off = looked(asked.seed, kept)
     if scan.size == 0:

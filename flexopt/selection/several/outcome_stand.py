@@ -112,7 +112,7 @@ def _climbed(
     found = reached_finer(problems, bases) if finer else [reached_from(each, bases, each.seed) for each in problems]
     if not (whole := _allowed(found)).size:
         bases, kept = kept_somewhere(problems, bases, found, workers)
-        # LookedAt otherwise there, too: what is best for the problems' own objective need not be for the loop.
+        # Held otherwise there, too: what is best for the problems' own objective need not be for the loop.
         found = [joined(one, other) for one, other in zip(kept, reached_finer(problems, bases), strict=True)]
         whole, finer = _allowed(found), True
     z = found[0].z[:, whole[0], int(np.argmax(np.isfinite(found[0].value[whole[0]])))]

@@ -540,13 +540,13 @@ def _measure(
     which, rank = matters_most(box, points, values.tolist()) if values.min() < 0 < values.max() else ("", 0.0)
     if which:
         return f"to tell, measure {which}: {what} goes with it (rank correlation {rank:+.2f})"
-    grounds = points[values < 0], points[values > 0]
-    parts = (
-        [np.min(a, axis=0) > np.max(b, axis=0) for a, b in (grounds, grounds[::-1])] if rank else [np.zeros(0, bool)]
-    )
-    if np.count_nonzero(np.any(parts, axis=0)) == 1:
-        name = box.names[int(np.argmax(np.any(parts, axis=0)))]
+    if not rank:
+        return ""
+    less, more = points[values < 0], points[values > 0]
+    parts = np.flatnonzero((less.min(axis=0) > more.max(axis=0)) | (more.min(axis=0) > less.max(axis=0)))
+    if parts.size == 1:
+        name = box.names[int(parts[0])]
         return f"to tell, measure {name}, which alone parts the {len(points)} grounds looked at by {what}"
     seen = f"on the {len(points)} grounds looked at {what} is not seen to follow one of the uncertain numbers alone"
-    more = f"; on as many as the usual {MEMBERS} members it may be" * (len(points) < MEMBERS)
-    return f"no single measurement is seen to tell: {seen}{more}" if rank else ""
+    few = f"; on as many as the usual {MEMBERS} members it may be" * (len(points) < MEMBERS)
+    return f"no single measurement is seen to tell: {seen}{few}"
