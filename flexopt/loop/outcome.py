@@ -6,7 +6,6 @@ placement, posture, parameters, gains and dead time: through eigenvectors and si
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -17,12 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexopt.coprime import StateSpace
-from flexopt.coprime.norms import hinf_peak
 from flexopt.foundation.arrays import ComplexArray, Vector
-from flexopt.foundation.roots import border, root
+from flexopt.foundation.roots import border
 from flexopt.loop.assembly import OneSample, Slopes
 from flexopt.loop.borders import stable_intervals
 from flexopt.loop.disturbance import Disturbed
+from flexopt.loop.frequency_response import PEAKS, SETTLED, crossings, exactly, peak, peak_at
 from flexopt.loop.small_motions import AT_REST, BY, DEAD_TIME, Parts, SmallMotions
 from flexopt.loop.spectrum import (
     OwnMotion,
@@ -46,19 +45,12 @@ UNDAMPED = 1e3 * float(np.finfo(float).eps)
 CLOSE, LOOKS = 4, 16
 # How far on either side of a border, in samples, eigenvalues say that it is one.
 ASIDE = 1e-3
-# Slowest motion that is looked at, rad in a sample, and how near to a pole in units of its damping.
-SLOWEST, NEAR = 1e-5, np.concatenate([-np.geomspace(0.01, 30.0, 24), np.zeros(1), np.geomspace(0.01, 30.0, 24)])
-# Between which multiples of its angle a crossing is looked for once a part of a sample is added, how often, and the
-# relative change of the time that ends it.
-BESIDE, ROUNDS, SETTLED = np.array([[1 - step, 1 + step] for step in (1e-3, 1e-2, 1e-1)]), 8, 1e-12
 # Relative distance up to which an eigenvalue is one of those that are known.
 SAME = 1e-6
 # Motions of a loop that count, the slowest first: at an optimum several are as slow.
 SLOWEST_MOTIONS = 6
-# How far the angle of a peak may be off, rad; how often it is bettered, and a dead time at a border.
-POLISH, POLISHES = 1e-5, 4
-# Peaks of feed · I + sign · F (zI − Φ)⁻¹ Γ, by sign and feed.
-PEAKS = {"sensitivity_peak": (1.0, 1.0), "complementary_peak": (-1.0, 0.0), "disk_margin": (1.0, 0.5)}
+# How often a dead time at a border is bettered.
+POLISHES = 4
 
 
 class Measured(NamedTuple):
@@ -384,11 +376,12 @@ class LoopPoint:
         if not self.loop.stable:
             return UNDEFINED
         most = DELAY_MAX * self.period - self.dead_time
-        crossings = [crossing for crossing in self._late if 0 < crossing.late < most]
-        late = [crossing.late for crossing in crossings]
+        met = crossings(self.sample)
+        within = [crossing for crossing in met if 0 < crossing.late < most]
+        late = [crossing.late for crossing in within]
         # A loop that holds has to pass the first of these to grow; where they are nearly is off by less than a sample.
-        early = [crossing for crossing in crossings if crossing.late < late[0] + 2 * self.period]
-        first = min(map(self._exactly, early), default=math.inf)
+        early = [crossing for crossing in within if crossing.late < late[0] + 2 * self.period]
+        first = min((exactly(self.sample, crossing) for crossing in early), default=math.inf)
         aside = self.period * ASIDE
         if below <= first - aside and below < most and growth(below) < 0:
             return Measured(math.inf)
@@ -405,7 +398,7 @@ class LoopPoint:
             if before >= below:
                 return Measured(math.inf)
         # A sample before the end, too: where it is nearly may lie on the other side.
-        beyond = (self._exactly(crossing) for crossing in self._late if crossing.late >= most - self.period)
+        beyond = (exactly(self.sample, crossing) for crossing in met if crossing.late >= most - self.period)
         return Measured(next((more for more in beyond if more >= most), math.inf))
 
     def _polished_border(self, more: float) -> tuple[float, Slopes | None]:
@@ -429,46 +422,6 @@ class LoopPoint:
         by = None if slopes is None else slopes * (-1 / slopes.dead_time)
         return Measured(found, by and Slopes(by.parts, -1.0))
 
-    @cached_property
-    def _late(self) -> list[_Crossing]:
-        """Times by which the law's force may be late until the loop is at a border, ascending, s, nearly.
-
-        Where an eigenvalue λ of L(e^{jθ}) has modulus 1, λ e^{−jθΔ} = −1 after Δ samples.
-        """
-        poles = np.concatenate([np.linalg.eigvals(balance(m)[0]) for m in (self.sample.open, self.sample.matrix)])
-        near = np.abs(np.angle(poles))[:, None] + np.abs(1 - np.abs(poles))[:, None] * NEAR
-        angles = np.concatenate([np.geomspace(SLOWEST, math.pi, 500), near.ravel()])
-        angles = np.unique(angles[(angles >= SLOWEST) & (angles <= math.pi)])
-        response = _Response(self.sample)
-        beyond = np.abs(response.eigenvalues(angles)) > 1
-        found: list[_Crossing] = []
-        for k, row in np.argwhere(beyond[1:] != beyond[:-1]).tolist():
-            angle = response.crossing(row, angles[k], angles[k + 1])
-            late = (response.phase(row, angle) + math.pi) % math.tau / angle
-            found.append(_Crossing(late * self.period, angle, row))
-        return sorted(found)
-
-    def _exactly(self, crossing: _Crossing) -> float:
-        """A time of `_late` as it is: by the response of the loop with a part of a sample more.
-
-        Whole samples more are z⁻¹ each, exactly; what a pure dead time would still lack goes to the part, until nothing
-        does.
-        """
-        late, angle, row = crossing.late / self.period, crossing.angle, crossing.row
-        for _ in range(ROUNDS):
-            whole = max(math.floor(late) - 1, 0)
-            response = _Response(self.sample.later(self.dead_time + (late - whole) * self.period))
-            ends = next((ends for ends in BESIDE * angle if response.crosses(row, *ends)), None)
-            if ends is None:
-                break
-            angle = response.crossing(row, *ends)
-            left = ((response.phase(row, angle) - angle * whole) % math.tau - math.pi) / angle
-            late += left
-            # Before it is late at all nothing grows: it was nearly there only.
-            if late < 0 or abs(left) <= SETTLED * late:
-                break
-        return late * self.period
-
     # Peaks over frequency, the loop broken at the law's force.
 
     @cached_property
@@ -484,68 +437,18 @@ class LoopPoint:
 
     def peak_angle(self, name: str) -> float:
         """Where a measure in `PEAKS` is attained, rad in a sample; NaN where there is none."""
-        return self._peak_at(*PEAKS[name])[1]
+        return math.nan if self._reduced is None else peak_at(self._reduced, *PEAKS[name])[1]
 
-    def _peak_at(self, sign: float, feed: float) -> tuple[float, float]:
-        """The largest singular value of feed · I + sign · F (zI − Φ)⁻¹ Γ over the unit circle, and where."""
-        system = self._reduced
-        if system is None:
-            return math.nan, math.nan
-        feeding = feed * np.eye(len(system.D))
-        value, frequency = hinf_peak(StateSpace(system.A, system.B, sign * system.C, feeding, system.dt))
-        return value, self._polished(frequency * self.period, feeding, sign)
-
-    def _polished(self, angle: float, feeding: Vector, sign: float) -> float:
-        """The angle of a peak, of which its height tells half of the digits only: where the height has no slope."""
-        system, before = self._reduced, angle - POLISH
-        if system is None or not POLISH < angle < math.pi - POLISH:
-            return angle
-
-        def slope(at: float) -> float:
-            z = np.exp(1j * at)
-            pencil: ComplexArray = z * np.eye(len(system.A)) - system.A
-            moved = np.linalg.solve(pencil, system.B.astype(complex))
-            u, _, vh = np.linalg.svd(feeding + sign * system.C @ moved)
-            turned = -1j * z * sign * system.C @ np.linalg.solve(pencil, moved)
-            return float((u[:, 0].conj() @ turned @ vh[0].conj()).real)
-
-        here, of_before, of_here = angle, slope(before), slope(angle)
-        for _ in range(POLISHES):
-            if of_here == of_before:
-                break
-            before, here, of_before = here, here - of_here * (here - before) / (of_here - of_before), of_here
-            of_here = slope(here)
-        # Where the height is no parabola nearby, as it was.
-        return here if abs(here - angle) < POLISH else angle
-
-    def _peak(self, sign: float, feed: float) -> Measured:
-        value, angle = self._peak_at(sign, feed)
-        if not math.isfinite(value):
-            return UNDEFINED
-        z, smooth, identity = np.exp(1j * angle), self.smooth, np.eye(len(self.parts.force))
-        try:
-            pencil: ComplexArray = z * np.eye(len(smooth.matrix)) - smooth.matrix
-            inverse = np.linalg.solve(pencil, np.eye(len(pencil)))
-        except np.linalg.LinAlgError:
-            return Measured(value)
-        resolvent: ComplexArray = np.asarray(inverse, dtype=np.complex128)
-        u, sizes, vh = np.linalg.svd(feed * identity + sign * smooth.force @ resolvent @ smooth.into)
-        left, right = sign * u[:, 0].conj(), vh[0].conj()
-        row, column = left @ smooth.force @ resolvent, resolvent @ smooth.into @ right
-        if len(sizes) > 1 and sizes[0] - sizes[1] < SAME * sizes[0]:
-            return Measured(value)
-        by_matrix = np.outer(row, column).real
-        by_into = np.outer(row, right).real + by_matrix @ smooth.force.T
-        by_force = np.outer(left, column).real + smooth.into.T @ by_matrix
-        return Measured(value, smooth.all_slopes(by_matrix, by_into, by_force))
+    def _peak(self, name: str) -> Measured:
+        return UNDEFINED if self._reduced is None else Measured(*peak(self._reduced, self.smooth, *PEAKS[name]))
 
     def sensitivity_peak(self) -> Measured:
         """‖S‖∞ of S = (I + L)⁻¹."""
-        return self._peak(*PEAKS["sensitivity_peak"])
+        return self._peak("sensitivity_peak")
 
     def complementary_peak(self) -> Measured:
         """‖T‖∞ of T = L (I + L)⁻¹ = I − S."""
-        return self._peak(*PEAKS["complementary_peak"])
+        return self._peak("complementary_peak")
 
     def disk_margin(self) -> Measured:
         """α = 1 / ‖S − I/2‖∞, at most 2: gains may vary by (2 − α)/(2 + α) … (2 + α)/(2 − α), phases by 2 atan(α/2).
@@ -554,10 +457,10 @@ class LoopPoint:
 
         Source: Seiler, Packard and Gahinet, IEEE Control Systems Magazine 40(5), 2020.
         """
-        peak = self._peak(*PEAKS["disk_margin"])
-        if not math.isfinite(peak.value):
+        highest = self._peak("disk_margin")
+        if not math.isfinite(highest.value):
             return UNDEFINED
-        return Measured(1 / peak.value, peak.slopes and peak.slopes * (-1 / peak.value**2))
+        return Measured(1 / highest.value, highest.slopes and highest.slopes * (-1 / highest.value**2))
 
     # Forces on the base.
 
@@ -617,52 +520,6 @@ class LoopPoint:
         derivative where two peaks are as large.
         """
         return UNDEFINED if self.move is None else Measured(*self.move.swing())
-
-
-class _Crossing(NamedTuple):
-    """Where an eigenvalue of L(e^{jθ}) has modulus one.
-
-    Attributes:
-        late: after which time, s, that the force is late it is −1.
-        angle: θ there.
-        row: which eigenvalue, by modulus.
-    """
-
-    late: float
-    angle: float
-    row: int
-
-
-class _Response:
-    """Eigenvalues of L(e^{jθ}) by modulus, the loop broken at the law's force."""
-
-    def __init__(self, sample: OneSample) -> None:
-        scale = balance(sample.matrix)[1]
-        self.open = sample.open / scale[:, None] * scale
-        self.into, self.force = sample.into / scale[:, None], sample.force * scale
-
-    def eigenvalues(self, angles: Vector) -> ComplexArray:
-        """At angles θ (k,), (k, r)."""
-        z = np.exp(1j * angles)[:, None, None]
-        right = np.broadcast_to(self.into, (len(z), *self.into.shape))
-        found = np.linalg.eigvals(-self.force @ np.linalg.solve(z * np.eye(len(self.open)) - self.open, right))
-        order = np.argsort(np.abs(found), axis=1)
-        return np.asarray(np.take_along_axis(found, order, axis=1), dtype=np.complex128)
-
-    def _one(self, row: int, angle: float) -> complex:
-        return complex(self.eigenvalues(np.array([angle]))[0, row])
-
-    def phase(self, row: int, angle: float) -> float:
-        """Of one, rad."""
-        return cmath.phase(self._one(row, angle))
-
-    def crosses(self, row: int, low: float, high: float) -> bool:
-        """Whether the modulus of one passes one between two angles."""
-        return high <= math.pi and (abs(self._one(row, low)) > 1) != (abs(self._one(row, high)) > 1)
-
-    def crossing(self, row: int, low: float, high: float) -> float:
-        """Where it does."""
-        return root(lambda angle: math.log(abs(self._one(row, angle))), low, high)
 
 
 def _between(times: list[float], step: float) -> list[float]:
