@@ -65,5 +65,5 @@ def plot_base_trajectory(sheet: Sheet, trajectory: BaseTrajectory) -> None:
 
 def _placement(t: BaseTrajectory, k: int) -> str:
     named = zip(t.base_coordinates, t.model.base_units, t.base[k], strict=True)
-    places = ", ".join(f"{mathtext(name)} = {x:.2f} {unit}" for name, unit, x in named)
+    places = ", ".join(f"{mathtext(name)} = {x:z.2f} {unit}" for name, unit, x in named)
     return f"{places}, V = {t.V[k]:.2e}".replace("-", "−")

@@ -107,7 +107,7 @@ def draw_configurations(axes: Sequence[Axes], selection: Selection) -> None:
 
 def _line(evaluation: Evaluation) -> str:
     places = zip(evaluation.base_coordinates, evaluation.base, evaluation.base_units, strict=True)
-    placed = ", ".join(f"{mathtext(name)} = {value:.2f} {unit}" for name, value, unit in places)
+    placed = ", ".join(f"{mathtext(name)} = {value:z.2f} {unit}" for name, value, unit in places)
     said = placed or "no placement"
     if evaluation.skeleton.shape[0] == 2:
         shown = without_rounding(evaluation.w, evaluation.scale)
