@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
+from flexopt.foundation.arrays import Vector
 from flexopt.model.loop import Loop
 from flexopt.study.verdicts import changed_gains
 from flexopt.study.verdicts.changed_gains import ChangedGains, GainChange
@@ -67,3 +69,43 @@ def test_where_gains_are_changed(case: Case, monkeypatch: pytest.MonkeyPatch) ->
     assert found.place.name == case.place
     told = f"staying with kp 2 N m, kv 1 N m s is stable on every ground, too: slowest decay {case.then.get('stay')}/s"
     assert (found.staying == told.replace(".0/s", "/s")) == case.staying
+
+
+@dataclass(frozen=True)
+class Gains:
+    """What gains are lowered of."""
+
+    kp: Vector
+    kv: Vector
+    ki: Vector
+    feedback: str = "pd"
+
+
+@dataclass(frozen=True)
+class Bordered:
+    """A loop that decays at 1/s up to the gain that a member names, and grows from there on."""
+
+    settings: Gains
+
+    def with_settings(self, settings: Gains) -> Bordered:
+        return Bordered(settings)
+
+    def decays(self, members: Vector) -> Vector:
+        return np.where(self.settings.kp[0] < members[:, 0], 1.0, -1.0)[None]
+
+    def slowest(self, members: Vector, decays: Vector) -> SimpleNamespace:
+        worst = int(decays.min(axis=0).argmin())
+        return SimpleNamespace(decay=float(decays.min()), member=members[worst])
+
+
+@pytest.mark.parametrize("border", [1.2, 1.9, 2.5])
+def test_twice_the_gains_hold_on_every_member(border: float) -> None:
+    """Not only on the few that the gains were sought for, which know of no border here."""
+    loop: Any = Bordered(Gains(np.array([1.0]), np.array([1.0]), np.zeros(1)))
+    points = np.array([[10.0], [border]])
+    known = {"stay": Place("stay", np.array([-1.0, -1.0]), -1.0, 0.0)}
+    change = GainChange(Loop(), known, {"stay": loop}, {}, {}, points, lambda _: None)
+    fastest = changed_gains._Tried(Place("stay", np.ones(2), 1.0, 0.0), loop, points[:1])
+    gain = float(change._lowest(fastest).loop.settings.kp[0])
+    assert 2 * gain < border
+    assert gain == 1.0 or 2 * gain > 0.8 * border  # Steps of 2^(1/4).

@@ -12,8 +12,9 @@ from flexopt.loop.uncertain import UncertaintyBox, matters_most
 from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.study.verdicts import verdict
-from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, faster, gains_in_words, ranked
+from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, faster, ranked
 from flexopt.study.verdicts.gain_search import tried_gains
+from flexopt.study.verdicts.places import gains_in_words
 from flexopt.study.verdicts.verdict import first_places, fit_places, overlooked, shares_better, with_barred
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
@@ -46,12 +47,10 @@ def test_places_that_break_constraints_on_some_ground_count_where_all_do() -> No
     assert "no place found that keeps the constraints on every ground dec" in decide(STAY, [], barred=True).reason
     assert decide(STAY, [], sought="w1").reason.startswith("no place found by w1 decays")
     grows = place("stay", GROUNDS - 1.0)
-    told = decide(grows, [], place("candidate 1", GROUNDS), barred=True, gains={"kp": [1.0]})
+    told = decide(grows, [], place("candidate 1", GROUNDS), barred=True, gains="kp 1 1/s")
     assert told.word == "change gains"
     assert told.reason.endswith("no place found that keeps the constraints on every ground is stable on every ground")
-    refuted = decide(
-        grows, [], refuted=place("candidate 1", GROUNDS), doubt="the run of 20 s grows", gains={"kp": [1.0]}
-    )
+    refuted = decide(grows, [], refuted=place("candidate 1", GROUNDS), doubt="the run of 20 s grows", gains="kp 1 1/s")
     assert refuted.word == "cannot tell"
     assert refuted.reason.endswith("but nonlinear runs do not confirm that: the run of 20 s grows")
 
@@ -128,7 +127,11 @@ def test_nothing_is_said_that_runs_do_not_confirm() -> None:
 
 def test_gains_that_spare_the_drive() -> None:
     move = place("near", 2 * GROUNDS, 5.0)
-    assert decide(STAY, [move], place("stay", 2.5 * GROUNDS)).word == "change gains"
+    spared = decide(STAY, [move], place("stay", 2.5 * GROUNDS))
+    assert spared.word == "change gains"
+    assert ", more than near has with the present ones, 1/s" in spared.reason
+    alike = decide(STAY, [move], place("stay", 2.1 * GROUNDS))
+    assert ", as much as near has with the present ones, 1/s" in alike.reason
     assert decide(STAY, [move], place("stay", 1.5 * GROUNDS)).word == "move"
     assert decide(STAY, [], place("stay", 1.05 * GROUNDS)).word == "stay"
     assert decide(place("stay", -GROUNDS), [], place("stay", 0.1 * GROUNDS)).word == "change gains"
@@ -244,7 +247,7 @@ def test_reasons_say_what_is_so() -> None:
     others = tried_gains(Loop(kp=1e4, kv=1e3))
     none = decide(partly, [near], place("stay", 0.1 * GROUNDS), tried=others)
     assert none.reason.endswith(f"; no gains worth a change are found with {others}")
-    refuted = decide(partly, [near], tried="others", refuted=changed, doubt="it is short", gains={"kp": [2.0]})
+    refuted = decide(partly, [near], tried="others", refuted=changed, doubt="it is short", gains="kp 2")
     assert refuted.reason.endswith(
         "; with other gains (kp 2) the present place decays at least 10 % faster in the worst case, but nonlinear runs "
         "do not confirm that: it is short"
@@ -274,9 +277,7 @@ def test_gains_that_runs_do_not_confirm_are_not_said_to_grow() -> None:
     refuted = decide(grows, [], tried="others", refuted=place("stay", GROUNDS))
     assert refuted.reason.endswith("with other gains the present place is, but nonlinear runs do not confirm that")
     assert "nor with others" in decide(grows, [], tried="others", refuted=grows).reason
-    named = decide(
-        grows, [], tried="others", refuted=place("stay", GROUNDS), gains={"kp": [0.4, 0.4], "kv": [0.015, 0.015]}
-    )
+    named = decide(grows, [], tried="others", refuted=place("stay", GROUNDS), gains="kp 0.4, kv 0.015")
     assert "; with other gains (kp 0.4, kv 0.015) the present place is, but" in named.reason
 
 

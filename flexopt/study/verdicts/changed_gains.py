@@ -17,10 +17,10 @@ from flexopt.foundation.arrays import Vector
 from flexopt.loop.uncertain import FEW
 from flexopt.model.loop import Loop
 from flexopt.study.verdicts.confirmation import Runs
-from flexopt.study.verdicts.decision import FASTER, MOST, Place, decide, gains_in_words, pays
+from flexopt.study.verdicts.decision import FASTER, MOST, Place, decide, pays
 from flexopt.study.verdicts.gain_search import best_gains, lowered, most_room
 from flexopt.study.verdicts.place_loops import PlaceLoops, Slowest
-from flexopt.study.verdicts.places import STAY
+from flexopt.study.verdicts.places import STAY, gains_in_words
 
 # So often gains are sought again for a member that was not among the few.
 EXCHANGES = 3
@@ -48,6 +48,11 @@ class ChangedGains(NamedTuple):
         settings = self.loop.settings
         names = ("kp", "kv", *(["ki"] if settings.feedback == "pid" else []))
         return {name: getattr(settings, name).tolist() for name in names}
+
+    @property
+    def in_words(self) -> str:
+        """These gains."""
+        return gains_in_words(self.gains, self.loop.settings.gain_units)
 
     @property
     def doubt(self) -> str | None:
@@ -107,8 +112,7 @@ class GainChange:
         serves = self._changes(other.place) or not self._changes(stay.place)
         if other.doubt is not None or not (refuted or (serves and pays(other.place, stay.place))):
             return stay
-        gains = gains_in_words(stay.gains, stay.loop.settings.gain_units)
-        told = f"staying with {gains} is stable on every ground, too: slowest decay {stay.place.slowest:.3g}/s"
+        told = f"staying with {stay.in_words} is stable on every ground, too: slowest decay {stay.place.slowest:.3g}/s"
         return other._replace(staying="" if refuted else told)
 
     def _changes(self, place: Place) -> bool:
@@ -152,8 +156,10 @@ class GainChange:
             return ChangedGains(tried.place, tried.loop, self.runs_of(tried.loop))
 
         lowest, least = None, 1.0
+        # What makes twice as high gains grow need not be among the few that these were sought for.
+        members = np.concatenate([few, self.points])
         for _ in range(EXCHANGES if keeps(place.slowest) else 0):
-            least = most_room(best, self.asked, self.loops[name].settings, few, keeps)
+            least = most_room(best, self.asked, self.loops[name].settings, members, keeps)
             # Less is not worth what the decay loses.
             if least * (1 + FASTER) > 1.0:
                 break
@@ -161,7 +167,7 @@ class GainChange:
             if keeps(tried.place.slowest):
                 lowest = told(tried)
                 break
-            few = np.concatenate([few, tried.few])
+            members = np.concatenate([members, tried.few])
         if lowest is not None and lowest.doubt is None:
             return lowest
         kept, high = told(fastest), 1.0

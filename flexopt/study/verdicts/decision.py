@@ -116,7 +116,7 @@ def decide(
     tried: str = "",
     refuted: Place | None = None,
     doubt: str = "",
-    gains: Mapping[str, Sequence[float]] | None = None,
+    gains: str = "",
     alternates: str = "",
     absent: str = UNREACHED.format("the target"),
     most: float = 0.0,
@@ -132,7 +132,7 @@ def decide(
         unconfirmed: why nonlinear runs do not confirm a place, by its name.
         tried: which other gains were, in words; empty for none.
         refuted: the best place with other gains, where runs do not confirm it;  doubt: why the first of them does not.
-        gains: these other gains.
+        gains: these other gains, in words.
         alternates: why the loop changes its sign at every sample, where it grows so in every place.
         absent: why there is no staying.
         most: share of the members on which a place is better than staying, of all that were judged.
@@ -189,9 +189,7 @@ def decide(
     return Decision("cannot tell", "", reason + (f"; it grows at {alternates}" if alternates else ""))
 
 
-def _no_gains(
-    tried: str, refuted: Place | None, does: str, doubt: str, gains: Mapping[str, Sequence[float]] | None
-) -> str:
+def _no_gains(tried: str, refuted: Place | None, does: str, doubt: str, gains: str) -> str:
     """What a place does with other gains by the linear loop, and why runs do not confirm it; else that none help."""
     if refuted is None or not does:
         return f"; no gains worth a change are found with {tried}" * bool(tried)
@@ -201,18 +199,8 @@ def _no_gains(
     )
 
 
-def _named(gains: Mapping[str, Sequence[float]] | None) -> str:
-    return f" ({gains_in_words(gains)})" if gains else ""
-
-
-def gains_in_words(gains: Mapping[str, Sequence[float]], units: Sequence[str] = ("", "", "")) -> str:
-    """Of each task row where they differ; `units` of kp, kv, ki."""
-    told = list[str]()
-    for (name, values), unit in zip(gains.items(), units, strict=False):
-        each = [f"{value:.4g}" for value in values]
-        rows = each[0] if len(set(each)) == 1 else f"[{', '.join(each)}]"
-        told.append(f"{name} {rows} {unit}".rstrip())
-    return ", ".join(told)
+def _named(gains: str) -> str:
+    return f" ({gains})" * bool(gains)
 
 
 def spoken(place: str) -> str:
@@ -365,7 +353,9 @@ def _why_gains(
 ) -> str:
     reason = f"with the new gains the slowest decay at {spoken(changed.name)} is {changed.slowest:.3g}/s"
     if best is not None:
-        return f"{reason}, as much as {best.name} has with the present ones, {best.slowest:.3g}/s"
+        more = faster(np.array(changed.slowest), np.array(best.slowest))
+        much = "more than" if more else "as much as"
+        return f"{reason}, {much} {best.name} has with the present ones, {best.slowest:.3g}/s"
     staying = may_stay(stay, doubts)
     had = [*([] if staying is None else [staying]), *sound]
     if had and stay is not None and stay.holds:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 
 # Where the machine stands now, and the best of the selection.
 STAY, FIRST = "stay", "candidate 1"
@@ -28,3 +29,13 @@ def told(value: float, factor: float, unit: str) -> str:
 def allowed(gain: float, unit: str, highest: float) -> str:
     """An allowed gain as text: above the highest one that was looked at where no border was met up to it."""
     return f"above {highest:.4g} {unit}" if math.isinf(gain) else told(gain, 1.0, f" {unit}")
+
+
+def gains_in_words(gains: Mapping[str, Sequence[float]], units: Sequence[str]) -> str:
+    """Of each task row where they differ; `units` of kp, kv, ki."""
+    told = list[str]()
+    for (name, values), unit in zip(gains.items(), units, strict=False):
+        each = [f"{value:.4g}" for value in values]
+        rows = each[0] if len(set(each)) == 1 else f"[{', '.join(each)}]"
+        told.append(f"{name} {rows} {unit}".rstrip())
+    return ", ".join(told)

@@ -31,10 +31,10 @@ from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.result import unverified_told
 from flexopt.study.verdicts.confirmation import INTEGRAL
-from flexopt.study.verdicts.decision import BETWEEN, FASTER, LEAST_TOLD, RULE, Word, gains_in_words, spoken
+from flexopt.study.verdicts.decision import BETWEEN, FASTER, LEAST_TOLD, RULE, Word, spoken
 from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
-from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD, allowed, told
+from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD, allowed, gains_in_words, told
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands

@@ -213,7 +213,7 @@ def verdict(
     stages.next()
     decision = decide(
         stay, rest, confirmed and confirmed.place, doubts, tried=tried, refuted=refuted and refuted.place,
-        doubt=(refuted and refuted.doubt) or "", gains=changed and changed.gains,
+        doubt=(refuted and refuted.doubt) or "", gains=changed.in_words if changed else "",
         alternates=_alternates(loops, slowest) if tried else "", absent=absent,
         most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
         sought=_sought(chosen),
