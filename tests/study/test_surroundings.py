@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 import shapely
 from shapely import affinity
 
 import flexopt
+from flexopt.study.reports import page
 from flexopt.study.reports.surroundings import marks_in, surroundings
 
 BARRED, POSTURE = ((1.0, -2.0), (2.0, -2.0), (2.0, 1.0), (1.0, 1.0)), (0.2, 0.5, -1.2, -0.5)
@@ -54,3 +59,22 @@ def test_across_a_way_that_is_held_the_map_shows_how_it_would_be() -> None:
     found = surroundings(chosen, 12)
     assert found is not None
     assert np.isfinite(np.asarray(found.dataset["w"].values)[0]).mean() > 0.2
+
+
+@pytest.mark.long
+def test_a_map_that_shows_nothing_says_why() -> None:
+    """Where one may stand is narrower than the map's spacing: nothing is out of reach there."""
+    machine = flexopt.load("slewing-excavator")
+    target = flexopt.evaluate(machine, POSTURE).end_point
+    slit = [(0.05, 0.05), (0.06, 0.05), (0.06, 0.06), (0.05, 0.06)]
+    chosen = flexopt.select(
+        machine, target, base=(0.0, 0.0, 0.0), base_range={"x": (-3.0, 3.0), "y": (-3.0, 3.0)}, starts=1,
+        posture=POSTURE, constraints={"region": [slit], "holds": "point"},
+    )  # fmt: skip
+    found = surroundings(chosen, 8)
+    assert found is not None
+    assert "0.0 % of 64 points are reached, regular and allowed by the problem" in repr(found)
+    shown: Any = SimpleNamespace(map=found, marks=marks_in(chosen, found))
+    assert page._map_caption(shown).endswith(page.NOWHERE)
+    shown.map = replace(found, dataset=found.dataset.fillna(1.0))
+    assert page.NOWHERE not in page._map_caption(shown)

@@ -227,7 +227,7 @@ class WorkspaceMap(Gridded, Tabled):
         ]
         if self.options["over"] != "loop":
             share = f"{100 * document['mapped']:.1f} % of {document['points']} points"
-            lines.append(f"  {share} are reached and regular")
+            lines.append(f"  {share} are {self.dataset.attrs.get('mapped', 'reached and regular')}")
         for name, entry in document["variables"].items():
             for number, (low, mean, high) in enumerate(zip(entry["min"], entry["mean"], entry["max"], strict=True)):
                 label = f"{name} {number + 1}" if len(entry["min"]) > 1 else name

@@ -66,6 +66,8 @@ FOLLOWED = (
     "not reach, or breaks a limit, a range or a constraint of the problem; another posture may still do."
 )
 
+NOWHERE = " None of its points is allowed: what is allowed is narrower than their spacing, or asks for another posture."
+
 
 def report_html(report: Report) -> str:
     """The page."""
@@ -111,7 +113,8 @@ def _map_caption(report: Report) -> str:
     """What the panels show, the marks that are in them, and which postures they are of."""
     marks = [words for name, words in MARKS.items() if name in report.marks]
     followed = report.map is not None and "end_point" in report.map.options
-    return MAP_CAPTION + (f" {begun('; '.join(marks))}." if marks else "") + (FOLLOWED if followed else "")
+    told = MAP_CAPTION + (f" {begun('; '.join(marks))}." if marks else "") + (FOLLOWED if followed else "")
+    return told if report.map is None or report.map.to_dict()["mapped"] else told + NOWHERE
 
 
 def _panels(report: Report) -> dict[str, Picture]:

@@ -108,7 +108,8 @@ def _allowed(chart: WorkspaceMap, problem: SelectionProblem, best: Evaluation) -
     # Under gravity the map's postures, held as without, are beside the target by what the machine sags.
     kept = np.maximum(violated(problem, z, target=False), beyond) <= FEASIBLE
     shown = {name: each.where(kept.reshape(planes[0].shape)) for name, each in dataset.items() if each.dtype == float}
-    return replace(chart, dataset=dataset.assign(shown))
+    within = {"mapped": "reached, regular and allowed by the problem"}
+    return replace(chart, dataset=dataset.assign(shown).assign_attrs(within))
 
 
 def elbow_of(machine: AnyMachine, stand: Evaluation) -> Elbow:
