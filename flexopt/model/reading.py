@@ -140,7 +140,9 @@ def machine_from_dict(data: TableLike, *, origin: str = "machine") -> Machine:
 
 
 def _machine(source: Source) -> Machine | Tree:
-    if "robot" in source.data:
+    spatial = "links" not in source.data and {"actuated", "end_point"} & source.data.keys()
+    # Of a machine in space that does not name its robot that alone is told.
+    if "robot" in source.data or spatial:
         from flexopt.model.robots import robot_from_dict  # noqa: PLC0415  (readers that few machines need)
 
         return robot_from_dict(source.data, folder=source.folder, origin=source.name)

@@ -23,7 +23,7 @@ from flexopt.plotting.sheet import Sheet, picture
 from flexopt.plotting.units import labelled, measure_label, objective_label
 from flexopt.robustness.evaluation import Evaluation, unreached, without_rounding
 from flexopt.selection.outcomes.result import OutcomeSelection
-from flexopt.selection.result import Candidate, Selection
+from flexopt.selection.result import NOTHING, Candidate, Selection
 
 BRANCHES = {-1.0: (0, "elbow up"), 1.0: (1, "elbow down")}
 # Fraction of the scan that sets the lower end of the axes: near singular postures the measures fall without end.
@@ -265,6 +265,11 @@ def _draw_ranks(axes: Axes, selection: Selection) -> None:
     # Of one candidate, too, there is no rank between two.
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.set_xlim(0.5, max(len(ranked), 1) + 0.5)
+    if not isinstance(selection, OutcomeSelection):
+        # No finer than what counts as equal, or rounding would look like a difference.
+        low, high = axes.get_ylim()
+        short = max(0.0, NOTHING * problem.objective_scale - (high - low))
+        axes.set_ylim(low - short / 2, high + short / 2)
 
 
 def _objective_now(selection: Selection) -> tuple[float | None, str]:

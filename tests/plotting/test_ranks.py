@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -27,3 +29,17 @@ def test_what_travel_costs_is_said_on_the_axis_of_ranks() -> None:
     less = 0.5 * problem.objective_scales[0] * float(away @ away)
     assert less > 0
     assert lines[-1][0] == pytest.approx(chosen.initial.w[0] - less)
+
+
+def test_rounding_is_no_difference_between_ranks() -> None:
+    """A machine held in its plane of symmetry: a mode out of the plane has w = 0 everywhere, to rounding."""
+    machine, posture = flexopt.load("slewing-excavator"), [0.0, 0.5, -1.2, -0.5]
+    chosen = flexopt.select(
+        machine, flexopt.evaluate(machine, posture).end_point, base=(0.0, 0.0, 0.0), posture=posture, starts=1,
+    )  # fmt: skip
+    nothing = [replace(each, objective=-5e-40 * (k % 2)) for k, each in enumerate(chosen.candidates)]
+    drawn = replace(chosen, candidates=tuple(nothing), best=nothing[0], initial=None)
+    axes = next(each for each in drawn.plot().axes if each.get_xlabel() == "candidate, by rank")
+    low, high = axes.get_ylim()
+    assert high - low >= 1e-4 * chosen.problem.objective_scale
+    assert low < 0.0 < high

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flexopt import FlexoptWarning, ModelError
+from flexopt import FlexoptWarning, ModelError, load
 from flexopt.model.robots import load_robot, robot_from_dict
 from tests.model.robots.files import (
     DELETE,
@@ -233,6 +233,20 @@ def test_machine_file_faults(tmp_path: Path, case: str) -> None:
     with pytest.raises(ModelError) as caught:
         robot_from_dict(machine, folder=tmp_path, origin="machine.toml")
     assert_message(caught.value, parts)
+
+
+def test_a_file_of_a_machine_in_space_that_names_no_robot_is_told_that_alone(tmp_path: Path) -> None:
+    """Not that it lacks what a planar machine has."""
+    file = tmp_path / "machine.toml"
+    file.write_text(
+        """name = "arm"
+        actuated = ["boom"]
+        base = { stiffness = { z = 4e6, roll = 2e6 } }
+        end_point = { link = "tool" }"""
+    )
+    with pytest.raises(ModelError) as caught:
+        load(file)
+    assert str(caught.value) == f"{file}: robot: is required and missing"
 
 
 def test_one_change_is_one_fault(tmp_path: Path) -> None:
