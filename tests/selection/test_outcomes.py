@@ -305,6 +305,7 @@ def test_a_problem_file_and_the_command(tmp_path: Any, monkeypatch: pytest.Monke
     assert same["best"]["objective"] == pytest.approx(found.best.objective, rel=1e-9)
 
 
+@pytest.mark.long("delay_margin-50.0")
 @pytest.mark.parametrize(("objective", "gain"), [("allowed_gain", 200.0), ("delay_margin", 50.0)])
 def test_the_worst_of_a_gain_and_of_a_margin_is_that_of_the_verdict(objective: str, gain: float) -> None:
     """Of the same place; and no member drawn at random knows a worse one."""

@@ -1330,6 +1330,7 @@ def test_what_lies_outside_the_ranges_is_none_of_the_worst() -> None:
     assert outside.decay.greatest <= inside.decay.greatest * (1 + 1e-9)
 
 
+@pytest.mark.long
 def test_a_load_that_the_controller_does_not_know_is_named_where_the_arm_stays_off() -> None:
     """Without an integral part the arm hangs where P feedback carries the difference; with one runs confirm."""
     machine = flexopt.load("boom-stick-bucket")

@@ -39,6 +39,7 @@ def worst(name: str, x: float, loop: dict[str, Any]) -> float:
     )
 
 
+@pytest.mark.long("decay")
 @pytest.mark.parametrize("objective", ["V", "decay"])
 def test_a_base_that_no_target_sees_stays_where_it_is(objective: str) -> None:
     """Of tasks of the height alone placements are all alike: one stand is told, where the machine stands."""
