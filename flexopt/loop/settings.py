@@ -31,6 +31,8 @@ HALVINGS = 6
 USUAL = "usual of velocity-served joints"
 # How the sources of numbers begin that follow from a posture.
 SUITING, SERVING = "suits the arm's masses", "the largest at which no full lever asks a joint here"
+# The source of gains that a choice by the loop took from their ranges.
+CHOSEN = "chosen with the configuration"
 # What a loop may say of each joint's drive.
 OF_DRIVES = ("bandwidth_hz", "torque_limit", "rate_limit")
 
@@ -159,7 +161,8 @@ class LoopSettings(Result):
     @property
     def proposed(self) -> list[str]:
         """Lines on what nobody gave, and on joints that it hardly drives; none where all was given."""
-        names = ", ".join(f"drive ({why})" if name == "drive" else name for name, why in self.sources.items())
+        own = {name: why for name, why in self.sources.items() if why != CHOSEN}
+        names = ", ".join(f"drive ({why})" if name == "drive" else name for name, why in own.items())
         lines = [f"not given of the loop, so proposed: {names}", self.hardly_served] if names else []
         return [f"  {line}" for line in lines if line]
 

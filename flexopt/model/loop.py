@@ -55,7 +55,8 @@ class Loop(BuiltByCall):
             N m s, N m/s for the inverse of hinges (of an arm with both, the inverse's number is N m at its hinges and
             N/m at its slides). Of velocity-served joints 1/s, 1 and 1/s², from the end-point's error to the rate
             asked for.
-        kp_range, kv_range: (lower, upper) between which all entries of a gain may be chosen.
+        kp_range, kv_range: (lower, upper) between which all entries of a gain may be chosen. A gain given beside its
+            range is that of today: the present configuration has it, and a verdict's places, but for its new gains.
         rate: of the samples, Hz.
         dead_time: from the end-point's measurement to command, s; any time of up to 100 samples, not only whole ones.
             Joints, which the Jacobian and the damper of the self-motion need, are measured without.

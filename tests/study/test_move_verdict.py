@@ -24,6 +24,7 @@ from flexopt.model.loop import Loop
 from flexopt.model.problem import SelectionOptions
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.broken import broken, broken_names
+from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.study import page
 from flexopt.study.page import with_minus
 from flexopt.study.verdicts.broken_places import broken_at, broken_within
@@ -405,6 +406,46 @@ def test_gains_that_were_chosen_are_handed_on_with_their_digits(loop: dict[str, 
     assert words[2] == " ".join(f"--loop {name}={number}" for name, number in kept.items())
 
 
+def test_gains_that_are_given_beside_their_ranges_are_those_of_today() -> None:
+    """The choice takes others from the ranges; staying with those that the machine has now is another matter."""
+    machine, today = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
+    few: dict[str, Any] = {"base": 0.0, "objective": "decay", "starts": 4, "members": 4, "runs": 0}
+    found = flexopt.verdict(machine, (0.0, 1.6), loop=today | {"kp_range": (1e3, 1e5)}, **few)
+    assert isinstance(found.selection, OutcomeSelection)
+    chosen = found.selection.gains[0]["kp"]
+    assert chosen > 2 * today["kp"]
+    assert set(found.settings.kp.tolist()) == {today["kp"]}
+    for place in found.places:
+        there = flexopt.outcome(machine, place.posture, base=place.base, loop=today)
+        assert place.decay.nominal == pytest.approx(there.decay, rel=1e-9)
+    assert f"candidate 1 was chosen with kp {chosen:.4g} N m; places are compared with the gains" in found.handed_on
+    assert "kp" not in found.settings.sources
+    # So does the choice tell of the present configuration.
+    now = found.places[0]
+    assert found.selection.present == pytest.approx(now.decay.nominal, rel=1e-9)
+    assert found.selection.initial is not None
+    assert found.selection.initial.outcome.decay == pytest.approx(now.decay.nominal, rel=1e-9)
+    row = next(line for line in repr(found.selection).splitlines() if line.startswith("   now "))
+    assert "1e+04" in row.split()
+    # Without one of today they are judged with those that were chosen, and say so.
+    other = flexopt.verdict(machine, (0.0, 1.6), loop={"kv": 1e3, "kp_range": (1e3, 1e5)}, **few)
+    assert other.settings.kp[0] == pytest.approx(chosen, rel=1e-6)
+    assert other.to_dict()["settings"]["sources"]["kp"] == "chosen with the configuration"
+    assert "so proposed: drive (gains without a drive are those of torques), rate, dead_time" in repr(other)
+
+
+def test_what_a_loop_does_with_the_gains_of_today_is_told_of_places_chosen_with_others() -> None:
+    """By w1 with a least decay, which only gains from the range have."""
+    machine, today = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
+    few: dict[str, Any] = {"base": 0.0, "objective": "w1", "starts": 2, "members": 4, "runs": 0}
+    asked: dict[str, Any] = {"constraints": {"outcome": {"decay": 0.016}}, "loop": today | {"kp_range": (1e4, 1e5)}}
+    found = flexopt.verdict(machine, (0.0, 1.6), **asked, **few)
+    for place in found.places:
+        assert place.decay.nominal < 0.016
+        told = found.present_breaks if place.name == "stay" else place.breaks
+        assert re.search(r"breaks decay \S+ 1/s \(at least 0.016", told), told
+
+
 @pytest.mark.long
 def test_ranges_of_gains_spare_a_drive() -> None:
     found = judged("article", loop=ARTICLE | {"kp_range": (1.0, 1e5), "kv_range": (1.0, 1e4)}, runs=0)
@@ -704,9 +745,12 @@ def test_what_is_worse_where_it_moves_is_told() -> None:
         (1e-3, 5e-3, "in the worst case it comes to rest 0.005 instead of 0.001 m off the target there"),
         (math.nan, 5e-3, ""),
     ):
-        places = [replace(stay, rests_off=now), *found.places[1:]]
+        places = [replace(stay, rests_off=now, decay=replace(stay.decay, least=0.1)), *found.places[1:]]
         places[k] = replace(stay, name=found.place, rests_off=rests)
         assert replace(found, places=tuple(places)).drawbacks == words
+    places[0] = replace(places[0], rests_off=1e-3, decay=replace(stay.decay, least=-0.1))
+    apart = "instead of 0.001 m where it stands, not counting where it grows, off the target there"
+    assert replace(found, places=tuple(places)).drawbacks.endswith(f"it comes to rest 0.005 {apart}")
     # What has no border where it stands has one there.
     endless = replace(band, least=math.inf)
     stay = replace(stay, allowed_gain=endless, delay_margin=endless)
@@ -810,7 +854,8 @@ def test_a_margin_of_the_joints_that_was_asked_for_is_broken_as_constraints_are(
         (stand, whole),
     ):
         stay = configurations_of(found)["stay"]
-        assert broken_at(found, [(e.base, e.posture) for e in stay]) == breaks
+        # Nothing is asked of a loop.
+        assert broken_at(found, None, [(e.base, e.posture) for e in stay]) == breaks  # type: ignore[arg-type]
         if isinstance(found, flexopt.Selection):
             assert found.present_told.endswith(breaks)
 
@@ -1473,5 +1518,10 @@ def test_how_far_beside_its_target_the_end_point_rests_is_told() -> None:
     integral = flexopt.verdict(chosen, loop=loop | {"feedback": "pid", "ki": 0.2}, **few)
     assert [(place.rests_off, place.rests_off_at) for place in integral.places] == [(0.0, {})] * len(integral.places)
     assert "off its target at rest" not in repr(integral)
+    grows = [replace(place, rests_off=0.02, decay=replace(place.decay, least=-0.1)) for place in found.places]
+    assert (
+        "by up to 0.02 m (the present place, not counting where it grows)"
+        in replace(found, places=(grows[0],)).rests_beside
+    )
     near = replace(found, places=tuple(replace(place, rests_off=0.00199) for place in found.places))
     assert "off its target at rest" not in repr(near)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -100,6 +100,13 @@ class Asked:
             "least": bounds,
         }
 
+    def present_settings(self, settings: LoopSettings) -> LoopSettings:
+        """The loop as it is now: that of a candidate, with those gains that are given beside ranges of theirs."""
+        given = {name: getattr(self.loop, name) for name in gain_ranges(self.loop)}
+        gains = {name: np.broadcast_to(own, settings.kp.size) for name, own in given.items() if own is not None}
+        sources = {name: source for name, source in settings.sources.items() if name not in gains}
+        return replace(settings, **gains, sources=sources)
+
     def broken(
         self,
         problem: SelectionProblem,
@@ -111,15 +118,14 @@ class Asked:
         """What a loop in a configuration does not do of what it must at least, or of further bounds, in words."""
         kept = self._kept(problem, settings, base, posture, bounds)
         # What a loop that grows has no number of counts as broken.
-        return tuple(f"{name} {value}" for name, value in kept.items() if not value.room >= 0)
+        return tuple(f"{name} {value}" for name, value in kept.items() if not value.room >= -JUST * _end(value))
 
     def resting(
         self, problem: SelectionProblem, settings: LoopSettings, base: Vector, posture: Vector
     ) -> tuple[str, ...]:
         """What of it a loop in a configuration does just so."""
         kept = self._kept(problem, settings, base, posture)
-        ends = {name: min(abs(value.lower), abs(value.upper)) for name, value in kept.items()}
-        return tuple(name for name, value in kept.items() if abs(value.room) <= JUST * ends[name])
+        return tuple(name for name, value in kept.items() if abs(value.room) <= JUST * _end(value))
 
     def _kept(
         self,
@@ -163,6 +169,11 @@ class Asked:
 def measure_of(name: str, problem: SelectionProblem) -> Measure:
     """What a word asks for: a measure of the loop, or the problem's own objective."""
     return MEASURES[name] if name in MEASURES else OfModes(problem)
+
+
+def _end(value: ConstraintValue) -> float:
+    """The size of the bound."""
+    return min(abs(value.lower), abs(value.upper))
 
 
 def broken_told(broken: Sequence[str]) -> str:

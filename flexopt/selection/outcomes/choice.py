@@ -102,8 +102,9 @@ def outcome_selection(
     loops = [program.at(each.y).settings for each in distinct]
     candidates = [_candidate(program, group, chosen) for group, chosen in zip(groups, loops, strict=True)]
     springs = UncertaintyBox(machine, GROUND, program.loop.settings.dead_time)
-    now = None if initial is None else with_outcome(machine, initial, loops[0], gravity=problem.gravity)
-    broken = () if initial is None else asked.broken(problem, loops[0], initial.base, initial.posture, bounds)
+    settings = asked.present_settings(loops[0])
+    now = None if initial is None else with_outcome(machine, initial, settings, gravity=problem.gravity)
+    broken = () if initial is None else asked.broken(problem, settings, initial.base, initial.posture, bounds)
     return OutcomeSelection(
         best=candidates[0],
         candidates=tuple(candidates),
@@ -114,7 +115,7 @@ def outcome_selection(
         provenance=provenance(machine, target=problem.target.tolist(), **asked.stated(problem)),
         asked=asked,
         criterion=program.measure,
-        present=None if initial is None else _present(program, initial, distinct[0]),
+        present=None if initial is None else _present(program, initial, settings),
         present_broken=broken,
         radii=tuple(stability_radius(replace(program.at(each.y), box=springs), RADIUS_POINTS) for each in distinct),
         settings=tuple(loops),
@@ -300,9 +301,10 @@ def _none(program: OutcomeProgram, found: list[Climbed | None], starts: Sequence
     )  # fmt: skip
 
 
-def _present(program: OutcomeProgram, initial: Evaluation, best: Climbed) -> float | None:
-    """The measure of the present configuration, as of candidates, with the best one's gains; None where it has none."""
-    y = np.append(initial.z / program.problem.scale, best.y[program.n_z :])
+def _present(program: OutcomeProgram, initial: Evaluation, settings: LoopSettings) -> float | None:
+    """The measure of the present configuration with its loop, as of candidates; None where it has none."""
+    program = replace(program, loop=replace(program.loop, settings=settings), ranges={})
+    y = initial.z / program.problem.scale
     value = program.value(y)
     if len(program.members) and math.isfinite(value):
         value = min(value, least_over(program, y)[0])

@@ -19,6 +19,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.loop.meeting import Nearest, nearest
 from flexopt.loop.outcome import UNDEFINED, LoopPoint
+from flexopt.loop.settings import CHOSEN
 from flexopt.loop.uncertain import FEW, MEMBERS, SENSES, UncertainLoop, ValueAt
 from flexopt.model.choices import ALLOWED_GAIN, DECAY, DELAY_MARGIN
 from flexopt.model.loop import logarithms
@@ -144,7 +145,7 @@ class OutcomeProgram:
         gains = {name: np.full(rows, value) for name, value in self.gains(y).items()}
         settings = self.loop.settings
         if gains:
-            sources = {**settings.sources, **dict.fromkeys(gains, "chosen with the configuration")}
+            sources = {**settings.sources, **dict.fromkeys(gains, CHOSEN)}
             settings = replace(settings, **gains, sources=sources)
         return replace(self.loop, settings=settings, base=z[:n_base], posture=z[n_base:])
 

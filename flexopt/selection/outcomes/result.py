@@ -78,8 +78,8 @@ class ChosenByLoop(ABC):
 
     @property
     @abstractmethod
-    def _judged(self) -> tuple[Sequence[SelectionProblem], LoopSettings]:
-        """The problem of each target, and the loop with the gains of the best candidate."""
+    def _judged(self) -> Sequence[SelectionProblem]:
+        """The problem of each target."""
 
     def _unseen_told(self, stand: Evaluation) -> tuple[str, ...]:
         """That no loop changes what decays slowest there, the configuration with the least; empty where one does."""
@@ -87,16 +87,15 @@ class ChosenByLoop(ABC):
         assert isinstance(found, Outcome)
         return (unseen_told("the best"),) if self.measure == "decay" and found.unseen else ()
 
-    def loops_break(self, stand: Sequence[tuple[Vector, Vector]]) -> list[str]:
-        """At each target what the loop does not do of what it must at least, base and posture there: "breaks …"."""
-        problems, settings = self._judged
-        pairs = zip(problems, stand, strict=True)
+    def loops_break(self, settings: LoopSettings, stand: Sequence[tuple[Vector, Vector]]) -> list[str]:
+        """At each target what a loop does not do of what it must at least, base and posture there: "breaks …"."""
+        pairs = zip(self._judged, stand, strict=True)
         return [broken_told(self.asked.broken(problem, settings, *there)) for problem, there in pairs]
 
-    def loops_rest(self, stand: Sequence[tuple[Vector, Vector]]) -> list[tuple[str, ...]]:
-        """At each target what the loop does just so of what it must at least, base and posture there."""
-        problems, settings = self._judged
-        return [self.asked.resting(problem, settings, *there) for problem, there in zip(problems, stand, strict=True)]
+    def loops_rest(self, settings: LoopSettings, stand: Sequence[tuple[Vector, Vector]]) -> list[tuple[str, ...]]:
+        """At each target what a loop does just so of what it must at least, base and posture there."""
+        pairs = zip(self._judged, stand, strict=True)
+        return [self.asked.resting(problem, settings, *there) for problem, there in pairs]
 
 
 @dataclass(frozen=True, repr=False)
@@ -113,8 +112,8 @@ class OutcomeSelection(ChosenByLoop, Selection):
         present: the measure of the present configuration, over the uncertainty its worst; None where it has none.
         present_broken: of what the loop must do at least, and of what objectives before keep, what that of the present
             configuration does not.
-        others: as of `Selection`, `unverified` in the measure's own unit; `initial` has the gains of the best candidate
-            where gains were chosen.
+        others: as of `Selection`, `unverified` in the measure's own unit; of gains that were chosen `initial` has those
+            that the loop gives beside their ranges, as the machine has them now, else the best candidate's.
     """
 
     present: float | None = None
@@ -167,8 +166,8 @@ class OutcomeSelection(ChosenByLoop, Selection):
         return None if found is None else np.asarray(found)
 
     @property
-    def _judged(self) -> tuple[Sequence[SelectionProblem], LoopSettings]:
-        return (self.problem,), self.settings[0]
+    def _judged(self) -> Sequence[SelectionProblem]:
+        return (self.problem,)
 
     @property
     def objective_unit(self) -> str:
@@ -257,5 +256,7 @@ class OutcomeSelection(ChosenByLoop, Selection):
             e, now = self.initial, self.present
             off = self.present_told
             there = " ".join(f"{x:z9.4f}" for x in (*e.base, *e.posture))
-            lines.append(f"   now {there} {now:16.6g}{off and '   ' + off}")
+            settings = self.asked.present_settings(self.settings[0])
+            with_gains = "".join(f" {gain:10.4g}" for gain in self._chosen(settings).values())
+            lines.append(f"   now {there} {now:16.6g}{with_gains and ' ' * 8 + with_gains}{off and '   ' + off}")
         return "\n".join([*lines, *repr(self.settings[0]).splitlines()])

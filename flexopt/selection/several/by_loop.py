@@ -69,8 +69,8 @@ class ByLoop(ChosenByLoop, ConfigurationSet):
         return (*super().remarks, *self._unseen_told(self.places[self.worst].evaluation))
 
     @property
-    def _judged(self) -> tuple[Sequence[SelectionProblem], LoopSettings]:
-        return self.problems, self.settings
+    def _judged(self) -> Sequence[SelectionProblem]:
+        return self.problems
 
     def _document(self, status: str, own: dict[str, Any], targets: str) -> dict[str, Any]:
         more = {"measure": self.measure, "gains": self.gains, "settings": self.settings.to_dict()}

@@ -14,7 +14,9 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
+from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import CORNERED, UncertaintyBox
+from flexopt.model.loop import gain_ranges
 from flexopt.model.uncertainty import Uncertainty, parameters_of, told_numbers
 from flexopt.selection import SelectionProblem
 from flexopt.selection.broken import broken, broken_names, values_with
@@ -32,12 +34,25 @@ MOVED = 1e-9
 TOGETHER = 2.0
 
 
-def broken_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:
+def broken_at(chosen: Chosen, settings: LoopSettings, stand: Sequence[tuple[Vector, Vector]]) -> str:
     """Which constraints that were asked for a place breaks, (base, posture) at each target: "breaks …", or nothing."""
     pairs = zip(problems_of(chosen), map(np.concatenate, stand), strict=True)
     found = [broken(problem, z, asked=True) for problem, z in pairs]
-    of_loop = chosen.loops_break(stand) if isinstance(chosen, ChosenByLoop) else [""] * len(found)
-    each = ["; ".join(filter(None, both)) for both in zip(found, of_loop, strict=True)]
+    of_loop = chosen.loops_break(settings, stand) if isinstance(chosen, ChosenByLoop) else [""] * len(found)
+    return _at_targets(["; ".join(filter(None, both)) for both in zip(found, of_loop, strict=True)])
+
+
+def broken_somewhere(
+    chosen: Chosen, settings: LoopSettings, stand: Sequence[tuple[Vector, Vector]], box: UncertaintyBox
+) -> str:
+    """As `broken_within`, and what a loop does not do that has other gains than a candidate was chosen with."""
+    within = broken_within(chosen, stand, box)
+    if not (isinstance(chosen, ChosenByLoop) and gain_ranges(chosen.loop)):
+        return within
+    return "; ".join(filter(None, (within, _at_targets(chosen.loops_break(settings, stand)))))
+
+
+def _at_targets(each: Sequence[str]) -> str:
     if len(each) == 1:
         return each[0]
     return "; ".join(f"at target {k} {sentence}" for k, sentence in enumerate(each, start=1) if sentence)

@@ -13,6 +13,7 @@ import numpy as np
 
 from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.foundation.rounding import way
+from flexopt.loop.settings import CHOSEN
 from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
 from flexopt.study.page import PageTable, Picture, begun, coordinate, number, picture, sentence, with_minus
@@ -67,7 +68,8 @@ def bands_of(verdict: Verdict) -> list[Bands]:
     found, kp = list[Bands](), verdict.settings.kp
     borders = {"decay": (0.0, "grows")}
     if kp.any():
-        borders["allowed_gain"] = (float(kp[kp > 0][0]), "Kp now")
+        which = "chosen" if verdict.settings.sources.get("kp") == CHOSEN else "now"
+        borders["allowed_gain"] = (float(kp[kp > 0][0]), f"Kp {which}")
     for m in measures(verdict):
         rows = list[Row]()
         for place in verdict.places:

@@ -121,11 +121,11 @@ def chosen_gains(chosen: Chosen) -> dict[str, float]:
     return chosen.gains if isinstance(chosen, ByLoop) else {}
 
 
-def resting_at(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> list[tuple[str, ...]]:
+def resting_at(chosen: Chosen, settings: LoopSettings, stand: Sequence[tuple[Vector, Vector]]) -> list[tuple[str, ...]]:
     """Which bounds and constraints a place holds with equality, (base, posture) at each target."""
     pairs = zip(problems_of(chosen), map(np.concatenate, stand), strict=True)
     found = [tuple(resting(problem, z)) for problem, z in pairs]
-    of_loop = chosen.loops_rest(stand) if isinstance(chosen, ChosenByLoop) else [()] * len(found)
+    of_loop = chosen.loops_rest(settings, stand) if isinstance(chosen, ChosenByLoop) else [()] * len(found)
     return [(*own, *more) for own, more in zip(found, of_loop, strict=True)]
 
 
@@ -181,11 +181,12 @@ def held_at(stand: Stand, number: int) -> Evaluation | None:
 
 
 def _best_by_loop(chosen: ByLoop, base: Vector) -> Configurations | None:
-    """How the arm is held at each target from one placement for the measure asked, with the gains chosen, if it is."""
+    """How the arm is held at each target from one placement for the measure asked, with its loop there, if it is."""
     held = (_standing_at(problem, base) for problem in chosen.problems)
     problems = tuple(replace(problem, starts=problem.starts or CLIMBED) for problem in held)
     try:
-        found = held_by_loop(problems, base, replace(chosen.asked, loop=chosen.settings.fixed))
+        asked = replace(chosen.asked, loop=chosen.asked.present_settings(chosen.settings).fixed)
+        found = held_by_loop(problems, base, asked)
     except (NoSolutionFound, UnreachableTarget):
         return None
     return _evaluated(chosen.problems, found)

@@ -9,6 +9,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
 from flexopt.foundation.results import Result
 from flexopt.selection.constraint_values import resting_told
+from flexopt.selection.constraints.corners import WHERE
 from flexopt.study.verdicts.confirmation import Runs
 
 # How names of a variable's ends end.
@@ -120,8 +121,9 @@ class PlaceVerdict(Result):
     @property
     def broken(self) -> str:
         """What it breaks where other numbers than the file's hold, a sentence; empty where nothing."""
-        told = "constraints.within of these numbers keeps constraints there, too, all but Functions of one's own"
-        return self.breaks and f"{self.name} {self.breaks}; {told}"
+        told = "; constraints.within of these numbers keeps constraints there, too, all but Functions of one's own"
+        # What its loop does not do is nothing of statics.
+        return self.breaks and f"{self.name} {self.breaks}{told * (WHERE in self.breaks)}"
 
     @property
     def unconfirmed(self) -> str:

@@ -33,9 +33,9 @@ def allowed(gain: float, unit: str, highest: float) -> str:
 
 def gains_in_words(gains: Mapping[str, Sequence[float]], units: Sequence[str]) -> str:
     """Of each task row where they differ; `units` of kp, kv, ki."""
-    told = list[str]()
-    for (name, values), unit in zip(gains.items(), units, strict=False):
+    told, unit_of = list[str](), dict[str, str](zip(("kp", "kv", "ki"), units, strict=False))
+    for name, values in gains.items():
         each = [f"{value:.4g}" for value in values]
         rows = each[0] if len(set(each)) == 1 else f"[{', '.join(each)}]"
-        told.append(f"{name} {rows} {unit}".rstrip())
+        told.append(f"{name} {rows} {unit_of[name]}".rstrip())
     return ", ".join(told)

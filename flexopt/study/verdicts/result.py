@@ -19,7 +19,7 @@ from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import unseen_told
 from flexopt.loop.outcome import FALLS_AT
-from flexopt.loop.settings import LoopSettings
+from flexopt.loop.settings import CHOSEN, LoopSettings
 from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion
 from flexopt.loop.standard_move import SETTLED
 from flexopt.loop.uncertain import member_in_words
@@ -46,6 +46,8 @@ GROUND_ASSUMED = (
 )
 # A self-motion that takes longer than this to e-fold, s, stays where it is while a machine works.
 STAYS = 3600.0
+# Of what grows there is no rest.
+NOT_WHERE_IT_GROWS = "not counting where it grows"
 # The place of a verdict with other gains, in a row of places.
 NEW_GAINS = "new gains"
 # Why a place is told of that is none of the best, if it is not the selection's first.
@@ -160,7 +162,9 @@ class Verdict(Pictured, Printed, Result):
                 found.append(f"does not settle in a minute instead of in {before:.4g} s")
         # NaN where nothing holds it: then there is no less to compare with.
         if there.rests_off >= SETTLED * MOVE and there.rests_off >= (1 + FASTER) * stay.rests_off:
-            found.append(f"comes to rest {there.rests_off:.3g} instead of {stay.rests_off:.3g} m off the target")
+            grows = f" where it stands, {NOT_WHERE_IT_GROWS}," if stay.decay.least <= 0 else ""
+            instead = f"instead of {stay.rests_off:.3g} m{grows}"
+            found.append(f"comes to rest {there.rests_off:.3g} {instead} off the target")
         how = "with the new gains it" if self.with_gains else "it"
         told = f"in the worst case {how} {', '.join(found)} there" if found else ""
         return "; ".join(filter(None, (told, no_better)))
@@ -299,8 +303,13 @@ class Verdict(Pictured, Printed, Result):
         """Which gains follow from the posture or were chosen, and how other calls are given them; empty of none."""
         where = "the present place" if self._stay else FIRST
         follow = self.settings.handed_on(f"{where} at target 1" if len(self.problems) > 1 else where)
-        gains = chosen_gains(self.selection)
-        chosen = f"the gains were chosen with {FIRST}; to keep them: {self.settings.in_calls}" if gains else ""
+        gains, chosen = chosen_gains(self.selection), ""
+        given = {name: [gain] for name, gain in gains.items() if self.settings.sources.get(name) != CHOSEN}
+        if given:
+            own = gains_in_words(given, self.settings.gain_units)
+            chosen = f"{FIRST} was chosen with {own}; places are compared with the gains that the loop has now"
+        elif gains:
+            chosen = f"the gains were chosen with {FIRST}; to keep them: {self.settings.in_calls}"
         return "; ".join(filter(None, (chosen, follow)))
 
     @property
@@ -443,7 +452,10 @@ class Verdict(Pictured, Printed, Result):
         if not off:
             return ""
         off.sort(key=lambda place: -place.rests_off)
-        each = ", ".join(f"{place.rests_off:.3g} m ({spoken(place.name)})" for place in off)
+        counted = (f", {NOT_WHERE_IT_GROWS}" if place.decay.least <= 0 else "" for place in off)
+        each = ", ".join(
+            f"{one.rests_off:.3g} m ({spoken(one.name)}{but})" for one, but in zip(off, counted, strict=True)
+        )
         drawn = f"{OTHER_WEIGHT} holds the end-point off its target at rest"
         told = f"{drawn}, by up to {each}, the most at {member_in_words(off[0].rests_off_at)}"
         known = any(INTEGRAL in said for said in (self.reason, *self.doubts.values()))

@@ -23,7 +23,7 @@ from flexopt.foundation.plain import listed, shown
 from flexopt.foundation.stages import Stages
 from flexopt.loop.evaluation import swing_unit
 from flexopt.loop.lag import lagged_modes
-from flexopt.loop.settings import loop_settings
+from flexopt.loop.settings import CHOSEN, LoopSettings, loop_settings
 from flexopt.loop.spectrum import from_sample_to_sample
 from flexopt.loop.uncertain import FEW, SENSES, UncertainLoop, UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
@@ -34,11 +34,12 @@ from flexopt.model.problem import SelectionKeywords, SelectionOptions, judged_by
 from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 from flexopt.selection import Selection, SelectionProblem, select, solve_problem, solve_selection
 from flexopt.selection.broken import cornerless
+from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.asked import any_problem
-from flexopt.study.verdicts.broken_places import broken_at, broken_within
+from flexopt.study.verdicts.broken_places import broken_at, broken_somewhere, broken_within
 from flexopt.study.verdicts.changed_gains import ChangedGains, GainChange, doubt_of
 from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import (
@@ -161,11 +162,11 @@ def verdict(
     machine, now = solved.machine, solved.present_base
     if now is None:
         raise_if_any(InputError, "verdict", [UNPLACED])
-    asked, uncertain = _real(problem, chosen, loop, ranges)
+    asked, uncertain, taken = _real(problem, chosen, loop, ranges)
     stages.next()
     stands = configurations_of(chosen)
     first = next(iter(stands.values()))[0]
-    settings = loop_settings(machine, asked, first, gravity=solved.gravity)
+    settings = _from_ranges(loop_settings(machine, asked, first, gravity=solved.gravity), taken)
     box = UncertaintyBox(machine, uncertain, settings.dead_time)
     raise_if_any(InputError, "verdict", box.faults(settings.rate))
     points = box.members(members, solved.seed)
@@ -174,8 +175,10 @@ def verdict(
     decays: dict[str, Vector] = {name: own.min(axis=0) for name, own in each.items()}
     others = [name for name in ranked(decays) if name != STAY]
     held = {name: [(each.base, each.posture) for each in stand] for name, stand in stands.items()}
-    now_breaks = broken_at(chosen, held[STAY]) if STAY in held else ""
-    within = {name: broken_within(chosen, at, box) for name, at in held.items()}
+    now_breaks = broken_at(chosen, settings, held[STAY]) if STAY in held else ""
+    # What the present loop does not do where it stands `now_breaks` tells.
+    within = {name: broken_within(chosen, at, box) if name == STAY else broken_somewhere(chosen, settings, at, box)
+              for name, at in held.items()}  # fmt: skip
     fit = fit_places(within, now_breaks)
 
     @cache
@@ -218,9 +221,9 @@ def verdict(
         most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
         sought=_sought(chosen),
     )  # fmt: skip
-    barred = {name: shares[name] for name in others if STAY in fit and name not in fit}
-    decision = with_barred(_beside_staying(decision, confirmed), barred)
-    decision = _with_present(decision, absent if stay is None else "", chosen, held.get(STAY))
+    barred = {name: shares[name] for name in others if STAY in fit and name not in fit and WHERE in within[name]}
+    found = with_barred(_beside_staying(decision, confirmed), barred)
+    decision = _with_present(found, absent if stay is None else "", chosen, held.get(STAY))
     bands = _each(told, lambda name: _place(
         name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name], drives[name],
         shown.get(name), chosen, within[name],
@@ -233,7 +236,7 @@ def verdict(
         passed_over=decision.passed_over,
         measure=_measure(decision, box, points, known, stay, bands) if decision.word == "cannot tell" and known else "",
         gains=confirmed.gains if confirmed and decision.word == "change gains" else {},
-        with_gains=_with_gains(confirmed, stands, points, drives, chosen, within)
+        with_gains=_with_gains(confirmed, stands, points, drives, chosen)
         if confirmed and decision.word == "change gains"
         else None,
         places=tuple(bands.values()),
@@ -400,14 +403,23 @@ def _chosen(problem: Any, asked: dict[str, Any], loop: Any, ranges: Any, progres
     return cast(Chosen, problem)
 
 
-def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, tuple[Uncertainty, ...]]:
-    """The loop with the problem's control, and what is uncertain; both from where they are first given."""
+def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, tuple[Uncertainty, ...], list[str]]:
+    """The loop with the problem's control, and what is uncertain; both from where they are first given.
+
+    Gains that it does not give are those that were chosen with the best, if any were; the last: which.
+    """
     first = problems_of(chosen)[0]
     machine, control = first.machine, first.control
     own = cast("Loop | None", loop or getattr(problem, "loop", None) or machine.loop) or Loop()
     own = under_control(own, machine, control, "verdict")
-    own = own.model_copy(update={name: (gain,) for name, gain in chosen_gains(chosen).items()})
-    return own, ranges or getattr(problem, "uncertainty", None) or machine.uncertainty or GROUND
+    taken = {name: (gain,) for name, gain in chosen_gains(chosen).items() if getattr(own, name) is None}
+    uncertain = ranges or getattr(problem, "uncertainty", None) or machine.uncertainty or GROUND
+    return own.model_copy(update=taken), uncertain, [*taken]
+
+
+def _from_ranges(settings: LoopSettings, names: Sequence[str]) -> LoopSettings:
+    """The settings, of which these gains were chosen with the best place."""
+    return replace(settings, sources={**settings.sources, **dict.fromkeys(names, CHOSEN)})
 
 
 def _tries(asked: Loop, stay: Place | None, others: Sequence[Place], unconfirmed: Mapping[str, str]) -> bool:
@@ -435,14 +447,15 @@ def _with_gains(
     points: Vector,
     drives: Mapping[str, tuple[float, float]],
     chosen: Chosen,
-    within: Mapping[str, str],
 ) -> PlaceVerdict:
     """The place with other gains, judged as the others are with the present ones."""
     loop, name = changed.loop, changed.place.name
     decays = loop.decays(points)
     slowest, worst = loop.slowest(points, decays), decays.min(axis=0)
+    held = [(each.base, each.posture) for each in stands[name]]
+    breaks = broken_somewhere(chosen, loop.settings, held, loop.box)
     return _place(
-        name, stands[name], loop, points, worst, math.nan, slowest, drives[name], changed.runs, chosen, within[name]
+        name, stands[name], loop, points, worst, math.nan, slowest, drives[name], changed.runs, chosen, breaks
     )
 
 
@@ -504,7 +517,7 @@ def _place(
         swing_unit=swing_unit(looked[0][0][0]),
         runs=runs,
         unseen=_is_unseen(place.loops[slowest.target], slowest),
-        rests_on=tuple(resting_at(chosen, held)),
+        rests_on=tuple(resting_at(chosen, place.settings, held)),
         breaks=breaks,
         cornerless=cornerless(problems_of(chosen)[0]),
     )
