@@ -746,7 +746,7 @@ def test_what_is_worse_where_it_moves_is_told() -> None:
         (math.nan, 5e-3, ""),
     ):
         places = [replace(stay, rests_off=now, decay=replace(stay.decay, least=0.1)), *found.places[1:]]
-        places[k] = replace(stay, name=found.place, rests_off=rests)
+        places[k] = replace(places[0], name=found.place, rests_off=rests)
         assert replace(found, places=tuple(places)).drawbacks == words
     places[0] = replace(places[0], rests_off=1e-3, decay=replace(stay.decay, least=-0.1))
     apart = "instead of 0.001 m where it stands, not counting where it grows, off the target there"
