@@ -42,7 +42,7 @@ from flexopt.cli.common import (
     write_output,
 )
 from flexopt.cli.completing import argument
-from flexopt.cli.judging import LOOP, RANGES, real_loop
+from flexopt.cli.judging import LOOP, RANGES, control_asked, real_loop
 from flexopt.cli.postures import asked_posture, configuration
 from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
@@ -158,7 +158,7 @@ def select_command(
     if imu is not None and log is None:
         raise InputError("select: --imu goes with --log", [Fault("--imu", "goes with --log", str(imu))])
     judged = {name: options.pop(name) for name in ("loop", "ranges")}
-    settings, own = _selection_settings(machine, options)
+    settings, own = _selection_settings(machine, options, judged["loop"])
     with working(judged, as_json):
         _refuse_early(settings, judged, own)
     identified = None if log is None else _identified(log, imu, settings, as_json)
@@ -323,7 +323,9 @@ def _judgement(
     return verdict(result, loop=_loop(own, loop), ranges=ground, progress=progress)
 
 
-def _selection_settings(machine: str, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def _selection_settings(
+    machine: str, options: dict[str, Any], loop: tuple[str, ...]
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """Arguments of `flexopt.select`: from the problem file, where one is named, overridden by the options given.
 
     Also the loop and the uncertainty of the file or its machine, and as `ranges` those of a problem's own.
@@ -342,6 +344,8 @@ def _selection_settings(machine: str, options: dict[str, Any]) -> tuple[dict[str
         raise_if_any(InputError, "select", faults)
     asked = given(options) | {"target": options["end_point"]}
     asked.pop("end_point", None)
+    if loop and not (isinstance(loaded, Problem) and loaded.selection.control):
+        settings["control"] = control_asked(own["loop"], loop)
     if options["objective"] not in (None, "V") and options["weights"] is None:
         settings.pop("weights", None)
     settings |= given(asked)

@@ -95,6 +95,11 @@ def real_loop(own: Loop | None, entries: tuple[str, ...]) -> dict[str, Any] | No
     return asked
 
 
+def control_asked(own: Loop | None, entries: tuple[str, ...]) -> str:
+    """Of the loop that was given."""
+    return (real_loop(own, entries) or {}).get("control", "inverse")
+
+
 def _beside(known: dict[str, Any], asked: dict[str, Any]) -> dict[str, Any]:
     """What was asked for on top of the file's own; of the file's that do not go with it the way out is told."""
     drive, own, faults = _drive(known | asked), _drive(known), list[Fault]()
@@ -184,7 +189,9 @@ def asked_problem(call: str, name: str, options: dict[str, Any]) -> tuple[Any, L
     from flexopt.selection import build_selection  # noqa: PLC0415
 
     loaded: AnyMachine | Problem = read(load_any, name)
-    asked = given(options, *OF_MACHINE)
+    asked: dict[str, Any] = given(options, *OF_MACHINE)
+    if options["loop"] and isinstance(loaded, AnyMachine):
+        asked = {"control": control_asked(loaded.loop, options["loop"])} | asked
     if isinstance(loaded, Problem):
         if asked.pop("gravity", False):
             loaded = loaded.model_copy(update={"selection": loaded.selection.model_copy(update={"gravity": True})})

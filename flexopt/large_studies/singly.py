@@ -120,7 +120,7 @@ class ManySelections(OneByOne):
     def units(self) -> dict[str, str]:
         """See `OneByOne`."""
         problem = cast(Problem, self.study.subject)
-        residue = residue_unit(problem.selection.control, self.machine.joint_units)
+        residue = residue_unit(problem.select_arguments()["control"], self.machine.joint_units)
         names = str(problem.selection.objective).split(",")
         # Where the loop is asked the last objective is told, as `select` has it.
         told = names[-1 if asks_for_loop(",".join(names), problem.select_arguments()["constraints"]) else 0]

@@ -23,7 +23,7 @@ from flexopt.loop.outcome import MEASURES
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.uncertain import UncertaintyBox
-from flexopt.model.loop import GAINS, loop_of_varied, under_control
+from flexopt.model.loop import GAINS, control_of, loop_of_varied, under_control
 from flexopt.model.study import POINTS_MAX, Study
 from flexopt.model.study_axes import StudyAxis
 from flexopt.model.uncertainty import LATE, Uncertainty
@@ -170,7 +170,7 @@ class ManyOutcomes:
         self.study, self.axes, self.numbers = study, axes, PointNumbers(study, axes)
         self.machine = self.numbers.machine
         loop = loop_of_varied(study.loop, self.machine, [axis.kind for axis in axes])
-        control = study.control or loop.control or "inverse"
+        control = control_of(study.control, loop, self.machine)
         loop = under_control(loop, self.machine, control, f"study {study.name!r}")
         own = self.numbers.own
         self.settings, _ = settings_at(

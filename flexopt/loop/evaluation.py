@@ -24,7 +24,7 @@ from flexopt.loop.outcome import HIGH, LOW, MEASURES, LoopPoint
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.loop.spectrum import UNBRAKED, drifting_self_motion, from_sample_to_sample, slow_self_motion
 from flexopt.model import AnyMachine
-from flexopt.model.loop import Loop, LoopLike, under_control
+from flexopt.model.loop import Loop, LoopLike, control_of, under_control
 from flexopt.robustness import Evaluation, build_measures, evaluate
 from flexopt.robustness.evaluation import evaluate_checked, unreached
 
@@ -322,7 +322,7 @@ def settings_at(
     """
     real = machine.loop or Loop() if loop is None else loop
     place = np.zeros(len(machine.base_coordinates)) if base is None else base
-    chosen = control or real.control or "inverse"
+    chosen = control_of(control, real, machine)
     own = under_control(real, machine, chosen, call)
     with warnings.catch_warnings():
         # What it warns of are measures and margins, which nobody asked for.

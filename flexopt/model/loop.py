@@ -159,6 +159,12 @@ def _limit_faults(loop: Loop, why: str) -> list[Fault]:
     return [Fault(name, sentence, str(list(each))) for name, each in limits.items() if each is not None]
 
 
+def control_of(asked: Control | None, loop: Loop | None, machine: Any) -> Control:
+    """The control that is asked for, else that of the loop, by default the machine's, else the Jacobian's inverse."""
+    real: Loop | None = machine.loop if loop is None else loop
+    return asked or (real and real.control) or "inverse"
+
+
 def under_control(loop: Loop, machine: Any, control: Control, call: str) -> Loop:
     """The loop with the control that its call is about.
 

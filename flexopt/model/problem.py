@@ -36,7 +36,7 @@ from flexopt.model.choices import (
 )
 from flexopt.model.constraints import Constraints
 from flexopt.model.file_model import BuiltByCall
-from flexopt.model.loop import Loop
+from flexopt.model.loop import Loop, control_of
 from flexopt.model.machine import OnMachine
 from flexopt.model.own import ObjectiveLike, check_objectives
 from flexopt.model.targets import (
@@ -92,7 +92,8 @@ class SelectionOptions(BuiltByCall):
             number as output, which is maximised (page "My own objective and constraints"), alone or in a list
             in order with others: `["w1", f]`.
         weights: α of `"V"`, one for each mode, and β after them where ε_max shall take part.
-        control: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`, as in `flexopt.evaluate`.
+        control: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`, as in `flexopt.evaluate`; by default that of
+            the loop, of a call, a problem or the machine, else inverse.
         gravity: measures and end-point under static deflection.
         gain: of a single target: servo gain kr of ε_max.
         base: present placement (n_b,), m or rad: breaks ties and gives the initial posture.
@@ -134,7 +135,7 @@ class SelectionOptions(BuiltByCall):
 
     objective: Annotated[_Objective, check_objectives] = "w1"
     weights: Annotated[tuple[float, ...], check_weights] | None = None
-    control: Annotated[Control, check_control] = "inverse"
+    control: Annotated[Control, check_control] | None = None
     gravity: bool = False
     gain: Annotated[float, GAIN] = 5e5
     base: Annotated[_Base, PLACEMENT] | None = None
@@ -166,7 +167,7 @@ class SharedKeywords(TypedDict, total=False):
 
     objective: ObjectiveLike
     weights: Sequence[float] | None
-    control: Control
+    control: Control | None
     gravity: bool
     base: BaseLike | None
     posture: PostureLike | None
@@ -232,6 +233,7 @@ class Problem(OnMachine):
         options = {name: getattr(self.selection, name) for name in SelectionOptions.of(kind)}
         options |= {"machine": self.loaded_machine, "constraints": self.constraints}
         options[TARGET_ARGUMENTS[kind]] = getattr(self.target, kind)
+        options["control"] = control_of(self.selection.control, self.loop, self.loaded_machine)
         if asks_for_loop(self.selection.objective, self.constraints):
             options |= {"loop": self.loop, "ranges": self.uncertainty or None}
         return options | (self.motion or PathMotion()).model_dump() if kind == "path" else options

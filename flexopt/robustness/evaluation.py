@@ -21,7 +21,7 @@ from flexopt.foundation.results import Result
 from flexopt.foundation.rounding import ROUNDING, without_rounding
 from flexopt.foundation.warned import warn_user
 from flexopt.model import AnyMachine
-from flexopt.model.loop import Loop, LoopLike, under_control
+from flexopt.model.loop import Loop, LoopLike, control_of, under_control
 from flexopt.plant.hydraulics import CylinderState, build_hydraulics
 from flexopt.plant.singularity import check_regular
 from flexopt.plant.statics import check_held, check_settled
@@ -334,7 +334,7 @@ def evaluate(
     warn_implausible(machine)
     placement = np.zeros(len(machine.base_coordinates)) if base is None else cast(Vector, base)
     real = cast("Loop | None", machine.loop if loop is None else loop)
-    chosen = control or (real and real.control) or "inverse"
+    chosen = control_of(control, real, machine)
     where = cast(Vector, posture)
     found = evaluate_checked(
         machine, where, placement, control=chosen, gain=gain, damped=damped, gravity=gravity, gradient_shown=True

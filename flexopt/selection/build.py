@@ -18,6 +18,7 @@ from flexopt.foundation.warned import warn_user
 from flexopt.model import AnyMachine
 from flexopt.model.choices import EVERYTHING, assumes
 from flexopt.model.constraints import AnyConstraints, Constraints
+from flexopt.model.loop import control_of
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.plausibility import WITHIN, distant_ranges
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
@@ -138,10 +139,11 @@ def build_one(
     ranges = cast(Ranges, asked.base_range or {})
     margin = math.radians(asked.singularity_margin_deg)
 
-    functions = quantities(machine, asked.control, asked.gravity, asked.gain)
+    control = control_of(asked.control, None, machine)
+    functions = quantities(machine, control, asked.gravity, asked.gain)
     plant = functions.measures.plant
     # A damped control bears what is singular, its margin does not.
-    if (control_damping(asked.control) is None or margin > 0) and (never := unmoved_told(plant)):
+    if (control_damping(control) is None or margin > 0) and (never := unmoved_told(plant)):
         raise_if_any(InputError, "select", [Fault("machine", never, machine.name)])
     told = present if travel_now is None else travel_now[: len(names)]
     now = standing(plant, told)
@@ -171,7 +173,7 @@ def build_one(
         objectives=(*(objective for objective, _ in own), *objectives),
         kept=tuple(least for _, least in own),
         slack=asked.slack,
-        control=asked.control,
+        control=control,
         gravity=asked.gravity,
         gain=asked.gain,
         variables=tuple(variables),

@@ -44,13 +44,17 @@ def solve_problem(
 
 def problem_refusals(problem: Problem) -> list[Fault]:
     """What solving a problem file's problem refuses before it computes anything; fields are those of the file."""
-    kind = problem.target.kind
+    kind, arguments = problem.target.kind, problem.select_arguments()
     tables = {name: name for name in ("machine", "constraints", "loop")}
     tables |= {"ranges": "uncertainty", TARGET_ARGUMENTS[kind]: f"target.{kind}"}
     tables |= {key: f"motion.{key}" for key in PathMotion.model_fields}
     found: list[Fault] = []
-    for fault in faults_of(CALLS[kind], **problem.select_arguments()):
+    for fault in faults_of(CALLS[kind], **arguments):
         argument, *rest = re.split(r"\b", fault.field, maxsplit=2)[1:]
         place = tables.get(argument, f"selection.{argument}")
         found.append(Fault("".join((place, *rest)), fault.sentence, fault.value))
+    real = problem.loop or problem.loaded_machine.loop
+    if real is not None and real.control not in (None, arguments["control"]):
+        sentence = f"is not the control of the loop by which verdicts judge, {real.control}"
+        found.append(Fault("selection.control", sentence, repr(arguments["control"])))
     return found

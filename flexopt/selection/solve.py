@@ -20,7 +20,7 @@ from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.model.choices import OUTCOMES, asks_for_loop, of_loop
 from flexopt.model.constraints import AnyConstraints, Constraints, LeastOutcomes
-from flexopt.model.loop import LoopLike
+from flexopt.model.loop import Loop, LoopLike, control_of
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.model.uncertainty import RangesLike
@@ -124,6 +124,7 @@ def select(
         ('boom', 'stick')
     """
     measure = cast("str | None", keywords.get("objective"))
+    keywords["control"] = control_of(keywords.get("control"), cast("Loop | None", loop), machine)
     if asks_for_loop(measure, constraints):
         # Its room is built on this one.
         room = later("flexopt.selection.outcomes", in_order="outcome_selection_in_order")

@@ -12,7 +12,7 @@ from flexopt.errors import InputError
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import anything, public
 from flexopt.model.boundary import holding_machine
-from flexopt.model.loop import Loop, LoopLike, rate_of
+from flexopt.model.loop import Loop, LoopLike, control_of, rate_of
 from flexopt.model.simulation import Experiment, OverrideKeywords
 from flexopt.model.simulation_faults import own_loop
 from flexopt.selection import nullspace_trajectory
@@ -75,7 +75,7 @@ def run_experiment(
         raise InputError(f"{experiment.name}: base_path and [nullspace] both move the base; give one of them")
     options = checked_options("run_experiment", machine, given)
     posture, base = design_configuration(machine, options)
-    control = given.get("control") or (real and real.control) or "inverse"
+    control = control_of(given.get("control"), real, machine)
     climb = nullspace_trajectory(
         machine, posture, base=base, control=control, gravity=options.gravity, gain=options.gain,
         rate=options.rate if real is None else rate_of(real, machine), **law.model_dump(),

@@ -27,6 +27,29 @@ end_point = [0.0, 1.6]
 """
 
 
+def test_places_are_sought_under_the_control_of_the_loop_that_is_given(command: Command) -> None:
+    transpose = ("--loop", "control=transpose", "--loop", "kp=1e4", "--loop", "kv=1e3", "--json")
+    (command.folder / "own.toml").write_text(f"{OWN}base = [0.0]\nstarts = 1\n", encoding="utf-8")
+    (command.folder / "other.toml").write_text(f'{OWN}base = [0.0]\ncontrol = "inverse"\n', encoding="utf-8")
+    few, at = ("--members", "2", "--runs", "0"), ("--end-point", "0,1.6", "--base", "0")
+    for words in (("verdict", "own.toml", *few), ("verdict", "excavator", *at, *few)):
+        assert command(*words, *transpose).document["settings"]["control"] == "transpose"
+    for words in (("select", "own.toml"), ("select", "excavator", *at, "--starts", "1")):
+        assert command(*words, *transpose).document["problem"]["control"] == "transpose"
+    refused = command("verdict", "other.toml", *few, *transpose)
+    assert refused.code == 2
+    assert "control = 'transpose': is not the control that is asked for, inverse" in refused.message
+    (command.folder / "other.toml").write_text(
+        f'{OWN}base = [0.0]\ncontrol = "inverse"\n[loop]\ncontrol = "transpose"\n', encoding="utf-8"
+    )
+    told = command("check", "other.toml")
+    assert told.code == 2
+    assert (
+        "selection.control = 'inverse': is not the control of the loop by which verdicts judge, transpose"
+        in told.stdout
+    )
+
+
 @pytest.mark.long
 def test_the_command_says_what_python_says(command: Command) -> None:
     words = ("--loop", "kp=1e4", "--loop", "kv=1e3", "--ranges", "stiffness=0.5,2")

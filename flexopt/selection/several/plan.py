@@ -26,7 +26,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets
 from flexopt.model.choices import asks_for_loop
 from flexopt.model.constraints import AnyConstraints
-from flexopt.model.loop import LoopLike
+from flexopt.model.loop import Loop, LoopLike, control_of
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionOptions, SharedKeywords
 from flexopt.model.targets import RATES, TIMES
@@ -140,6 +140,7 @@ def plan_base(
     warn_implausible(machine)
     points, begin = cast(Vector, path), cast("Vector | None", start)
     count = workers or available_cores()
+    keywords["control"] = control_of(keywords.get("control"), cast("Loop | None", loop), machine)
     asked = SelectionOptions.model_construct(**keywords)
     seed = asked.seed
     even = np.linspace(0.0, SECONDS if duration is None else duration, len(points))

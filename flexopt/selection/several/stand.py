@@ -16,7 +16,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.boundary import targets as several_targets
 from flexopt.model.choices import COMBINES, asks_for_loop
 from flexopt.model.constraints import AnyConstraints
-from flexopt.model.loop import LoopLike
+from flexopt.model.loop import Loop, LoopLike, control_of
 from flexopt.model.own import OBJECTIVES
 from flexopt.model.problem import SelectionOptions, StandKeywords
 from flexopt.model.targets import SOME_SHARES
@@ -98,6 +98,7 @@ def select_stand(
         (2, (1,))
     """
     warn_implausible(machine)
+    keywords["control"] = control_of(keywords.get("control"), cast("Loop | None", loop), machine)
     points, count, asked = (
         cast(Vector, targets),
         workers or available_cores(),

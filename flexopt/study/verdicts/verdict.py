@@ -18,6 +18,7 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Progress, TargetLike, Vector
 from flexopt.foundation.boundary import Keywords, number, public, whole
+from flexopt.foundation.control import Control
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import listed, shown
 from flexopt.foundation.stages import Stages
@@ -29,7 +30,7 @@ from flexopt.loop.uncertain import FEW, SENSES, UncertainLoop, UncertaintyBox, m
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.choices import ALLOWED_GAIN, DELAY_MARGIN, SETTLING, SWING, asks_for_loop
 from flexopt.model.constraints import AnyConstraints
-from flexopt.model.loop import Loop, LoopLike, gain_ranges, under_control
+from flexopt.model.loop import Loop, LoopLike, control_of, gain_ranges, under_control
 from flexopt.model.problem import SelectionKeywords, SelectionOptions, judged_by
 from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 from flexopt.selection import Selection, SelectionProblem, select, solve_problem, solve_selection
@@ -387,6 +388,8 @@ def _chosen(problem: Any, asked: dict[str, Any], loop: Any, ranges: Any, progres
         if problem.base_coordinates and "base" not in given and "options" not in given:
             missing.append(UNPLACED)
         raise_if_any(InputError, "verdict", missing)
+        given["control"] = control_of(given.get("control"), loop, problem)
+        _judging(loop, problem, given["control"])
         if asks_for_loop(given.get("objective"), given.get("constraints")):
             given |= {"loop": loop, "ranges": ranges}
         return select(problem, **given, progress=progress)
@@ -395,12 +398,20 @@ def _chosen(problem: Any, asked: dict[str, Any], loop: Any, ranges: Any, progres
     raise_if_any(InputError, "verdict", faults)
     if isinstance(problem, SelectionProblem):
         raise_if_any(InputError, "verdict", [UNPLACED] if problem.present_base is None else [])
+        _judging(loop, problem.machine, problem.control)
         return solve_selection(problem, progress=progress)
     if isinstance(problem, Problem):
         placed = problem.selection.base is not None or not problem.loaded_machine.base_coordinates
         raise_if_any(InputError, "verdict", [] if placed else [UNPLACED])
-        return solve_problem(judged_by(problem, loop, ranges), progress=progress)
+        real = judged_by(problem, loop, ranges)
+        _judging(real.loop, real.loaded_machine, real.select_arguments()["control"])
+        return solve_problem(real, progress=progress)
     return cast(Chosen, problem)
+
+
+def _judging(loop: Loop | None, machine: AnyMachine, control: Control) -> Loop:
+    """The loop that judges, by default the machine's, with the control of the choice; refused where it has another."""
+    return under_control(loop or machine.loop or Loop(), machine, control, "verdict")
 
 
 def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, tuple[Uncertainty, ...], list[str]]:
@@ -410,8 +421,7 @@ def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, t
     """
     first = problems_of(chosen)[0]
     machine, control = first.machine, first.control
-    own = cast("Loop | None", loop or getattr(problem, "loop", None) or machine.loop) or Loop()
-    own = under_control(own, machine, control, "verdict")
+    own = _judging(loop or getattr(problem, "loop", None), machine, control)
     taken = {name: (gain,) for name, gain in chosen_gains(chosen).items() if getattr(own, name) is None}
     uncertain = ranges or getattr(problem, "uncertainty", None) or machine.uncertainty or GROUND
     return own.model_copy(update=taken), uncertain, [*taken]
