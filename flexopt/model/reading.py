@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from flexopt.model.problem import Problem
     from flexopt.model.simulation import Experiment
 
+# Keys, springs of a base among them, that files of planar machines do not have.
+IN_SPACE = {"root", "actuated", "locked", "lock_others", "ignore", "placement", "joints", "z", "roll", "pitch", "yaw"}
+
 
 @public(error=ModelError)
 def load(name_or_path: str | os.PathLike[str]) -> Machine | Tree:
@@ -140,13 +143,21 @@ def machine_from_dict(data: TableLike, *, origin: str = "machine") -> Machine:
 
 
 def _machine(source: Source) -> Machine | Tree:
-    spatial = "links" not in source.data and {"actuated", "end_point"} & source.data.keys()
     # Of a machine in space that does not name its robot that alone is told.
-    if "robot" in source.data or spatial:
+    if "robot" in source.data or _in_space(source.data):
         from flexopt.model.robots import robot_from_dict  # noqa: PLC0415  (readers that few machines need)
 
         return robot_from_dict(source.data, folder=source.folder, origin=source.name)
     return machine_from_dict(source.data, origin=source.name)
+
+
+def _in_space(data: dict[str, Any]) -> bool:
+    """Whether a file without `robot` says what only machines in space have."""
+    base = data.get("base")
+    tables = [base.get(name) for name in ("stiffness", "damping")] if isinstance(base, dict) else []
+    said = {*data, *(key for table in tables if isinstance(table, dict) for key in table)}
+    named = bool(said & IN_SPACE) or isinstance(data.get("end_point"), dict)
+    return named and not said & {"links", "link"}
 
 
 def _experiment(source: Source) -> Experiment:

@@ -268,7 +268,7 @@ def _draw_ranks(axes: Axes, selection: Selection) -> None:
     if not isinstance(selection, OutcomeSelection):
         # No finer than what counts as equal, or rounding would look like a difference.
         low, high = axes.get_ylim()
-        short = max(0.0, NOTHING * problem.objective_scale - (high - low))
+        short = max(0.0, NOTHING * problem.first_scale - (high - low))
         axes.set_ylim(low - short / 2, high + short / 2)
 
 

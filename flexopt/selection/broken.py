@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,16 +32,35 @@ def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
     What somebody asked for with its value; of a constraint at several corners of `constraints.within` the worst.
     `asked`: as of `broken_names`.
     """
-    worst, at_corners = dict[str, str](), cornerless(problem)
-    for row in broken_names(problem, z, asked=asked):
-        worst.setdefault(at_corners.get(row, row), row)
+    return _told(_worst_of(problem, [(name, z) for name in broken_names(problem, z, asked=asked)]), problem)
+
+
+def broken_on(problem: SelectionProblem, zs: Vector) -> str:
+    """As `broken`, of configurations zs (n_z, N): of each limit and constraint where it is broken most."""
+    most = dict[str, tuple[float, Vector]]()
+    for z in zs.T:
+        for name, off in _by_how_much(problem, z, asked=False, p=None).items():
+            if off > max(BROKEN, most.get(name, (0.0,))[0]):
+                most[name] = off, z
+    ordered = sorted(most.items(), key=lambda each: -each[1][0])
+    return _told(_worst_of(problem, [(name, z) for name, (_, z) in ordered]), problem)
+
+
+def _worst_of(problem: SelectionProblem, each: Sequence[tuple[str, Vector]]) -> dict[str, tuple[str, Vector]]:
+    """By name without the corner of `constraints.within` the first row of that name, and its configuration."""
+    worst, at_corners = dict[str, tuple[str, Vector]](), cornerless(problem)
+    for row, z in each:
+        worst.setdefault(at_corners.get(row, row), (row, z))
+    return worst
+
+
+def _told(worst: Mapping[str, tuple[str, Vector]], problem: SelectionProblem) -> str:
     if not worst:
         return ""
-    values = values_with(problem, z, problem.measures.plant.parameter_values.full().ravel())
-    values, told = values | _joint_margins(problem, z), list[str]()
-    for name, row in [*worst.items()][:NAMED]:
-        value = None if UNASKED.search(name) else values.get(row)
-        where = row.removeprefix(name)
+    p, told = problem.measures.plant.parameter_values.full().ravel(), list[str]()
+    for name, (row, z) in [*worst.items()][:NAMED]:
+        values = {} if UNASKED.search(name) else values_with(problem, z, p) | _joint_margins(problem, z)
+        value, where = values.get(row), row.removeprefix(name)
         told.append(row if value is None else f"{name}, {value}{where and ','}{where}")
     more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
     return f"breaks {'; '.join(told)}{more}"
@@ -53,22 +73,30 @@ def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p
     `asked`: of those alone that somebody asked for: no limits, no margin from singular postures, no assumed ground.
     `p`: the machine's numbers, where they may be others; corners of `constraints.within` have numbers of their own.
     """
+    found = _by_how_much(problem, z, asked=asked, p=p)
+    return sorted((name for name, off in found.items() if off > BROKEN), key=lambda name: -found[name])
+
+
+def _by_how_much(problem: SelectionProblem, z: Vector, *, asked: bool, p: Vector | None) -> dict[str, float]:
+    """How far each limit and constraint, the target aside, is beyond its bounds, in units of its scale."""
     outside: Vector = np.maximum(problem.lower - z, z - problem.upper) / problem.scale
     rows = np.abs(beyond_bounds(problem, z, p))[problem.target.size :]
     falls = falls_within(problem, z) if p is None else {}
     if p is not None and (falls := not_standing(problem.quantities, z, p)):
         # What else it would break is no number.
-        return [*falls]
+        return dict.fromkeys(falls, math.inf)
     found = [*outside, *rows, *beyond_own(problem, z, p), *falls.values()]
-    away = np.nan_to_num(found, nan=np.inf, posinf=np.inf)
+    away = np.nan_to_num(found, nan=np.inf, posinf=np.inf).tolist()
     names = _names_of_bounds(problem)
     names += [row.name for row in (*problem.constraints[problem.target.size :], *problem.own_constraints)]
     names += falls
     of = cornerless(problem)
-    unasked = [(asked and UNASKED.search(of.get(name, name))) or (p is not None and name in of) for name in names]
-    order: list[int] = np.argsort(-away, kind="stable").tolist()
-    # Several rows may be one constraint.
-    return [*dict.fromkeys(names[k] for k in order if away[k] > BROKEN and not unasked[k])]
+    by_name = dict[str, float]()
+    for name, off in zip(names, away, strict=True):
+        if not ((asked and UNASKED.search(of.get(name, name))) or (p is not None and name in of)):
+            # Several rows may be one constraint.
+            by_name[name] = max(off, by_name.get(name, off))
+    return by_name
 
 
 def _names_of_bounds(problem: SelectionProblem) -> list[str]:

@@ -43,3 +43,19 @@ def test_rounding_is_no_difference_between_ranks() -> None:
     low, high = axes.get_ylim()
     assert high - low >= 1e-4 * chosen.problem.objective_scale
     assert low < 0.0 < high
+
+
+def test_an_axis_of_objectives_in_order_is_that_of_the_first() -> None:
+    """ε_max, the last, is of another size."""
+    machine, posture = flexopt.load("slewing-excavator"), [0.2, 0.5, -1.2, -0.5]
+    target, few = (
+        flexopt.evaluate(machine, posture).end_point,
+        {"base": (0.0, 0.0, 0.0), "posture": posture, "starts": 1},
+    )
+    chosen = flexopt.select(machine, target, objective="V,epsilon_max", weights=[1] * 6, slack=1e-2, **few)
+    two = replace(chosen, candidates=(chosen.best, replace(chosen.best, objective=chosen.best.objective - 1e-6)))
+    axes = next(each for each in two.plot().axes if each.get_xlabel() == "candidate, by rank")
+    assert two.initial is not None
+    assert chosen.problem.objective_scale > 1e3 * chosen.problem.first_scale
+    values = [*(each.objective for each in two.candidates), float(two.initial.w.sum())]
+    assert np.ptp(axes.get_ylim()) == pytest.approx(np.ptp(values), rel=0.5)

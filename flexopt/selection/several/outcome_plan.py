@@ -37,6 +37,7 @@ from flexopt.selection.several.results import BasePlan, FixedPlacement
 from flexopt.selection.several.standing import spread, standing_along
 from flexopt.selection.several.ways import (
     Layer,
+    broken_on_lines,
     coarse_ways,
     distinct,
     no_way,
@@ -132,6 +133,7 @@ def outcome_plan(
         places=places,
         still=None if still is None else _fixed(*still),
         between=(sign * between, when),
+        broken_between=broken_on_lines(problems, [along.of(x, k) for k in range(len(problems))]),
         travelled=travelled(first.machine, np.array([place.evaluation.base for place in places])),
         stationarity=best.stationarity,
         kinks={},

@@ -43,7 +43,7 @@ from flexopt.selection.several.results import KEPT, BasePlan, FixedPlacement
 from flexopt.selection.several.solving import End, end_from, ends_from, not_below, places_at, taken_up, verified
 from flexopt.selection.several.standing import best_placements, one_placement, standing_along
 from flexopt.selection.several.targets import build_problems, sample_bases, single_measure
-from flexopt.selection.several.ways import coarse_ways, no_way, nodes_of, on_lines, travelled
+from flexopt.selection.several.ways import broken_on_lines, coarse_ways, no_way, nodes_of, on_lines, travelled
 from flexopt.selection.solve import loop_notes, solved
 
 # Placements that are looked at, for one coordinate and for more: from which all targets may be reached, and for each
@@ -199,6 +199,7 @@ def plan_base(
         between=on_lines(
             problems, due, [program.of(best, k) for k in range(len(problems))], lambda _, z: values_of(problems[0], z)
         ),
+        broken_between=broken_on_lines(problems, [program.of(best, k) for k in range(len(problems))]),
         travelled=travelled(machine, np.array([place.evaluation.base for place in places])),
         stationarity=end.stationarity,
         kinks=end.kinks,

@@ -374,6 +374,10 @@ class Stand(Pictured, ConfigurationSet):
         return "\n".join([*self._lines(what, self.status), *rests])
 
 
+# What helps where a way breaks something between its targets.
+BETWEEN_TARGETS = "limits and constraints are kept at the targets alone: more of them on the way keep them there, too"
+
+
 @dataclass(frozen=True)
 class FixedPlacement:
     """The best that a base can do that stands still while the end-point goes along its path of K targets.
@@ -411,6 +415,8 @@ class BasePlan(Pictured, ConfigurationSet):
             and joints together move least, Σ |Δz|² in scaled variables.
         between: the smallest V between the targets, where base and end-point move along straight lines, and the time
             at which it is met;  −∞ where the end-point cannot be kept on its line, or V is no number.
+        broken_between: what of limits and constraints, which hold at the targets, is broken at 63 points of each of
+            these lines, in words; none where nothing is seen to be. A target on such a line keeps them there, too.
         travelled: length of the base's way, m, (first in the plane of the ground), and its turning, rad.
 
     Example:
@@ -421,6 +427,7 @@ class BasePlan(Pictured, ConfigurationSet):
     time: Vector
     still: FixedPlacement | None
     between: tuple[float, float]
+    broken_between: tuple[str, ...]
     travelled: tuple[float, float]
 
     @property
@@ -454,6 +461,12 @@ class BasePlan(Pictured, ConfigurationSet):
         return _path(self.time, np.array([place.target for place in self.places]))
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """As of `ConfigurationSet`, and what is broken between the targets."""
+        helps = (BETWEEN_TARGETS,) if self.broken_between else ()
+        return (*super().remarks, *self.broken_between, *helps)
+
+    @property
     def status(self) -> str:
         """A sentence."""
         return self._found("way along")
@@ -481,7 +494,7 @@ class BasePlan(Pictured, ConfigurationSet):
         """
         own = {"time": self.time, "base": self.base, "posture": self.posture, "V": self.V, "worth": self.worth}
         own |= {"standing": self.standing, "still": self.still and vars(self.still)}
-        own |= {"between": {"V": self.between[0], "time": self.between[1]}}
+        own |= {"between": {"V": self.between[0], "time": self.between[1], "breaks": self.broken_between}}
         own |= {"travelled": {"m": self.travelled[0], "rad": self.travelled[1]}}
         return self._document(self.status, own, "path")
 

@@ -7,6 +7,7 @@ the shortest of those with the highest worst V.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +17,7 @@ from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.plant.inverse_kinematics import REACHED, solve_postures
+from flexopt.selection.broken import broken_on
 from flexopt.selection.nlp.program import Program
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.several.postures import Reached
@@ -24,6 +26,8 @@ from flexopt.selection.several.postures import Reached
 NODES = 400
 # Points looked at between two targets.
 BETWEEN = 8
+# Points there at which constraints are looked at, which cost less.
+WATCHED = 63
 # A sample is too coarse for steps as short as the rates ask for, so longer ones are looked at, too.
 LONGER = (1.0, 3.0, 10.0, 1e9)
 # Configurations z (n_z, N) of one target and their V (N,).
@@ -126,22 +130,46 @@ def on_lines(
 
     −∞ where it is no number, or the end-point cannot be kept on its line.
     """
-    plant, n_b = problems[0].measures.plant, problems[0].measures.plant.n_base
     worst, when = np.inf, float(due[0])
     along = np.linspace(0.0, 1.0, BETWEEN + 1)
     for k in range(len(zs) - 1):
-        z = zs[k][:, None] + (zs[k + 1] - zs[k])[:, None] * along
-        ends = problems[k].target, problems[k + 1].target
-        targets = ends[0][:, None] + (ends[1] - ends[0])[:, None] * along
-        postures, left = solve_postures(plant, targets, z[:n_b], z[n_b:])
-        reached = left <= REACHED
+        z, reached = _line(problems, zs, k, along)
         if not reached.all():
             return -np.inf, float(due[k] + (due[k + 1] - due[k]) * along[int(np.argmin(reached))])
-        found = np.nan_to_num(values(k, np.vstack([z[:n_b], postures])), nan=-np.inf, posinf=np.inf, neginf=-np.inf)
+        found = np.nan_to_num(values(k, z), nan=-np.inf, posinf=np.inf, neginf=-np.inf)
         low = int(found.argmin())
         if found[low] < worst:
             worst, when = float(found[low]), float(due[k] + (due[k + 1] - due[k]) * along[low])
     return worst, when
+
+
+def broken_on_lines(problems: Sequence[SelectionProblem], zs: list[Vector]) -> tuple[str, ...]:
+    """What is broken on the straight lines between targets, where the constraints that hold at these are not kept."""
+    along, told = np.linspace(0.0, 1.0, WATCHED + 2)[1:-1], list[str]()
+    for k in range(len(zs) - 1):
+        z, reached = _line(problems, zs, k, along)
+        if breaks := broken_on(_of_both(*problems[k : k + 2]), z[:, reached]):
+            told.append(f"on the straight way from target {k + 1} to target {k + 2} it {breaks}")
+    return tuple(told)
+
+
+def _of_both(one: SelectionProblem, other: SelectionProblem) -> SelectionProblem:
+    """The first of two targets' problems, where the base may stand for either: their own bounds are its reach."""
+    pairs = zip(one.variables, other.variables, strict=True)
+    spans = (replace(a, lower=min(a.lower, b.lower), upper=max(a.upper, b.upper)) for a, b in pairs)
+    return replace(one, variables=tuple(spans))
+
+
+def _line(
+    problems: Sequence[SelectionProblem], zs: list[Vector], k: int, along: Vector
+) -> tuple[Vector, NDArray[np.bool_]]:
+    """Configurations (n_z, N) at shares of the way to the target after k, base and end-point on lines; which are."""
+    plant = problems[0].measures.plant
+    z = zs[k][:, None] + (zs[k + 1] - zs[k])[:, None] * along
+    ends = problems[k].target, problems[k + 1].target
+    targets = ends[0][:, None] + (ends[1] - ends[0])[:, None] * along
+    postures, left = solve_postures(plant, targets, z[: plant.n_base], z[plant.n_base :])
+    return np.vstack([z[: plant.n_base], postures]), left <= REACHED
 
 
 def travelled(machine: AnyMachine, bases: Vector) -> tuple[float, float]:

@@ -30,6 +30,7 @@ from flexopt.selection.broken import broken
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.result import unverified_told
+from flexopt.selection.several import BasePlan
 from flexopt.study.verdicts.confirmation import INTEGRAL
 from flexopt.study.verdicts.decision import BETWEEN, FASTER, LEAST_TOLD, RULE, Word, spoken
 from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of
@@ -62,8 +63,8 @@ class Verdict(Pictured, Printed, Result):
         word: `"move"`, `"stay"`, `"change gains"` or `"cannot tell"`;  sentence: it, with where to and why.
         place: which place it speaks of;  reason: why.
         drawbacks: what is worse by a tenth or more where it sends the machine, or with the gains to change to, than
-            where it stands with the present ones, in the worst case, and what it breaks as every place found does, in
-            words; empty where nothing is.
+            where it stands with the present ones, in the worst case, what it breaks as every place found does, and what
+            the way of a plan does between its targets, in words; empty where nothing is.
         passed_over: where it sends the machine: of the nearest place with less to drive that is better than staying on
             some grounds, or where there is no staying of any, why it does not send it there; else empty.
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
@@ -133,6 +134,8 @@ class Verdict(Pictured, Printed, Result):
         # Else another place would keep them, and this one would be none to move to.
         no_better = f"every place found breaks constraints on some ground: {spoken(there.name)} {there.breaks}"
         no_better *= bool(there.breaks)
+        way = self.selection.broken_between if isinstance(self.selection, BasePlan) and self.place == FIRST else ()
+        no_better = "; ".join(filter(None, (no_better, *way)))
         stay = now if self.with_gains and stay is None else stay
         if stay is None or self.word not in ("move", "change gains"):
             return no_better

@@ -247,6 +247,16 @@ def test_a_file_of_a_machine_in_space_that_names_no_robot_is_told_that_alone(tmp
     with pytest.raises(ModelError) as caught:
         load(file)
     assert str(caught.value) == f"{file}: robot: is required and missing"
+    # By any of its keys; a planar one that misspells `links` is none of these.
+    for told in ("base.stiffness.roll = 2e6", "joints.boom.effort = 5.0", "end_point.link = 'tool'"):
+        file.write_text(f'name = "arm"\n{told}')
+        with pytest.raises(ModelError, match="robot: is required and missing") as caught:
+            load(file)
+        assert "rest_angle" not in str(caught.value)
+    file.write_text('name = "arm"\n[[link]]\nlength = 1.0\n[base]\nstiffness = {z = 1e5}')
+    with pytest.raises(ModelError, match="did you mean 'links'") as caught:
+        load(file)
+    assert "robot" not in str(caught.value)
 
 
 def test_one_change_is_one_fault(tmp_path: Path) -> None:

@@ -51,6 +51,26 @@ def test_moving_is_not_worse_than_standing_still(excavator: flexopt.Machine, pla
     assert plan.worth == plan.V.min() == plan.V[plan.worst]
 
 
+def test_what_a_way_breaks_between_its_targets_is_told(excavator: flexopt.Machine) -> None:
+    """A pit between two targets that are farther from each other than the arm reaches: the base comes over it."""
+    path, low, high = [(-2.2, 1.6), (4.2, 1.6)], 0.9, 1.1
+    few: dict[str, Any] = {"starts": 1, "workers": 1, "duration": 60.0, "max_base_rate": 1.0, "base": 0.0}
+    found = plan_base(excavator, path, constraints={"keep_out": [[low, high]]}, **few)
+    assert found.base[0, 0] <= low < high <= found.base[1, 0]
+    way = np.linspace(found.base[0, 0], found.base[1, 0], 65)
+    deepest = np.minimum(way - low, high - way).max()
+    (told,) = found.broken_between
+    assert told.startswith("on the straight way from target 1 to target 2 it breaks distance from keep_out[0], -")
+    assert float(told.split()[-6]) == pytest.approx(-deepest, rel=1e-3)
+    assert f"  {told}\n" in repr(found)
+    assert found.to_dict()["between"]["breaks"] == [told]
+    judged = flexopt.verdict(found, loop={"kp": 1e3, "kv": 1e2}, members=2, runs=0)
+    assert replace(judged, word="move", place="candidate 1").drawbacks.endswith(told)
+    free = plan_base(excavator, path, **few)
+    assert free.broken_between == ()
+    assert "on the straight way" not in repr(free)
+
+
 @pytest.mark.long
 def test_no_way_of_a_dense_grid_is_better(excavator: flexopt.Machine, plan: BasePlan) -> None:
     """An exhaustive search over 161 placements and both elbows for each target, within the same rates."""
