@@ -7,7 +7,11 @@ import pytest
 
 import flexopt
 from flexopt.loop.beside_decay import BesideDecay
+from flexopt.loop.evaluation import settings_at
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model.uncertainty import Uncertainty
+from flexopt.selection.broken import broken
+from flexopt.study.verdicts.confirmation import _ensemble, nonlinear_runs
 from tests.study.machines import three_links
 
 LOOP = {"kp": 1e4, "kv": 1e3}
@@ -52,6 +56,44 @@ def test_where_the_numbers_of_the_file_decay_measuring_tells(heavy: flexopt.Verd
         heavy.selection, loop="default", ranges={"payload.mass": (980.0, 1020.0)}, members=4, runs=0
     )
     assert close.word != "cannot tell"
+
+
+def test_an_arm_that_nobody_gave_stands_above_the_assumed_ground_where_it_can() -> None:
+    """From here one of the postures that reach the target has the stick in the ground; staying is not that one."""
+    machine, target = flexopt.load("boom-stick-bucket"), (5.0, 1.0)
+    chosen = flexopt.select(machine, target, base=0.0, starts=4)
+    assert chosen.initial is not None
+    assert "from the assumed ground" in broken(chosen.problem, chosen.initial.z)
+    found = flexopt.verdict(chosen, loop="default", members=2, runs=0)
+    stay = found.places[0]
+    held = np.concatenate([stay.base, stay.posture])
+    assert (stay.name, broken(chosen.problem, held)) == ("stay", "")
+    assert flexopt.evaluate(machine, stay.posture, base=stay.base).end_point == pytest.approx(target, abs=1e-6)
+    assert "another than the choice's present one, which breaks constraints" in found.taken
+    # What was given is judged as it is.
+    given = flexopt.select(machine, target, base=0.0, posture=chosen.initial.posture, starts=1)
+    assert flexopt.verdict(given, loop="default", members=2, runs=0).places[0].posture == pytest.approx(
+        chosen.initial.posture
+    )
+
+
+def test_runs_of_an_arm_that_creeps_are_judged_by_the_loop_where_it_is_held() -> None:
+    """Under a payload that the controller does not know it would come to rest far away, after hours, or nowhere."""
+    machine, posture = flexopt.load("boom-stick-bucket"), np.array([-1.56, -0.702, -1.786])
+    loop = flexopt.Loop(
+        control="transpose", drive="torque", kp=42e3, kv=24e3, rate=100.0, nullspace_damping=1e5
+    )  # fmt: skip
+    settings, base = settings_at(machine, posture, None, None, loop, gravity=True, call="test")
+    file = machine.payload.mass
+    box = UncertaintyBox(machine, (Uncertainty(of=("payload.mass",), value=(0.5 * file, 1.5 * file)),), 0.0)
+    members, here = np.array([[0.0], [1.0]]), UncertainLoop(settings, base, posture, True, box)
+    decays = here.decays(members)
+    assert decays.min() > 1.0
+    runs = nonlinear_runs(here, members, decays, 5.0)
+    assert runs.verdicts == ("converges", "converges")
+    # A judge that waits for the arm to arrive sees another loop.
+    own = -_ensemble(here, members, 5.0, None).linear_growth_rate
+    assert not np.allclose(own, decays, rtol=0.1)
 
 
 def test_what_grows_rests_nowhere(heavy: flexopt.Verdict) -> None:

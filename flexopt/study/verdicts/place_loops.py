@@ -205,8 +205,11 @@ def unreached(chosen: Chosen) -> str:
 
 
 def held_now(problem: SelectionProblem, now: Evaluation) -> Evaluation:
-    """How the arm is held now: where nobody said so, and one way breaks what is asked for, an allowed one if any."""
-    if problem.present_posture is not None or not broken(problem, now.z, asked=True):
+    """How the arm is held now: where nobody said so, and one way breaks something, an allowed one if any.
+
+    So it does where it reaches below the ground that is assumed. Where the base stands is given.
+    """
+    if problem.present_posture is not None or not broken(_standing_at(problem, now.base), now.z):
         return now
     return (held_from([problem], now.base) or (now,))[0]
 
