@@ -6,7 +6,8 @@ involved, so no damping of its own hides a mode.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, cast
 
@@ -111,25 +112,51 @@ def tangent(structure: LoopStructure, x: Vector, e: Vector, c: Vector) -> Tangen
     return Tangent(flow, drive, by_command, by_kept, by_waiting, moved, rounding, 2 * structure.n_task)
 
 
-def at_rest(structure: LoopStructure, x: Vector, e: Vector, c: Vector) -> tuple[Vector, Tangent] | None:
+@dataclass(frozen=True)
+class SelfMotion:
+    """The self-motion of an arm, which feedback of its end-point holds nowhere: it is taken as it stands.
+
+    Attributes:
+        held: in which directions (k, n_x) of the state it must not move.
+        along: state -> torques or forces at the joints (n, k) that drive it, and that no feedback gives.
+    """
+
+    held: Vector
+    along: Callable[[Vector], Vector]
+
+
+def at_rest(
+    structure: LoopStructure, x: Vector, e: Vector, c: Vector, own: SelfMotion | None = None
+) -> tuple[Vector, Tangent] | None:
     """The state of rest that Newton's method finds from x, and the linear loop there; None where it finds none.
 
-    Where states of rest form a family (the self-motion of an arm) it is the one nearest to x.
+    Where states of rest form a family it is the one nearest to x. `own`: held as if its joints were braked; what would
+    drive it, as a weight that the controller does not know, is left out.
     """
+    count = 0 if own is None else len(own.held)
+    brake = np.zeros(count)
     for _ in range(STEPS):
         here = tangent(structure, x, e, c)
         if not np.all(np.isfinite(here.moved)):
             return None
+        n = len(here.flow)
+        period = float(c[closed_loop(structure).constants.slices["h"]][0]) * structure.substeps
+        by_brake = np.zeros((len(x), count))
+        if own is not None:
+            by_brake[:n] = period * here.drive @ own.along(x)
+        here = replace(here, moved=here.moved + by_brake @ brake)
         if still(structure, here, x):
             return x, here
-        n = len(here.flow)
         by_x = np.hstack([here.flow, np.zeros((n, len(x) - n))]) + here.drive @ here.command
-        period = float(c[closed_loop(structure).constants.slices["h"]][0]) * structure.substeps
-        change = np.vstack([period * by_x, here.law, here.queue])
-        change[n:] -= np.eye(len(x))[n:]
+        change = np.hstack([np.vstack([period * by_x, here.law, here.queue]), by_brake])
+        change[n:, : len(x)] -= np.eye(len(x))[n:]
         size = np.maximum(np.abs(change).max(axis=1), np.finfo(float).tiny)
-        newton = cast(Any, np.linalg.lstsq)(change / size[:, None], here.moved / size, rcond=1e-12)[0]
-        x = x - np.asarray(newton, dtype=np.float64)
+        change, moved = change / size[:, None], here.moved / size
+        if own is not None:
+            change = np.vstack([change, np.hstack([own.held, np.zeros((count, count))])])
+            moved = np.append(moved, np.zeros(count))
+        newton = np.asarray(cast(Any, np.linalg.lstsq)(change, moved, rcond=1e-12)[0], dtype=np.float64)
+        x, brake = x - newton[: len(x)], brake - newton[len(x) :]
     return None
 
 

@@ -24,7 +24,7 @@ from flexopt.loop.borders import stable_intervals
 from flexopt.loop.closed import closed_loop
 from flexopt.loop.spectrum import EXACT, OwnMotion, SampledLoop, neutral_directions, spectrum
 from flexopt.loop.structure import LoopStructure
-from flexopt.loop.tangent import Tangent, still, tangent
+from flexopt.loop.tangent import SelfMotion, Tangent, still, tangent
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import LinearKeywords, SimulationOptions
 from flexopt.plant import build_plant
@@ -164,12 +164,37 @@ def exactly(scenario: Scenario, x: Vector, here: Tangent) -> SampledLoop:
 
 def _spectrum(scenario: Scenario, x: Vector, matrix: Vector, integrator: str) -> SampledLoop:
     """With the self-motion of the posture in which the loop rests: under weight that may be another than by design."""
-    s, n = scenario, scenario.loop.shape.n
-    q = s.q_design + s.loop.to_q @ (x - s.resting)[:n]
+    s = scenario
     most = neutral_directions(s.loop.structure, s.loop.shape.n_joints, s.parts.get("kp"), s.parts.get("ki"))
-    plant = build_plant(s.machine)
+    excess = s.loop.shape.n_joints - s.loop.shape.n_task
+    plant, q = build_plant(s.machine), _coordinates(s, x)
     own = partial(OwnMotion.at, plant, q, s.base, plant.parameter_values, s.loop.to_q)
-    return spectrum(matrix, s.period, most, s.loop.shape.n_joints - s.loop.shape.n_task, own, integrator)
+    return spectrum(matrix, s.period, most, excess, own, integrator)
+
+
+def _coordinates(scenario: Scenario, x: Vector) -> Vector:
+    """All coordinates (n_q,) in a state."""
+    s = scenario
+    return s.q_design + s.loop.to_q @ (x - s.resting)[: s.loop.shape.n]
+
+
+def self_motion(scenario: Scenario, x: Vector) -> SelfMotion | None:
+    """Of an arm with more joints than task rows whose weight acts, as it stands in a state x; else None.
+
+    Commands act on the joints as torques, so that a brake is a command, too; a continuous law has none.
+    """
+    s, plant = scenario, build_plant(scenario.machine)
+    if s.loop.shape.n_joints <= s.loop.shape.n_task or not (s.options.gravity and s.loop.structure.sampled):
+        return None
+    m = plant.n_passive
+
+    def along(there: Vector) -> Vector:
+        # As the controller takes the arm, on the base that its design has.
+        taken = np.append(s.q_design[:m], _coordinates(s, there)[m:])
+        return OwnMotion.at(plant, taken, s.base, plant.parameter_values, s.loop.to_q).directions[m:]
+
+    held = along(x).T @ s.loop.to_q[m:]
+    return SelfMotion(np.hstack([held, np.zeros((len(held), len(x) - held.shape[1]))]), along)
 
 
 def linear_scenario(machine: AnyMachine, given: Mapping[str, Any], call: str) -> Scenario:

@@ -22,7 +22,7 @@ from flexopt.loop.tangent import at_rest
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import SimulationOptions
 from flexopt.simulation.behaviour import Grounds, Shown
-from flexopt.simulation.linear import SampledLoop, bare_scenario, exactly, linearised
+from flexopt.simulation.linear import SampledLoop, bare_scenario, exactly, linearised, self_motion
 from flexopt.simulation.scenario import Scenario
 
 LoopVerdict = Literal["converges", "grows", "undecided"]
@@ -126,7 +126,7 @@ def about(bare: Scenario, x: Vector, e: Vector, parts: Mapping[str, Any] | None 
     scenario = bare if parts is None else replace(bare, parts={**bare.parts, **parts})
     if not np.all(np.isfinite(x)):
         return NO_REST
-    found = at_rest(scenario.loop.structure, x, e, scenario.constants)
+    found = at_rest(scenario.loop.structure, x, e, scenario.constants, self_motion(scenario, x))
     try:
         return NO_REST if found is None else exactly(scenario, *found)
     except FlexoptError as error:

@@ -136,11 +136,9 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
         for some, ensemble in _ensembles(loop, members, decays, rows, duration):
             data = {name: ensemble.dataset[name].to_numpy() for name in SHOWN}
             found[:, some] = [data["settling_time"], data["peak_base_rotation"], -data["growth_rate"]]
-            # Under a weight that the controller knows wrong a redundant arm creeps, to nowhere or to where it would be
-            # after hours, of which no run tells.
-            creeps = loop.gravity and loop.settings.redundant
+            # Under a weight that the controller knows wrong a redundant arm creeps, and may rest nowhere.
             beside = [
-                loop.outcome(members[row]).loop if creeps or isinstance(own, str) else own
+                loop.outcome(members[row]).loop if isinstance(own, str) else own
                 for row, own in zip(some, ensemble.linear_loops, strict=True)
             ]
             judgements = judged_beside(ensemble, beside)
