@@ -22,8 +22,10 @@ AT_END = 1e-6
 BROKEN, NAMED = 1e-6, 3
 # Of a joint, how far from its limits `constraints.joint_margin` keeps it.
 JOINT_MARGIN = "joint margin of "
+# Where `base_range` lets the base stand, by coordinate; else what a variable's bounds are.
+BASE_RANGE, LIMITS = "base_range of ", "limits of "
 # Names of what holds unasked: limits, the margin that every program has, what lies above the assumed ground.
-UNASKED = re.compile(f"^limits of |^singularity margin$| {re.escape(GROUND)}$")
+UNASKED = re.compile(f"^{LIMITS}|^singularity margin$| {re.escape(GROUND)}$")
 
 
 def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
@@ -59,7 +61,7 @@ def _told(worst: Mapping[str, tuple[str, Vector]], problem: SelectionProblem) ->
         return ""
     p, told = problem.measures.plant.parameter_values.full().ravel(), list[str]()
     for name, (row, z) in [*worst.items()][:NAMED]:
-        values = {} if UNASKED.search(name) else values_with(problem, z, p) | _joint_margins(problem, z)
+        values = {} if UNASKED.search(name) else values_with(problem, z, p) | _asked_of_variables(problem, z)
         value, where = values.get(row), row.removeprefix(name)
         told.append(row if value is None else f"{name}, {value}{where and ','}{where}")
     more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
@@ -100,20 +102,26 @@ def _by_how_much(problem: SelectionProblem, z: Vector, *, asked: bool, p: Vector
 
 
 def _names_of_bounds(problem: SelectionProblem) -> list[str]:
-    """What keeps each variable within its bounds, by name: its limits, or the margin asked for to those of a joint."""
-    n_base, kept = problem.measures.plant.n_base, JOINT_MARGIN if problem.asked.joint_margin else "limits of "
-    return [("limits of " if k < n_base else kept) + each.name for k, each in enumerate(problem.variables)]
+    """What keeps each variable within its bounds, by name: its limits, or what was asked for, a range or a margin."""
+    n_base, kept = problem.measures.plant.n_base, JOINT_MARGIN if problem.asked.joint_margin else LIMITS
+    placed = [BASE_RANGE if each.ranged else LIMITS for each in problem.variables[:n_base]]
+    kinds = [*placed, *[kept] * (len(problem.variables) - n_base)]
+    return [kind + each.name.removeprefix("base." * (kind == BASE_RANGE))
+            for kind, each in zip(kinds, problem.variables, strict=True)]  # fmt: skip
 
 
-def _joint_margins(problem: SelectionProblem, z: Vector) -> dict[str, ConstraintValue]:
-    """How far each joint is from the machine's limits, by the names of `_names_of_bounds`, where that was asked for."""
-    asked = problem.asked.joint_margin
-    joints = zip(_names_of_bounds(problem), problem.variables, z.tolist(), strict=True)
-    return {
-        name: ConstraintValue(min(x - each.lower, each.upper - x) + asked, asked, math.inf, each.unit)
-        for name, each, x in joints
-        if name.startswith(JOINT_MARGIN)
-    }
+def _asked_of_variables(problem: SelectionProblem, z: Vector) -> dict[str, ConstraintValue]:
+    """Where the base stands, and how far each joint is from its limits, by the names of `_names_of_bounds`.
+
+    Of what was asked for.
+    """
+    margin, found = problem.asked.joint_margin, dict[str, ConstraintValue]()
+    for name, each, x in zip(_names_of_bounds(problem), problem.variables, z.tolist(), strict=True):
+        if name.startswith(BASE_RANGE):
+            found[name] = ConstraintValue(x, each.lower, each.upper, each.unit)
+        elif name.startswith(JOINT_MARGIN):
+            found[name] = ConstraintValue(min(x - each.lower, each.upper - x) + margin, margin, math.inf, each.unit)
+    return found
 
 
 def cornerless(problem: SelectionProblem) -> dict[str, str]:

@@ -137,6 +137,7 @@ def build_one(
     # Checked, and so plain.
     present, posture = cast("Vector | None", asked.base), cast("Vector | None", asked.posture)
     ranges = cast(Ranges, asked.base_range or {})
+    ranged = frozenset(ranges)
     margin = math.radians(asked.singularity_margin_deg)
 
     control = control_of(asked.control, None, machine)
@@ -147,14 +148,14 @@ def build_one(
         raise_if_any(InputError, "select", [Fault("machine", never, machine.name)])
     told = present if travel_now is None else travel_now[: len(names)]
     now = standing(plant, told)
-    beside = assumed(plant, asked.assume, targets, kept, now, frozenset(ranges), given=told is not None)
+    beside = assumed(plant, asked.assume, targets, kept, now, ranged, given=told is not None)
     rows = build_constraints(plant, kept, beside.ground, gravity=asked.gravity)
     constraint_set = rows if len(rows) else None
     ranges, sampled, intervals = _placements(plant, target, ranges, margin, now, beside.drive)
     length = outer_reach(plant)[1]
     lengths = {"m": length or 1.0, "rad": 1.0}
     variables = [
-        DecisionVariable(f"base.{name}", unit, *ranges[name], lengths[unit])
+        DecisionVariable(f"base.{name}", unit, *ranges[name], lengths[unit], ranged=name in ranged)
         for name, unit in zip(names, units, strict=True)
     ]
     variables += [

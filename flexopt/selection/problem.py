@@ -35,13 +35,17 @@ from flexopt.selection.scan import Scan
 
 @dataclass(frozen=True)
 class DecisionVariable:
-    """A decision variable: bounds and the scale that IPOPT sees it in, all in `unit`."""
+    """A decision variable: bounds and the scale that IPOPT sees it in, all in `unit`.
+
+    `ranged`: of a placement, whether `base_range` bounds it: the base may stand nowhere else.
+    """
 
     name: str
     unit: str
     lower: float
     upper: float
     scale: float
+    ranged: bool = False
 
 
 @dataclass(frozen=True)

@@ -368,7 +368,7 @@ def test_what_the_present_configuration_breaks_is_told(machine) -> None:
     allowed = flexopt.select(machine, target, **asked, singularity_margin_deg=1.0, starts=1, workers=1)
     assert "breaks" not in repr(allowed)
     ranged = flexopt.select(machine, (0.0, 1.6), base=0.0, base_range=(-3.0, -1.0), starts=1, workers=1)
-    assert "breaks limits of base.x" in repr(ranged)
+    assert "breaks base_range of x, 0 m (-3 to -1 m)" in repr(ranged)
 
 
 def test_nothing_to_gain_is_told_in_the_scale_of_what_was_sought(machine) -> None:

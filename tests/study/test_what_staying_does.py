@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -77,23 +79,48 @@ def test_an_arm_that_nobody_gave_stands_above_the_assumed_ground_where_it_can() 
     )
 
 
-def test_runs_of_an_arm_that_creeps_are_judged_by_the_loop_where_it_is_held() -> None:
+@pytest.mark.parametrize("law", [{"kv": 24e3}, {"feedback": "pid", "ki": 4e3, "kv": 24e3}], ids=["pd", "pid"])
+@pytest.mark.parametrize(
+    ("name", "posture"),
+    [("boom-stick-bucket", (-1.56, -0.702, -1.786)), ("slewing-excavator", (-1.19, -0.653, -2.115, -0.754))],
+)
+def test_the_linear_loop_of_a_run_is_that_of_the_verdict_where_the_arm_creeps(
+    name: str, posture: tuple[float, ...], law: dict[str, Any]
+) -> None:
     """Under a payload that the controller does not know it would come to rest far away, after hours, or nowhere."""
-    machine, posture = flexopt.load("boom-stick-bucket"), np.array([-1.56, -0.702, -1.786])
-    loop = flexopt.Loop(
-        control="transpose", drive="torque", kp=42e3, kv=24e3, rate=100.0, nullspace_damping=1e5
-    )  # fmt: skip
-    settings, base = settings_at(machine, posture, None, None, loop, gravity=True, call="test")
-    file = machine.payload.mass
+    machine = flexopt.load(name)
+    loop = flexopt.Loop(control="transpose", drive="torque", kp=42e3, rate=100.0, nullspace_damping=1e5, **law)
+    at = np.array(posture)
+    settings, base = settings_at(machine, at, None, None, loop, gravity=True, call="test")
+    file = machine.payload.mass or 200.0
     box = UncertaintyBox(machine, (Uncertainty(of=("payload.mass",), value=(0.5 * file, 1.5 * file)),), 0.0)
-    members, here = np.array([[0.0], [1.0]]), UncertainLoop(settings, base, posture, True, box)
+    members, here = np.array([[0.0], [0.4], [1.0]]), UncertainLoop(settings, base, at, True, box)
     decays = here.decays(members)
-    assert decays.min() > 1.0
-    runs = nonlinear_runs(here, members, decays, 5.0)
-    assert runs.verdicts == ("converges", "converges")
-    # A judge that waits for the arm to arrive sees another loop.
-    own = -_ensemble(here, members, 5.0, None).linear_growth_rate
-    assert not np.allclose(own, decays, rtol=0.1)
+    # Both find the rest by Newton's method, to 1e-9.
+    assert -_ensemble(here, members, 1.0, None).linear_growth_rate == pytest.approx(decays, rel=1e-6)
+    if name == "boom-stick-bucket" and "ki" not in law:
+        assert decays.min() > 1.0
+        assert nonlinear_runs(here, members, decays, 5.0).verdicts == ("converges",) * 3
+
+
+def test_outside_its_range_the_base_does_not_stay() -> None:
+    """Where it decays, and an arm that is held beside the target is told of there, too."""
+    few: dict[str, Any] = {"base": -2.1859, "starts": 2}
+    machine, held = flexopt.load("excavator"), (-1.2479, 1.4872)
+    judged: dict[str, Any] = {"loop": LOOP, "members": 2, "runs": 0}
+    found = flexopt.verdict(machine, TARGETS[0], posture=held, base_range={"x": (0.5, 1.5)}, **few, **judged)
+    breaks = "breaks base_range of x, -2.186 m (0.5 to 1.5 m)"
+    assert found.present_breaks == breaks
+    assert found.places[0].decay.least > 0
+    assert found.word != "stay"
+    assert f"the present place {breaks}" in found.sentence
+    free = flexopt.verdict(machine, TARGETS[0], posture=held, base_range={"x": (-3.0, 1.5)}, **few, **judged)
+    assert free.present_breaks == ""
+    beside = flexopt.verdict(
+        machine, TARGETS[0], posture=(-1.2479, 1.3), base_range={"x": (0.5, 1.5)}, **few, **judged
+    )  # fmt: skip
+    off = float(np.linalg.norm(flexopt.evaluate(machine, (-1.2479, 1.3), base=-2.1859).end_point - TARGETS[0]))
+    assert f"the present place, the end-point {off:.3g} m off its target, {breaks}" in beside.sentence
 
 
 def test_what_grows_rests_nowhere(heavy: flexopt.Verdict) -> None:

@@ -199,7 +199,7 @@ def verdict(
     first_runs = partial(_first_runs, loops, each, points[:runs], duration)
     shown = _each(told if runs else [], first_runs, stages.within)
     stages.next()
-    absent = _breaking(chosen, now_breaks, within[STAY]) if STAY in stands else unreached(chosen)
+    absent = _breaking(chosen, now_breaks, within[STAY], held[STAY]) if STAY in stands else unreached(chosen)
     known = {
         name: Place(name, decays[name], slowest[name].decay, drives[name][0],
                     besides_driving(solved, drives[name][1], stands[name]), drives[name][1])
@@ -313,15 +313,23 @@ def _each(names: Collection[str], work: Callable[[str], T], tell: Progress) -> d
     return made
 
 
-def _breaking(chosen: Chosen, now_breaks: str, within: str) -> str:
+def _breaking(chosen: Chosen, now_breaks: str, within: str, now: Sequence[tuple[Vector, Vector]]) -> str:
     """That the present place breaks constraints, now or on some ground, and in which posture where none was given."""
     problem, *others = problems_of(chosen)
     if others:
         how = "as breaks the least and is best of these" if now_breaks else "as is best"
         held = f", held {how} by {chosen.objective} at each target,"
     else:
-        held = "" if problem.present_posture is not None else ", in one of the postures that reach the target,"
+        given = problem.present_posture is not None
+        held = _beside_target(problem, now) if given else ", in one of the postures that reach the target,"
     return f"the present place{held} {now_breaks or within}"
+
+
+def _beside_target(problem: SelectionProblem, held: Sequence[tuple[Vector, Vector]]) -> str:
+    """How far the end-point is off the target of one problem, within a sentence; empty where it is there."""
+    z = np.concatenate(next(iter(held)))
+    off = float(np.linalg.norm(reached(problem, z) - problem.target))
+    return f", the end-point {off:.3g} m off its target," if elsewhere(problem, z) else ""
 
 
 def _beside_staying(decision: Decision, confirmed: ChangedGains | None) -> Decision:
@@ -337,11 +345,10 @@ def _with_present(
     if absent:
         return decision if decision.word == "move" else replace(decision, reason=f"{absent}; {decision.reason}")
     problem, *others = problems_of(chosen)
-    z = None if held is None or others else np.concatenate(next(iter(held)))
-    if z is None or not elsewhere(problem, z):
+    beside = "" if held is None or others else _beside_target(problem, held)
+    if not beside:
         return decision
-    off = float(np.linalg.norm(reached(problem, z) - problem.target))
-    beside = f"staying is judged as the arm is held now, the end-point {off:.3g} m off its target"
+    beside = f"staying is judged as the arm is held now{beside.rstrip(',')}"
     return replace(decision, reason=f"{decision.reason}; {beside}; without a posture it is judged at the target")
 
 
