@@ -36,6 +36,9 @@ TURN, SLIDE = math.pi, 1.0
 # Of the mass of all bodies: the heaviest payload on the slider. Longest dead time on the slider, s.
 PAYLOAD_SHARE, DEAD_TIME_MAX = 0.1, 0.2
 PAYLOAD = "payload.mass"
+# Of a mode's frequency ω, up to which the first order tells what servos and feedback do to it: beyond, it is mostly off
+# by more than a factor of 2.
+STRONG = 0.2
 
 
 def contents(
@@ -71,6 +74,7 @@ def contents(
         "joints": list(machine.joints),
         "joint_units": list(machine.joint_units),
         "unreached": UNREACHED,
+        "strong": STRONG,
         "rounding": ROUNDING,
         "limits": [[x if math.isfinite(x) else None for x in pair] for pair in machine.limits],
         "ranges": [_range(pair, unit) for pair, unit in zip(machine.limits, machine.joint_units, strict=True)],

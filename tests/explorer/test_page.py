@@ -382,6 +382,21 @@ def test_a_gain_is_read_in_one_format(chromium: Browser, pages: Path) -> None:
         assert "2·10⁶ N m s" in sliders
 
 
+@pytest.mark.parametrize(("servo_gain", "strong"), [(2e6, True), (2e2, False)])
+def test_a_bound_of_first_order_is_doubted_where_servos_are_strong(
+    servo_gain: float, strong: bool, chromium: Browser, pages: Path
+) -> None:
+    """As the doubt of `flexopt.outcome` is, which knows what has become of each mode."""
+    machine, loop = flexopt.load("excavator"), {"drive": "velocity", "kp": 0.3, "kv": 1e-3, "servo_gain": servo_gain}
+    found = flexopt.outcome(machine, POSTURE, loop=loop)
+    excited = np.isfinite(found.allowance_isotropic)
+    assert (found.first_order_fails[excited] == strong).all()
+    with opened(chromium, flexopt.explore(machine, POSTURE, loop=loop), pages) as page:
+        told = page.locator("#modes tbody").inner_text()
+        assert told.count("grows if g Kv") == excited.sum() > 0
+        assert told.count("too strong for this first order") == strong * excited.sum()
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "gain"), [("excavator", "Kv"), ("boom-stick-bucket", "g Kv")])
 def test_a_mode_grows_from_a_gain_on_whatever_serves_the_joints(

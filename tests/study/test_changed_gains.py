@@ -9,11 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+import flexopt
 from flexopt.foundation.arrays import Vector
 from flexopt.model.loop import Loop
 from flexopt.study.verdicts import changed_gains
 from flexopt.study.verdicts.changed_gains import ChangedGains, GainChange
 from flexopt.study.verdicts.decision import Place
+from flexopt.study.verdicts.gain_search import at_ends
 
 GROUNDS = np.linspace(1.0, 1.2, 40)
 
@@ -109,3 +111,37 @@ def test_twice_the_gains_hold_on_every_member(border: float) -> None:
     gain = float(change._lowest(fastest).loop.settings.kp[0])
     assert 2 * gain < border
     assert gain == 1.0 or 2 * gain > 0.8 * border  # Steps of 2^(1/4).
+
+
+def gains(kp: float, kv: float) -> Any:
+    return SimpleNamespace(kp=np.full(2, kp), kv=np.full(2, kv))
+
+
+@pytest.mark.parametrize(
+    ("found", "ranges", "told"),
+    [
+        ((123.1, 120.9), {}, "no lower ones were tried than 0.01 times the present ones"),
+        ((123100.0, 120900.0), {}, "no higher ones were tried than 10 times the present ones"),
+        ((200.0, 196.4), {}, ""),
+        ((50.0, 5.0), {"kp_range": (10.0, 100.0), "kv_range": (5.0, 50.0)}, "kv is the lower end of its range"),
+        ((100.0, 5.0), {"kp_range": (10.0, 100.0), "kv_range": (5.0, 50.0)}, "kp is the upper end of its range and kv"),
+        ((50.0, 7.0), {"kp_range": (10.0, 100.0), "kv_range": (7.0, 7.0)}, ""),
+    ],
+)
+def test_gains_at_an_end_of_what_was_tried_are_told(
+    found: tuple[float, float], ranges: dict[str, Any], told: str
+) -> None:
+    said = at_ends(gains(*found), Loop(**ranges), gains(12310.0, 12090.0))
+    assert said.startswith(told)
+    assert bool(said) == bool(told)
+
+
+@pytest.mark.long
+def test_gains_are_changed_to_the_lowest_that_were_tried_and_that_is_said() -> None:
+    """With half of these gains the loop decays faster."""
+    machine, loop = flexopt.load("excavator"), {"dead_time": 0.05, "drive": "torque", "kp": 12311.0, "kv": 12085.0}
+    chosen = flexopt.select(machine, (0.151, 1.838), base=0.0, starts=6)
+    found = flexopt.verdict(chosen, loop=loop, ranges={"stiffness": (0.4, 2.5)}, members=32, runs=0)
+    assert found.word == "change gains"
+    assert found.gains["kp"][0] == pytest.approx(123.11)
+    assert "no lower ones were tried than 0.01 times the present ones: kp_range and kv_range" in found.sentence

@@ -429,7 +429,7 @@ class Explorer extends Pictures {
       const cells = Array.from(row.cells);
       row.classList.toggle("chosen", i === this.mode);
       if (!modes) { cells.slice(1).forEach((cell) => { cell.textContent = "–"; }); return; }
-      const { hz, w, size, angle, dot, kappa, alone } = modes[i];
+      const { hz, w, size, angle, dot, kappa, alone, omega } = modes[i];
       if (this.unreached(i)) {
         [digits(hz), "–", "–", "–"].forEach((text, k) => { cells[k + 2].textContent = text; });
         cells[1].textContent = "does not move the end-point, or is not driven";
@@ -439,10 +439,13 @@ class Explorer extends Pictures {
       const numbers = [digits(hz), alone ? `${digits(angle * 180 / Math.PI)}°` : "one frequency with another", digits(shown), digits(size)];
       numbers.forEach((text, k) => { cells[k + 2].textContent = text; });
       const { drive, numbers: { servo_gain: served } } = this.data.loop, torque = drive === "torque";
-      const gain = torque ? "Kv" : "g Kv", level = (torque ? 1 : served[0]) * Math.max(...this.gains.kv);
+      const each = torque ? 1 : served[0], gain = torque ? "Kv" : "g Kv", level = each * Math.max(...this.gains.kv);
+      // What servos and feedback do to the mode to first order, as shares of ω.
+      const strength = -dot * ((kappa + level) / (2 * omega) + each * Math.max(...this.gains.kp) / (2 * omega ** 2));
+      const doubt = strength > this.data.strong ? " – servos or feedback are too strong for this first order, which tells little: the sampled loop above counts" : "";
       const excited = dot < 0, state = !excited ? "settles" : level > kappa ? "grows" : "excited";
       const mark = { grows: "▲ grows", excited: "△ excited", settles: "▼ settles" }[state];
-      const bound = kappa > 0 ? `grows if ${gain} > κ<sub>iso</sub> = ${digits(kappa)}; it is ${digits(level)}` : "at any Kv > 0";
+      const bound = kappa > 0 ? `grows if ${gain} > κ<sub>iso</sub> = ${digits(kappa)}; it is ${digits(level)}${doubt}` : "at any Kv > 0";
       cells[1].innerHTML = `<span class="word ${state}">${mark}</span><span class="kappa">${excited ? bound : ""}</span>`;
     });
     this.putBase.forEach((put, k) => put(this.base[k]));

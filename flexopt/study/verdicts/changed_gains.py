@@ -18,7 +18,7 @@ from flexopt.loop.uncertain import FEW
 from flexopt.model.loop import Loop
 from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import FASTER, MOST, Place, decide, pays
-from flexopt.study.verdicts.gain_search import best_gains, lowered, most_room
+from flexopt.study.verdicts.gain_search import at_ends, best_gains, lowered, most_room
 from flexopt.study.verdicts.place_loops import PlaceLoops, Slowest
 from flexopt.study.verdicts.places import STAY, gains_in_words
 
@@ -34,13 +34,14 @@ class ChangedGains(NamedTuple):
     """A place with other gains: its loop with these, nonlinear runs if any were asked for.
 
     `staying`: of another place than the present one, what staying with other gains does, in words; empty where that is
-    stable nowhere, or runs refute it.
+    stable nowhere, or runs refute it. `at_end`: see `at_ends`.
     """
 
     place: Place
     loop: PlaceLoops
     runs: Runs | None
     staying: str = ""
+    at_end: str = ""
 
     @property
     def gains(self) -> dict[str, list[float]]:
@@ -153,7 +154,8 @@ class GainChange:
             return _Tried(there, loop, member[None])
 
         def told(tried: _Tried) -> ChangedGains:
-            return ChangedGains(tried.place, tried.loop, self.runs_of(tried.loop))
+            at_end = at_ends(tried.loop.settings, self.asked, self.loops[name].settings)
+            return ChangedGains(tried.place, tried.loop, self.runs_of(tried.loop), at_end=at_end)
 
         lowest, least = None, 1.0
         # What makes twice as high gains grow need not be among the few that these were sought for.

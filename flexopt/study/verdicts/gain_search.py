@@ -24,6 +24,8 @@ GRID, EVALUATIONS, LEAST, MOST = 9, 80, 1e-2, 10.0
 # So many times as high gains are to hold, too; in which steps gains are lowered for that, and how often the last one is
 # halved where it is too much.
 ROOM, LOWER, HALVINGS = 2.0, 0.5**0.25, 6
+# By which share a gain may be off an end of what is looked at and lie there.
+AT_END = 1e-6
 
 
 def best_gains(loop: PlaceLoops, asked: Loop, members: Vector) -> PlaceLoops:
@@ -97,6 +99,27 @@ def tried_gains(asked: Loop) -> str:
     if gain_ranges(asked):
         return "others in their ranges"
     return f"{LEAST:g} to {MOST:g} times these; kp_range and kv_range of the loop have others tried"
+
+
+def at_ends(found: LoopSettings, asked: Loop, now: LoopSettings) -> str:
+    """Which of the gains found lie at an end of what `best_gains` looks at, in words; empty where none does.
+
+    `now`: the gains that there are.
+    """
+    ranges, told = gain_ranges(asked), list[str]()
+    for name, ends in ranges.items():
+        for side, end in zip(("lower", "upper"), map(math.exp, logarithms(ends)), strict=True):
+            if math.isclose(getattr(found, name).max(), end, rel_tol=AT_END) and ends[0] < ends[1]:
+                told.append(f"{name} is the {side} end of its range")
+    if ranges:
+        return " and ".join(told)
+    factor = found.kp.max() / now.kp.max() if now.kp.any() else found.kv.max() / now.kv.max() if now.kv.any() else 1.0
+    for side, end in (("lower", LEAST), ("higher", MOST)):
+        if math.isclose(factor, end, rel_tol=AT_END):
+            return (
+                f"no {side} ones were tried than {end:g} times the present ones: kp_range and kv_range have them tried"
+            )
+    return ""
 
 
 def _simplex(start: Vector, axes: Sequence[Vector]) -> Vector:

@@ -223,7 +223,7 @@ def verdict(
         sought=_sought(chosen),
     )  # fmt: skip
     barred = {name: shares[name] for name in others if STAY in fit and name not in fit and WHERE in within[name]}
-    found = with_barred(_beside_staying(decision, confirmed), barred)
+    found = with_barred(_of_gains(decision, confirmed), barred)
     decision = _with_present(found, absent if stay is None else "", chosen, held.get(STAY))
     bands = _each(told, lambda name: _place(
         name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name], drives[name],
@@ -332,10 +332,11 @@ def _beside_target(problem: SelectionProblem, held: Sequence[tuple[Vector, Vecto
     return f", the end-point {off:.3g} m off its target," if elsewhere(problem, z) else ""
 
 
-def _beside_staying(decision: Decision, confirmed: ChangedGains | None) -> Decision:
-    """The decision, with what staying with other gains does where it sends the machine elsewhere with some."""
-    staying = confirmed.staying if confirmed and decision.word == "change gains" else ""
-    return replace(decision, reason=f"{decision.reason}; {staying}") if staying else decision
+def _of_gains(decision: Decision, confirmed: ChangedGains | None) -> Decision:
+    """The decision to change gains, with what else is to be known of these."""
+    if confirmed is None or decision.word != "change gains":
+        return decision
+    return replace(decision, reason="; ".join(filter(None, (decision.reason, confirmed.at_end, confirmed.staying))))
 
 
 def _with_present(
