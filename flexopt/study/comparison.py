@@ -105,6 +105,9 @@ VERDICT = (
     SavedQuantity("word", "word"),
     SavedQuantity("place", "place"),
     SavedQuantity("reason", "reason"),
+    SavedQuantity("new_gains.kp", "new Kp", units="new_gains.unit_kp"),
+    SavedQuantity("new_gains.kv", "new Kv", units="new_gains.unit_kv"),
+    SavedQuantity("new_gains.ki", "new Ki", units="new_gains.unit_ki"),
     *(each._replace(label=f"staying: {each.label}") for each in within("staying", PLACE[1:])),
     *(each._replace(label=f"its place: {each.label}") for each in within("pointed_to", PLACE)),
 )
@@ -243,17 +246,27 @@ def _kind(document: Any) -> str:
 
 
 def _with_places(document: dict[str, Any]) -> dict[str, Any]:
-    """A verdict's document, or a report's, with the places that are compared: the present and that it speaks of."""
+    """A verdict's document, or a report's, with the places that are compared: the present and that it speaks of.
+
+    The latter with the gains to change to, where it says so.
+    """
     inner = document.get("verdict")
     if isinstance(inner, dict):
         return document | {"verdict": _with_places(cast(dict[str, Any], inner))}
     listed, added = _listed(document, "places"), dict[str, Any]()
     tables = [cast(dict[str, Any], place) for place in listed if isinstance(place, dict)]
     named = {str(place.get("name")): place for place in tables}
-    for key, name in (("staying", STAY), ("pointed_to", document.get("place"))):
-        if isinstance(name, str) and name in named and (key == "staying" or name != STAY):
-            units = {"gain_units": _at(document, "settings.gain_units"), "swing_units": [named[name].get("swing_unit")]}
-            added[key] = named[name] | units
+    gains, changed = _listed(document, "settings.gain_units"), document.get("with_gains")
+    compared = {"staying": named.get(STAY), "pointed_to": named.get(str(document.get("place")))}
+    if isinstance(changed, dict):
+        compared["pointed_to"] = cast(dict[str, Any], changed)
+        new = {name: _single(_at(document, f"gains.{name}")) for name in GAINS}
+        added["new_gains"] = new | {f"unit_{name}": unit for name, unit in zip(GAINS, gains, strict=False)}
+    elif document.get("place") == STAY:
+        compared["pointed_to"] = None
+    for key, place in compared.items():
+        if place is not None:
+            added[key] = place | {"gain_units": gains, "swing_units": [place.get("swing_unit")]}
     return document | added
 
 
@@ -341,7 +354,9 @@ def _differences(documents: Sequence[Any]) -> list[tuple[str, tuple[str, ...]]]:
         if isinstance(settings, dict):
             items = cast(dict[str, Any], settings).items()
             asked = {key: value for key, value in items if key != "sources"}
-            each.update(_leaves({"loop": asked, "uncertain": _at(of, "uncertainty")}, ""))
+            # What the verdict inside of a choice takes is not what the choice was asked.
+            outer = "verdict" if _kind(document) == "selection" else ""
+            each.update(_leaves({"loop": asked, "uncertain": _at(of, "uncertainty")}, outer))
     found = list[tuple[str, tuple[str, ...]]]()
     for key in dict.fromkeys(key for each in flat for key in each):
         texts = tuple(each.get(key, "–") for each in flat)

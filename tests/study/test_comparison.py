@@ -206,6 +206,33 @@ def test_selections_and_verdicts(command: Command, tmp_path: Path) -> None:
     assert units["its place: largest base swing, move of 0.1 m"] == "rad"
 
 
+def test_a_verdict_to_change_gains_is_compared_with_these(command: Command, tmp_path: Path) -> None:
+    """Its place grows with the present gains on some ground, so that there is no longest settling with them."""
+    chosen = flexopt.solve_problem(flexopt.load_problem("article"))
+    few: dict[str, Any] = {"members": 2, "runs": 0}
+    verdicts = [flexopt.verdict(chosen, loop={"kp": 1e4, "kv": 1e3, "dead_time": late}, **few) for late in (0.0, 0.05)]
+    changed = verdicts[1]
+    assert [each.word for each in verdicts] == ["move", "change gains"]
+    assert changed.with_gains is not None
+    files = [save(tmp_path, name, each) for name, each in zip("ab", verdicts, strict=True)]
+    rows = rows_of(command("compare", *files, "--json").document)
+    assert [rows["new Kp"], rows["new Kv"]] == [[None, changed.gains["kp"][0]], [None, changed.gains["kv"][0]]]
+    assert rows["its place: slowest decay"][1] == changed.with_gains.decay.least > 0
+    assert rows["its place: least delay margin"][1] == changed.with_gains.delay_margin.least
+
+
+def test_the_verdict_inside_a_choice_is_told_apart(command: Command, tmp_path: Path) -> None:
+    """Its controller and its ground are no part of what the choice was asked."""
+    at = ("excavator", "--end-point", "0,1.6", "--base", "0", "--starts", "1", "--json")
+    for name, more in (("plain", ()), ("judged", ("--loop", "kp=1e4"))):
+        (tmp_path / f"{name}.json").write_text(command("select", *at, *more).stdout, encoding="utf-8")
+    document = command("compare", "plain.json", "judged.json", "--json").document
+    told = [name for name, _ in document["differences"]]
+    assert len(set(told)) == len(told)
+    assert {"verdict.loop.kp", "verdict.uncertain"} <= set(told)
+    assert "loop.kp" not in told
+
+
 def asked_differently(command: Command, tmp_path: Path, *results: Any) -> dict[str, list[str]]:
     """What the table begins with, by name."""
     files = [save(tmp_path, f"{k}", each) for k, each in enumerate(results)]
