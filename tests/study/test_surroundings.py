@@ -59,6 +59,9 @@ def test_across_a_way_that_is_held_the_map_shows_how_it_would_be() -> None:
     found = surroundings(chosen, 12)
     assert found is not None
     assert np.isfinite(np.asarray(found.dataset["w"].values)[0]).mean() > 0.2
+    assert "reached, regular and allowed by the problem, as if y were free" in repr(found)
+    shown: Any = SimpleNamespace(map=found, marks={}, selection=chosen)
+    assert page._map_caption(shown).endswith(" The base is held along y: there the map shows how it would be.")
 
 
 @pytest.mark.long
@@ -74,7 +77,7 @@ def test_a_map_that_shows_nothing_says_why() -> None:
     found = surroundings(chosen, 8)
     assert found is not None
     assert "0.0 % of 64 points are reached, regular and allowed by the problem" in repr(found)
-    shown: Any = SimpleNamespace(map=found, marks=marks_in(chosen, found))
+    shown: Any = SimpleNamespace(map=found, marks=marks_in(chosen, found), selection=chosen)
     assert page._map_caption(shown).endswith(page.NOWHERE)
     shown.map = replace(found, dataset=found.dataset.fillna(1.0))
     assert page.NOWHERE not in page._map_caption(shown)

@@ -29,7 +29,7 @@ from flexopt.study.page import (
     sentence,
     with_minus,
 )
-from flexopt.study.reports.surroundings import CHOSEN, PRESENT
+from flexopt.study.reports.surroundings import CHOSEN, PRESENT, held_ways, problem_of
 from flexopt.study.reports.tables import (
     SHOWN,
     chosen_number,
@@ -114,6 +114,8 @@ def _map_caption(report: Report) -> str:
     marks = [words for name, words in MARKS.items() if name in report.marks]
     followed = report.map is not None and "end_point" in report.map.options
     told = MAP_CAPTION + (f" {begun('; '.join(marks))}." if marks else "") + (FOLLOWED if followed else "")
+    ways = held_ways(report.map, problem_of(report.selection)) if report.map is not None else []
+    told += f" The base is held along {listed(ways)}: there the map shows how it would be." if ways else ""
     return told if report.map is None or report.map.to_dict()["mapped"] else told + NOWHERE
 
 

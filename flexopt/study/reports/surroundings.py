@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.plain import listed
 from flexopt.foundation.rounding import WAY
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
@@ -108,8 +109,16 @@ def _allowed(chart: WorkspaceMap, problem: SelectionProblem, best: Evaluation) -
     # Under gravity the map's postures, held as without, are beside the target by what the machine sags.
     kept = np.maximum(violated(problem, z, target=False), beyond) <= FEASIBLE
     shown = {name: each.where(kept.reshape(planes[0].shape)) for name, each in dataset.items() if each.dtype == float}
-    within = {"mapped": "reached, regular and allowed by the problem"}
+    ways = held_ways(chart, problem)
+    aside = f", as if {listed(ways)} were free" if ways else ""
+    within = {"mapped": f"reached, regular and allowed by the problem{aside}"}
     return replace(chart, dataset=dataset.assign(shown).assign_attrs(within))
+
+
+def held_ways(chart: WorkspaceMap, problem: SelectionProblem) -> list[str]:
+    """Of the axes of a map over the placement those along which the problem lets the base stand in one place alone."""
+    placed = zip(problem.machine.base_coordinates, problem.variables, strict=False)
+    return [name for name, each in placed if each.lower == each.upper and f"base_{name}" in chart.axes]
 
 
 def elbow_of(machine: AnyMachine, stand: Evaluation) -> Elbow:
