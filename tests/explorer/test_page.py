@@ -382,6 +382,30 @@ def test_a_gain_is_read_in_one_format(chromium: Browser, pages: Path) -> None:
         assert "2·10⁶ N m s" in sliders
 
 
+def test_a_machine_of_one_joint_has_no_map(chromium: Browser, pages: Path) -> None:
+    """A map is over two."""
+    spring = {
+        "name": "base.pitch",
+        "kind": "hinge",
+        "axis": [0, 1, 0],
+        "passive": True,
+        "stiffness": 7e3,
+        "damping": 14,
+    }
+    turns = {"name": "boom", "kind": "hinge", "axis": [0, 1, 0]}
+    bodies = [
+        {"name": "cart", "parent": None, "joint": spring, "mass": 100.0, "com": [0, 0, 0.2], "inertia": [9, 9, 9, 0, 0, 0]},
+        {"name": "arm", "parent": "cart", "joint": turns, "mass": 5.0, "com": [0.4, 0, 0], "inertia": [1, 1, 1, 0, 0, 0]},
+    ]  # fmt: skip
+    end = {"body": "arm", "position": [0.8, 0.0, 0.0], "rows": ["x"]}
+    machine = flexopt.tree_from_dict({"name": "one", "bodies": bodies, "end_point": end})
+    with opened(chromium, flexopt.explore(machine, [-1.0], loop={"kp": 1e2, "kv": 1e1}), pages) as page:
+        assert state(page)["modes"]
+        text = page.locator("#numbers").inner_text()
+        assert "Configuration" in text
+        assert not any(words in text for words in ("Map", "colour", "robust"))
+
+
 @pytest.mark.parametrize(("servo_gain", "strong"), [(2e6, True), (2e2, False)])
 def test_a_bound_of_first_order_is_doubted_where_servos_are_strong(
     servo_gain: float, strong: bool, chromium: Browser, pages: Path

@@ -281,7 +281,7 @@ class Explorer extends Pictures {
     $("measure").value = this.measure;
     $("measure").addEventListener("change", () => { this.measure = Number($("measure").value); this.recolour = true; this.wake(); });
     if (this.axes === null) {
-      $("map-box").hidden = true;
+      $("map-part").hidden = true;
       return;
     }
     ["map-x", "map-y"].forEach((id, axis) => {
