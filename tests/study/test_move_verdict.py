@@ -440,6 +440,12 @@ def test_what_a_loop_does_with_the_gains_of_today_is_told_of_places_chosen_with_
     few: dict[str, Any] = {"base": 0.0, "objective": "w1", "starts": 2, "members": 4, "runs": 0}
     asked: dict[str, Any] = {"constraints": {"outcome": {"decay": 0.016}}, "loop": today | {"kp_range": (1e4, 1e5)}}
     found = flexopt.verdict(machine, (0.0, 1.6), **asked, **few)
+    # A loop that grows has no delay margin at all.
+    grown = flexopt.verdict(
+        machine, (0.0, 1.6), objective="decay", loop=today | {"kp_range": (1e4, 1e5)},
+        constraints={"outcome": {"delay_margin": 1e-3}}, base=0.0, starts=2, members=4, runs=0,
+    )  # fmt: skip
+    assert "delay_margin, of which there is none where it grows (at least 0.001 s)" in grown.present_breaks
     for place in found.places:
         assert place.decay.nominal < 0.016
         told = found.present_breaks if place.name == "stay" else place.breaks

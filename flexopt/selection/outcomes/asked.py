@@ -31,6 +31,8 @@ from flexopt.selection.solve import least_of
 
 # How near to what it must be at least a measure is just that, as a share of it.
 JUST = 1e-6
+# Of that, by which a member of what is uncertain may do less: tables show four digits.
+LESS = 1e-5
 MeasureBounds = tuple[tuple[Measure, float], ...]
 
 
@@ -118,7 +120,7 @@ class Asked:
         """What a loop in a configuration does not do of what it must at least, or of further bounds, in words."""
         kept = self._kept(problem, settings, base, posture, bounds)
         # What a loop that grows has no number of counts as broken.
-        return tuple(f"{name} {value}" for name, value in kept.items() if not value.room >= -JUST * _end(value))
+        return tuple(_said(name, value) for name, value in kept.items() if not value.room >= -LESS * _end(value))
 
     def resting(
         self, problem: SelectionProblem, settings: LoopSettings, base: Vector, posture: Vector
@@ -174,6 +176,12 @@ def measure_of(name: str, problem: SelectionProblem) -> Measure:
 def _end(value: ConstraintValue) -> float:
     """The size of the bound."""
     return min(abs(value.lower), abs(value.upper))
+
+
+def _said(name: str, value: ConstraintValue) -> str:
+    if math.isfinite(value.value):
+        return f"{name} {value}"
+    return f"{name}, of which there is none where it grows ({value.allowed('{:z.4g}'.format, value.unit)})"
 
 
 def broken_told(broken: Sequence[str]) -> str:

@@ -28,7 +28,7 @@ from flexopt.selection.broken import broken
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.continua import grouped, nearest, travel
 from flexopt.selection.optima import SAME_POINT
-from flexopt.selection.outcomes.asked import Asked, MeasureBounds, least_values
+from flexopt.selection.outcomes.asked import LESS, Asked, MeasureBounds, least_values
 from flexopt.selection.outcomes.borders import RADIUS_POINTS
 from flexopt.selection.outcomes.climb import Climbed, climbed, first_order
 from flexopt.selection.outcomes.program import OutcomeProgram, least_over, worst_of
@@ -49,8 +49,6 @@ ONWARD = 3
 EQUAL = 1e-6
 # Of the value, by which a member that is slower than those that were climbed with is new.
 NEW = 1e-3
-# Of what the loop must do at least, by which a member may do less: tables show four digits.
-LESS = 1e-5
 
 
 def outcome_selection(
