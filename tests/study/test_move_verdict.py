@@ -27,6 +27,7 @@ from flexopt.selection.broken import broken, broken_names
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.study import page
 from flexopt.study.page import with_minus
+from flexopt.study.verdicts import verdict as verdict_module
 from flexopt.study.verdicts.broken_places import broken_at, broken_within
 from flexopt.study.verdicts.confirmation import nonlinear_runs, tilts
 from flexopt.study.verdicts.decision import spoken
@@ -333,6 +334,19 @@ def test_with_other_gains_what_staying_does_is_told() -> None:
     assert again.decay.least == pytest.approx(float(told[2]), rel=2e-3)
     assert found.with_gains is not None
     assert found.with_gains.decay.least > 1.1 * again.decay.least
+
+
+@pytest.mark.long
+def test_what_new_gains_do_is_part_of_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It takes as long as a place does; nothing is left to do when all is told to be done."""
+    told, when = list[int](), list[int]()
+    own = verdict_module._with_gains
+    monkeypatch.setattr(verdict_module, "_with_gains", lambda *of: (when.append(told[-1]), own(*of))[1])
+    found = judged(
+        "article", loop=ARTICLE | {"dead_time": 0.05}, runs=0, members=2, progress=lambda done, _: told.append(done)
+    )
+    assert found.word == "change gains"
+    assert when[0] < 100 == told[-1]
 
 
 @pytest.mark.long

@@ -72,7 +72,7 @@ from flexopt.study.verdicts.place_loops import (
 )
 from flexopt.study.verdicts.place_verdict import Band, PlaceVerdict
 from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD
-from flexopt.study.verdicts.result import Verdict
+from flexopt.study.verdicts.result import NEW_GAINS, Verdict
 
 # Members that decays are computed of, and nonlinear runs.
 MEMBERS, RUNS = 64, 16
@@ -222,10 +222,14 @@ def verdict(
         most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
         sought=_sought(chosen),
     )  # fmt: skip
-    barred = {name: shares[name] for name in others if STAY in fit and name not in fit and WHERE in within[name]}
-    found = with_barred(_of_gains(decision, confirmed), barred)
-    decision = _with_present(found, absent if stay is None else "", chosen, held.get(STAY))
-    bands = _each(told, lambda name: _place(
+    decision = with_barred(_of_gains(decision, confirmed), {
+        name: shares[name] for name in others if STAY in fit and name not in fit and WHERE in within[name]
+    })  # fmt: skip
+    decision = _with_present(decision, absent if stay is None else "", chosen, held.get(STAY))
+    new = confirmed if decision.word == "change gains" else None
+    bands = _each([*told, *[NEW_GAINS] * bool(new)], lambda name: _with_gains(
+        new, stands, points, drives, chosen,
+    ) if new and name == NEW_GAINS else _place(
         name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name], drives[name],
         shown.get(name), chosen, within[name],
     ), stages.within)  # fmt: skip
@@ -236,10 +240,8 @@ def verdict(
         reason=decision.reason,
         passed_over=decision.passed_over,
         measure=_measure(decision, box, points, known, stay, bands) if decision.word == "cannot tell" and known else "",
-        gains=confirmed.gains if confirmed and decision.word == "change gains" else {},
-        with_gains=_with_gains(confirmed, stands, points, drives, chosen)
-        if confirmed and decision.word == "change gains"
-        else None,
+        gains=new.gains if new else {},
+        with_gains=bands.pop(NEW_GAINS, None),
         places=tuple(bands.values()),
         settings=settings,
         uncertainty=uncertain,
