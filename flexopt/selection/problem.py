@@ -15,9 +15,11 @@ from flexopt.errors import InputError
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import array_of, flag, instance, number, public
 from flexopt.foundation.control import Control
+from flexopt.foundation.plain import listed
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.model.constraints import Constraints as ConstraintsAsked
+from flexopt.model.kinematic_tree import ORIENTATION_ROWS
 from flexopt.robustness.measures import Measures
 from flexopt.selection.assumed import Assumption
 from flexopt.selection.cones import split_factors
@@ -453,7 +455,14 @@ def elsewhere(problem: SelectionProblem, z: Vector) -> str:
     away = float(np.linalg.norm(point - problem.target))
     if away <= THERE:
         return ""
-    return f"holds the end-point at ({', '.join(f'{x:.4g}' for x in point)}) m, not at the target but {away:.3g} m away"
+    told = f"not at the target but {away:.3g} m away{with_angles(problem.machine)}"
+    return f"holds the end-point at ({', '.join(f'{x:.4g}' for x in point)}) m, {told}"
+
+
+def with_angles(machine: AnyMachine) -> str:
+    """That a distance in m counts task rows that are angles, in words; empty where none is."""
+    angles = [row for row in machine.task_rows if row in ORIENTATION_ROWS]
+    return f" ({listed(angles)} counted as angle times end_point.length)" if angles else ""
 
 
 def reached(problem: SelectionProblem, z: Vector) -> Vector:

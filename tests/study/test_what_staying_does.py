@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from flexopt.loop.evaluation import settings_at
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.broken import broken
+from flexopt.selection.problem import with_angles
 from flexopt.study.verdicts.confirmation import _ensemble, nonlinear_runs
 from tests.study.machines import three_links
 
@@ -138,3 +140,10 @@ def test_what_grows_rests_nowhere(heavy: flexopt.Verdict) -> None:
         # Of the members that the verdict looked at all grow.
         assert np.isnan(place.rests_off)
     assert heavy.rests_beside == ""
+
+
+def test_a_distance_that_counts_angles_says_so() -> None:
+    """Of a drill that is held upright, say."""
+    upright, point = (SimpleNamespace(task_rows=rows) for rows in (("x", "z", "pitch"), ("x", "z")))
+    assert with_angles(cast(Any, upright)) == " (pitch counted as angle times end_point.length)"
+    assert with_angles(cast(Any, point)) == ""

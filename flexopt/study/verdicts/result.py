@@ -28,7 +28,7 @@ from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
 from flexopt.selection.broken import broken
 from flexopt.selection.outcomes.result import ChosenByLoop
-from flexopt.selection.problem import elsewhere, reached
+from flexopt.selection.problem import elsewhere, reached, with_angles
 from flexopt.selection.result import unverified_told
 from flexopt.selection.several import BasePlan
 from flexopt.study.verdicts.confirmation import INTEGRAL
@@ -459,7 +459,8 @@ class Verdict(Pictured, Printed, Result):
         each = ", ".join(
             f"{one.rests_off:.3g} m ({spoken(one.name)}{but})" for one, but in zip(off, counted, strict=True)
         )
-        drawn = f"{OTHER_WEIGHT} holds the end-point off its target at rest"
+        angles = with_angles(self.problems[0].machine)
+        drawn = f"{OTHER_WEIGHT} holds the end-point off its target at rest{angles}"
         told = f"{drawn}, by up to {each}, the most at {member_in_words(off[0].rests_off_at)}"
         known = any(INTEGRAL in said for said in (self.reason, *self.doubts.values()))
         settles = any(math.isfinite(place.settling.greatest) for place in off)

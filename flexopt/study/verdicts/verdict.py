@@ -37,7 +37,7 @@ from flexopt.selection import Selection, SelectionProblem, select, solve_problem
 from flexopt.selection.broken import cornerless
 from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.outcomes.result import ChosenByLoop
-from flexopt.selection.problem import elsewhere, reached
+from flexopt.selection.problem import elsewhere, reached, with_angles
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.asked import any_problem
 from flexopt.study.verdicts.broken_places import broken_at, broken_somewhere, broken_within
@@ -331,7 +331,8 @@ def _beside_target(problem: SelectionProblem, held: Sequence[tuple[Vector, Vecto
     """How far the end-point is off the target of one problem, within a sentence; empty where it is there."""
     z = np.concatenate(next(iter(held)))
     off = float(np.linalg.norm(reached(problem, z) - problem.target))
-    return f", the end-point {off:.3g} m off its target," if elsewhere(problem, z) else ""
+    told = f"the end-point {off:.3g} m off its target{with_angles(problem.machine)}"
+    return f", {told}," if elsewhere(problem, z) else ""
 
 
 def _of_gains(decision: Decision, confirmed: ChangedGains | None) -> Decision:
