@@ -236,6 +236,7 @@ def test_no_border_of_the_gain_is_one_above_the_highest_that_was_tried() -> None
     assert allowed(math.inf, "N m", 1e8) == "above 1e+08 N m"
     assert allowed(5e4, "N m", 1e8) == "5e+04 N m"
     assert allowed(math.nan, "N m", 1e8) == "–"
+    assert allowed(0.0, "N m", 1e8) == "none"
     assert told(math.inf, 1e3, " ms") == "no border"
 
 

@@ -27,7 +27,12 @@ def told(value: float, factor: float, unit: str) -> str:
 
 
 def allowed(gain: float, unit: str, highest: float) -> str:
-    """An allowed gain as text: above the highest one that was looked at where no border was met up to it."""
+    """An allowed gain as text: above the highest one that was looked at where no border was met up to it.
+
+    None where up to the present gain the loop grows with all.
+    """
+    if gain == 0:
+        return "none"
     return f"above {highest:.4g} {unit}" if math.isinf(gain) else told(gain, 1.0, f" {unit}")
 
 

@@ -530,6 +530,8 @@ class Verdict(Pictured, Printed, Result):
         lines += [f"  {sentence}" for sentence in (self.left_out, self.sought_by, self.unverified) if sentence]
         grows = any(place.decay.least <= 0 for place in rows)
         late = any(math.isnan(place.settling.greatest) and place.decay.least > 0 for place in rows)
+        if any(place.allowed_gain.least == 0 for place in rows):
+            lines.append("  none: on some ground it grows with all gains up to these in their ratio; higher may do")
         if grows or late:
             whys = ["there is none, for on some ground it grows"] * grows
             whys += ["where it decays on all, on some it does not settle in a minute"] * (grows and late)
