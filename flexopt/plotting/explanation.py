@@ -17,6 +17,8 @@ from matplotlib.axes import Axes
 
 from flexopt.foundation.escapes import mathtext
 from flexopt.foundation.palette import colors
+from flexopt.foundation.plain import listed
+from flexopt.model.kinematic_tree import ORIENTATION_ROWS
 from flexopt.plotting.scene import Actor, draw_scene
 from flexopt.plotting.shape import Points, Shape, View, shape_of, views
 from flexopt.plotting.sheet import Sheet, picture
@@ -59,7 +61,9 @@ def plot_explanation(sheet: Sheet, found: Any) -> None:
     for column in zip(*drawn, strict=True):
         _align(column)
     of = found.evaluation
-    sheet.title(f"{mathtext(of.machine)}, Jacobian {mathtext(of.control)} control: why, mode by mode")
+    turned = [row for row in found.model.task_rows if row in ORIENTATION_ROWS]
+    unseen = f"; angles count {listed(turned)}, too, of which arrows show nothing" if turned else ""
+    sheet.title(f"{mathtext(of.machine)}, Jacobian {mathtext(of.control)} control: why, mode by mode{unseen}")
 
 
 def _align(column: Sequence[Axes]) -> None:

@@ -11,6 +11,7 @@ from flexopt.foundation.palette import LIGHT
 from flexopt.study.explanation import WHY
 from tests.plotting.looking import faults
 from tests.plotting.specimens import OF, explanation
+from tests.study.machines import gantry
 
 
 def arrows(axes):
@@ -108,3 +109,15 @@ def test_colours_have_their_meanings():
         for text, line in zip(figure.legends[0].get_texts(), figure.legends[0].get_lines(), strict=True)
     }
     assert told["b: feedback pushes it so"].get_color() in LIGHT.series
+
+
+def test_that_arrows_show_no_angles_is_said() -> None:
+    """The angle between a and b counts all task rows."""
+    plain = gantry()
+    turned = plain | {"end_point": plain["end_point"] | {"rows": ["x", "z", "yaw"], "length": 1.0}}
+    titles = [
+        flexopt.explain(flexopt.tree_from_dict(data), (1.0, 0.8, 0.4)).plot().get_suptitle() for data in (turned, plain)
+    ]
+    assert ["angles count yaw, too, of which arrows show nothing" in " ".join(each.split()) for each in titles] == [
+        True, False,
+    ]  # fmt: skip

@@ -208,6 +208,8 @@ class Explorer extends Pictures {
       $("kappa").innerHTML = ", more than the damping of the mode and of the joints' servos takes out (grows) once g Kv, the same in all rows, exceeds the κ<sub>iso</sub> that then stands beside it, g the servo gain";
     }
     $("unit").textContent = `w and |a||b| in ${data.unit === "mixed" ? "mixed units" : data.unit.replace("kg m2", "kg m²")}; Jacobian ${data.control} control.`;
+    const turned = data.rows.filter((_, k) => this.rows[k] < 0);
+    if (turned.length) $("unit").textContent += ` Angles count ${turned.join(", ")}, too, of which arrows show nothing.`;
     const gain = (name) => {
       const numbers = data.loop.numbers[name], same = numbers.every((x) => x === numbers[0]);
       const show = (x) => (same ? `${digits(numbers[0] * 10 ** x)} ${data.loop.units[name]}` : `× ${digits(10 ** x)}`);
