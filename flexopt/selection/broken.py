@@ -14,7 +14,7 @@ from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.constraints.corners import WHERE, all_corners
 from flexopt.selection.constraints.ground import NAME as GROUND
 from flexopt.selection.held import EQUILIBRIUM, ON_TARGET, not_standing
-from flexopt.selection.problem import SelectionProblem, own_with, rows_with
+from flexopt.selection.problem import SelectionProblem, own_held, own_with, rows_held, rows_with
 
 # How near to a bound a configuration rests on it, of its scale.
 AT_END = 1e-6
@@ -174,6 +174,28 @@ def values_with(problem: SelectionProblem, z: Vector, p: Vector) -> dict[str, Co
     for row, x in zip(rows, np.append(rows_with(problem, z, p), own_with(problem, z, p)).tolist(), strict=True):
         value = ConstraintValue(x, row.lower, row.upper, row.unit)
         found[row.name] = min(found.get(row.name, value), value, key=lambda each: each.least_room)
+    return found
+
+
+def broken_held(
+    problem: SelectionProblem, base: Vector, posture: Vector, p: Vector
+) -> dict[str, tuple[float, ConstraintValue]]:
+    """What was asked for that a machine with the numbers p breaks whose arm is held in a posture.
+
+    By name how far, in units of its scale, and its value.
+    """
+    rows = (*problem.constraints, *problem.own_constraints)
+    values = np.append(rows_held(problem, base, posture, p), own_held(problem, base, posture, p))
+    found = dict[str, tuple[float, ConstraintValue]]()
+    for row, x in [*zip(rows, values.tolist(), strict=True)][problem.target.size :]:
+        value = ConstraintValue(x, row.lower, row.upper, row.unit)
+        off = -value.least_room / row.scale
+        if off > BROKEN and not row.corner and not UNASKED.search(row.name):
+            found[row.name] = max(found.get(row.name, (off, value)), (off, value), key=lambda each: each[0])
+    z = np.append(base, posture)
+    for (name, value), each in zip(_asked_of_variables(problem, z).items(), problem.variables, strict=False):
+        if -value.room > BROKEN * each.scale:
+            found[name] = -value.room / each.scale, value
     return found
 
 

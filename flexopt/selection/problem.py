@@ -472,7 +472,12 @@ def reached(problem: SelectionProblem, z: Vector) -> Vector:
 
 def rows_with(problem: SelectionProblem, z: Vector, p: Any) -> Vector:
     """Values of all constraints, (n_rows,), of a machine with the numbers p (n_par,), held as `held_with` does."""
-    at = [*held_with(problem.quantities, z, p), p]
+    return rows_held(problem, *held_with(problem.quantities, z, p), p)
+
+
+def rows_held(problem: SelectionProblem, base: Vector, posture: Vector, p: Any) -> Vector:
+    """The same of an arm that is held in a posture."""
+    at = [base, posture, p]
     parts = [problem.measures.w.call(at)[2], problem.measures.plant.singularity_sine_squared.call(at)[0]]
     if problem.constraint_set is not None:
         parts += problem.constraint_set.function.call([*at, problem.constraint_set.constants])
@@ -481,7 +486,11 @@ def rows_with(problem: SelectionProblem, z: Vector, p: Any) -> Vector:
 
 def own_with(problem: SelectionProblem, z: Vector, p: Any) -> Vector:
     """The values of the user's own constraints at z, of a machine with the numbers p (n_par,); None: with its own."""
-    base, posture = held_with(problem.quantities, z, p)
+    return own_held(problem, *held_with(problem.quantities, z, p), p)
+
+
+def own_held(problem: SelectionProblem, base: Vector, posture: Vector, p: Any) -> Vector:
+    """The same of an arm that is held in a posture."""
     terms = [OwnTerm(constraint.function) for constraint in problem.asked.own or ()]
     found = [problem.quantities.of_own(term, base, posture, p).ravel() for term in terms]
     return np.concatenate([np.zeros(0), *found])

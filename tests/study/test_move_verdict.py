@@ -25,6 +25,7 @@ from flexopt.model.problem import SelectionOptions
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.broken import broken, broken_names
 from flexopt.selection.outcomes.result import OutcomeSelection
+from flexopt.selection.solve import constraint_values
 from flexopt.study import page
 from flexopt.study.page import with_minus
 from flexopt.study.verdicts import verdict as verdict_module
@@ -1506,6 +1507,41 @@ def test_gains_are_tried_where_one_may_neither_stay_nor_move(tmp_path: Path) -> 
     assert row.endswith(new.shown_runs)
     found.to_html(tmp_path / "verdict.html")
     assert ">new gains<" in (tmp_path / "verdict.html").read_text(encoding="utf-8")
+
+
+def test_what_a_place_breaks_where_feedback_holds_it_beside_its_target_is_told() -> None:
+    """A narrow tool angle, which the file's load keeps; a run of another load ends beyond it."""
+    machine, held, low = flexopt.load("excavator"), (0.0448, -2.0499), 0.7 * 458.2
+    target, loads = flexopt.evaluate(machine, held, gravity=True).end_point, {"stick.mass": (low, 458.2)}
+    loop = {"drive": "velocity", "servo_gain": 2e5, "kp": 1.0, "kv": 0.0, "rate": 200.0}
+    few: dict[str, Any] = {"base": 0.0, "posture": held, "gravity": True, "starts": 1}
+    free = flexopt.select(machine, target, constraints={"tool_angle": (-3.0, 3.0)}, **few)
+    own = next(
+        value for name, value in constraint_values(free.problem, np.array([0.0, *held])).items() if "tool" in name
+    )
+    narrow = {"tool_angle": (own.value - 1e-3, own.value + 1e-3)}
+    found = flexopt.verdict(
+        flexopt.select(machine, target, constraints=narrow, **few), loop=loop, ranges=loads, members=2, runs=0
+    )  # fmt: skip
+    stay = found.places[0]
+    assert (stay.name, stay.breaks) == ("stay", "")
+    runs = flexopt.simulate_ensemble(
+        machine, held, loop=loop, gravity=True, duration=15.0 / stay.decay.least, vary={"stick.mass": [low]},
+        keep="trajectories",
+    )  # fmt: skip
+    # The angle of the stick on level ground: the base's turn is a part of it, which sags by the file's load, too.
+    by_file = 1.2451 + flexopt.evaluate(machine, held, gravity=True).static_deflection[-1] + sum(held)
+    turned = float(runs.dataset["q"].to_numpy()[0, -1, 2:].sum()) - by_file
+    words = re.fullmatch(r"breaks tool angle, (\S+) rad \(.*, where stick.mass 320.7", stay.breaks_at_rest)
+    assert words, stay.breaks_at_rest
+    assert abs(turned) > 2e-3
+    assert float(words[1]) == pytest.approx(own.value + turned, abs=5e-4)
+    assert f"stay, at rest beside its target, {stay.breaks_at_rest}" in repr(found)
+    assert stay.breaks_at_rest in repr(found).splitlines()[-1]
+    integral = flexopt.verdict(
+        found.selection, loop=loop | {"feedback": "pid", "ki": 0.2}, ranges=loads, members=2, runs=0
+    )  # fmt: skip
+    assert integral.places[0].breaks_at_rest == ""
 
 
 @pytest.mark.long

@@ -14,17 +14,18 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
+from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.settings import LoopSettings
-from flexopt.loop.uncertain import CORNERED, UncertaintyBox
+from flexopt.loop.uncertain import CORNERED, UncertaintyBox, member_in_words
 from flexopt.model.loop import gain_ranges
 from flexopt.model.uncertainty import Uncertainty, parameters_of, told_numbers
 from flexopt.selection import SelectionProblem
-from flexopt.selection.broken import broken, broken_names, values_with
+from flexopt.selection.broken import broken, broken_held, broken_names, values_with
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import own_with, rows_with
-from flexopt.study.verdicts.place_loops import Chosen, problems_of
+from flexopt.study.verdicts.place_loops import Chosen, PlaceLoops, problems_of
 
 # A constraint is broken by about as much where by this share.
 AS_MUCH = 0.99
@@ -50,6 +51,30 @@ def broken_somewhere(
     if not (isinstance(chosen, ChosenByLoop) and gain_ranges(chosen.loop)):
         return within
     return "; ".join(filter(None, (within, _at_targets(chosen.loops_break(settings, stand)))))
+
+
+def broken_at_rest(
+    chosen: Chosen, place: PlaceLoops, looked: Sequence[Sequence[tuple[LoopPoint, Vector | None]]]
+) -> str:
+    """Which constraints that were asked for a place breaks where feedback holds it beside its target, and where most.
+
+    A load or springs that the controller does not know draw it there, of a loop without an integral part. `looked`: of
+    each target points of its loop, and their members.
+    """
+    worst = dict[str, tuple[float, ConstraintValue, str]]()
+    for problem, loop, points in zip(problems_of(chosen), place.loops, looked, strict=True):
+        for point, u in points:
+            if u is None or not (point.rests and point.loop.growth_rate <= 0 and loop.off_target(point) > 0):
+                continue
+            posture, p = point.configuration[problem.measures.plant.n_passive :], loop.box.numbers(u)[0]
+            for name, (off, value) in broken_held(problem, loop.base, posture, p).items():
+                if off > worst.get(name, (0.0,))[0]:
+                    worst[name] = off, value, member_in_words(loop.box.told(u))
+    if not worst:
+        return ""
+    name, (_, value, where) = max(worst.items(), key=lambda each: each[1][0])
+    more = f", and {len(worst) - 1} more" if len(worst) > 1 else ""
+    return f"breaks {name}, {value},{WHERE}{where}{more}"
 
 
 def _at_targets(each: Sequence[str]) -> str:

@@ -57,6 +57,8 @@ class PlaceVerdict(Result):
         rests_on: at each target the bounds and constraints that hold with equality.
         breaks: what it breaks of constraints that were asked for, at corners of what is uncertain, and where, in words:
             choices keep them with the file's numbers; empty where nothing.
+        breaks_at_rest: the same where feedback without an integral part holds the end-point beside its target
+            (`rests_off`), at the corners and the slowest member.
         cornerless: of names in `rests_on` that end with a corner of `constraints.within`, those without it.
     """
 
@@ -87,12 +89,13 @@ class PlaceVerdict(Result):
     runs: Runs | None
     rests_on: tuple[tuple[str, ...], ...]
     breaks: str
+    breaks_at_rest: str = ""
     cornerless: Mapping[str, str] = field(default_factory=dict[str, str], repr=False)
 
     DOCUMENT = """
     name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target unseen
     drift[1/s] drift_at unheld unheld_at rests_off[m] rests_off_at better allowed_gain delay_margin[s] settling[s]
-    swing swing_unit runs rests_on breaks
+    swing swing_unit runs rests_on breaks breaks_at_rest
     """
 
     @property
@@ -124,6 +127,12 @@ class PlaceVerdict(Result):
         told = "; constraints.within of these numbers keeps constraints there, too, all but Functions of one's own"
         # What its loop does not do is nothing of statics.
         return self.breaks and f"{self.name} {self.breaks}{told * (WHERE in self.breaks)}"
+
+    @property
+    def broken_at_rest(self) -> str:
+        """What it breaks beside its target, a sentence; empty where nothing."""
+        told = "constraints.within takes the end-point to be on its target, as an integral part brings it there"
+        return self.breaks_at_rest and f"{self.name}, at rest beside its target, {self.breaks_at_rest}; {told}"
 
     @property
     def unconfirmed(self) -> str:

@@ -135,7 +135,8 @@ class Verdict(Pictured, Printed, Result):
         no_better = f"every place found breaks constraints on some ground: {spoken(there.name)} {there.breaks}"
         no_better *= bool(there.breaks)
         way = self.selection.broken_between if isinstance(self.selection, BasePlan) and self.place == FIRST else ()
-        no_better = "; ".join(filter(None, (no_better, *way)))
+        rest = f"at rest beside its target {spoken(there.name)} {there.breaks_at_rest}" if there.breaks_at_rest else ""
+        no_better = "; ".join(filter(None, (no_better, rest, *way)))
         stay = now if self.with_gains and stay is None else stay
         if stay is None or self.word not in ("move", "change gains"):
             return no_better
@@ -540,7 +541,12 @@ class Verdict(Pictured, Printed, Result):
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
         lines += [f"  {place.rest}" for place in self.places if place.rest]
         doubts = self.doubts
-        lines += [f"  {each}" for place in self.places for each in (place.broken, doubts.get(place.name)) if each]
+        lines += [
+            f"  {each}"
+            for place in self.places
+            for each in (place.broken, place.broken_at_rest, doubts.get(place.name))
+            if each
+        ]
         whole = (self.servo_proposed, self.drifts, self.driven, self.rests_beside, self.falls)
         lines += [f"  {sentence}" for sentence in (*whole, self.unseen, self.weightless) if sentence]
         lines += [f"  {sentence}" for sentence in self.assumed]

@@ -40,7 +40,7 @@ from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached, with_angles
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.asked import any_problem
-from flexopt.study.verdicts.broken_places import broken_at, broken_somewhere, broken_within
+from flexopt.study.verdicts.broken_places import broken_at, broken_at_rest, broken_somewhere, broken_within
 from flexopt.study.verdicts.changed_gains import ChangedGains, GainChange, doubt_of
 from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import (
@@ -540,6 +540,7 @@ def _place(
         unseen=_is_unseen(place.loops[slowest.target], slowest),
         rests_on=tuple(resting_at(chosen, place.settings, held)),
         breaks=breaks,
+        breaks_at_rest=broken_at_rest(chosen, place, looked),
         cornerless=cornerless(problems_of(chosen)[0]),
     )
 
