@@ -219,7 +219,10 @@ class Outcome(Result):
         lines += [f"  {sentence}" for sentence in own_motion]
         stable = ", ".join(self._stable) or "nowhere"
         most = f"above {self.settings.highest_kp:.4g}" if math.isinf(self.allowed_gain) else _told(self.allowed_gain)
+        # What is stable with higher gains alone has none that may be approached from below.
+        most = "none up to the present one" if self.allowed_gain == 0 else most
         unit = f" {self.settings.gain_units[0]} (stable: {stable})"
+        unit = unit.replace(f" {self.settings.gain_units[0]}", "", 1) if self.allowed_gain == 0 else unit
         lines.append(f"  allowed gain Kp {most}{'' if math.isnan(self.allowed_gain) else unit}")
         first = self._stable[0] if self._stable else ""
         if any(rate > 0 for rate in self.drift) and first.startswith("from"):

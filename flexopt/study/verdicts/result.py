@@ -47,6 +47,8 @@ GROUND_ASSUMED = (
 )
 # A self-motion that takes longer than this to e-fold, s, stays where it is while a machine works.
 STAYS = 3600.0
+# From how far off its target on a place is told to rest there where there is nothing to compare it with, m.
+FAR_OFF = 0.01
 # Of what grows there is no rest.
 NOT_WHERE_IT_GROWS = "not counting where it grows"
 # The place of a verdict with other gains, in a row of places.
@@ -164,7 +166,9 @@ class Verdict(Pictured, Printed, Result):
                 found.append(words.format(f"{factor * value:.4g} instead of {instead} {unit}"))
             elif measure == "settling" and math.isnan(value) and not math.isnan(before):
                 found.append(f"does not settle in a minute instead of in {before:.4g} s")
-        # NaN where nothing holds it: then there is no less to compare with.
+        # Where it grows on all grounds there is no less to compare with.
+        if math.isnan(stay.rests_off) and there.rests_off >= FAR_OFF:
+            found.append(f"comes to rest {there.rests_off:.3g} m off the target")
         if there.rests_off >= SETTLED * MOVE and there.rests_off >= (1 + FASTER) * stay.rests_off:
             grows = f" where it stands, {NOT_WHERE_IT_GROWS}," if stay.decay.least <= 0 else ""
             instead = f"instead of {stay.rests_off:.3g} m{grows}"
@@ -462,7 +466,7 @@ class Verdict(Pictured, Printed, Result):
         )
         angles = with_angles(self.problems[0].machine)
         drawn = f"{OTHER_WEIGHT} holds the end-point off its target at rest{angles}"
-        told = f"{drawn}, by up to {each}, the most at {member_in_words(off[0].rests_off_at)}"
+        told = f"{drawn}, by up to {each}, the most that was found at {member_in_words(off[0].rests_off_at)}"
         known = any(INTEGRAL in said for said in (self.reason, *self.doubts.values()))
         settles = any(math.isfinite(place.settling.greatest) for place in off)
         way = ["the settling time is that of the way to there"] * settles
