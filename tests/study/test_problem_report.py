@@ -304,3 +304,30 @@ def test_the_verdict_is_that_of_the_call_and_its_loop_that_of_the_runs(capsys, t
         assert loop["run"]["provenance"]["options"]["kp"] == numbers["kp"]
     assert found["provenance"]["options"]["members"] == 5
     assert [place["decay"] for place in found["places"]] == [place["decay"] for place in alone["places"]]
+
+
+def test_of_several_targets_the_loop_is_run_where_it_decays_slowest_too(tmp_path):
+    """w1 is 0 at all of them to rounding, so that the worst by it tells nothing of the loop."""
+    (tmp_path / "three.toml").write_text(
+        """schema = 1
+        name = "three"
+        machine = "excavator"
+        target.end_points = [[0.0, 1.6], [0.3, 1.3], [-0.3, 1.7]]
+        selection = { base = [0.0], starts = 1 }
+        loop = { kp = 1e4, kv = 1e3 }""",
+        encoding="utf-8",
+    )
+    few = {"points": 4, "members": 2, "runs": 0, "simulation": {"duration": 2.0}}
+    found = flexopt.report(flexopt.load_problem(tmp_path / "three.toml"), **few)
+    assert isinstance(found.about, flexopt.Stand)
+    assert found.verdict is not None
+    k = found.verdict.places[-1].slowest_target
+    decays = [
+        flexopt.outcome(found.machine, place.evaluation.posture, base=place.evaluation.base, loop={"kp": 1e4, "kv": 1e3})
+        .decay for place in found.about.places
+    ]  # fmt: skip
+    assert k == int(np.argmin(decays))
+    assert k != found.about.worst
+    run = found.loops["slowest target"].run
+    assert run.linear_growth_rate == pytest.approx(-min(decays), rel=1e-6)
+    assert f"the closed loop at target {k + 1} is where that decays slowest" in report_html(found)

@@ -29,7 +29,7 @@ from flexopt.study.page import (
     sentence,
     with_minus,
 )
-from flexopt.study.reports.surroundings import CHOSEN, PRESENT, held_ways, problem_of
+from flexopt.study.reports.surroundings import CHOSEN, PRESENT, held_ways, problem_of, slowest_target
 from flexopt.study.reports.tables import (
     SHOWN,
     chosen_number,
@@ -98,7 +98,7 @@ def report_html(report: Report) -> str:
         map_caption=_map_caption(report),
         around="at the worst target" if several else "of the chosen configuration",
         loops=_loops(report),
-        loops_note=" ".join([_shown(report), *_warned(report)]),
+        loops_note=" ".join([_shown(report), *_slowest(report), *_warned(report)]),
         runs=_runs(report),
         options=_options(report),
         borders=_borders(report),
@@ -291,6 +291,13 @@ def _shown(report: Report) -> str:
         told = f"Chosen: candidate {chosen}, which the verdict is about"
     at = at and f" {at.removesuffix(', ')}."
     return f"{told}; candidate 1 has the best {objective}.{at}"
+
+
+def _slowest(report: Report) -> list[str]:
+    """At which other target there is a closed loop, and why."""
+    slowest = slowest_target(report.about, report.verdict)
+    of_these = f"the closed loop at target {(slowest or 0) + 1} is where that decays slowest over what is uncertain."
+    return [] if slowest is None else [f"Of several targets {of_these}"]
 
 
 def _options(report: Report) -> str:

@@ -35,10 +35,12 @@ from flexopt.study.default_gains import default_gains
 from flexopt.study.gains import BorderRow, border_row
 from flexopt.study.reports.result import Report, ReportLoop
 from flexopt.study.reports.surroundings import (
+    SLOWEST,
     best_of,
     map_points,
     marks_in,
     problem_of,
+    slowest_target,
     spoken_of,
     stands_of,
     surroundings,
@@ -140,6 +142,8 @@ def report(
     drawn = _attempt(notes, "the map", lambda: surroundings(about, size))
     stages.next()
     stands, loops, real = stands_of(about), dict[str, ReportLoop](), None
+    if not isinstance(about, Selection) and (slowest := slowest_target(about, judged)) is not None:
+        stands[SLOWEST] = about.places[slowest].evaluation
     usual, rate = (SimulationOptions.model_fields[name].default for name in ("duration", "rate"))
     rate = given.get("rate", known.rate if known and known.rate else rate)
     longer = long_enough((float(each.frequencies_hz.min()) for each in stands.values()), rate, least=usual)

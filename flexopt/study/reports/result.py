@@ -61,9 +61,9 @@ class Report(Printed, Result):
         map: around the chosen configuration: over the placement where that has two coordinates, else over end-points
             (or over two joints, where the task has one row); None where there is none.
         marks: present and chosen configuration as points of the map, name -> (x, y).
-        loops: name of a configuration (`"present"`, `"chosen"`, `"worst target"`) -> closed loop; the same gains in
-            each. Chosen, here and around the map, is the candidate that the verdict speaks of, else the selection's
-            best.
+        loops: name of a configuration (`"present"`, `"chosen"`, of several targets `"worst target"` by the objective
+            and, where that is another, `"slowest target"` by the verdict) -> closed loop; the same gains in each.
+            Chosen, here and around the map, is the candidate that the verdict speaks of, else the selection's best.
         simulation: options of these.
         borders: gains Kp that each configuration allows.
         verdict: whether it pays to move, where a real controller is known and a present placement; else None.

@@ -25,9 +25,10 @@ from flexopt.selection.starts import violated
 from flexopt.study.maps.grid import closed_form
 from flexopt.study.maps.workspace import map_workspace, takes_long
 from flexopt.study.maps.workspace_map import WorkspaceMap
-from flexopt.study.verdicts.places import candidate_number
+from flexopt.study.verdicts.places import FIRST, candidate_number
+from flexopt.study.verdicts.result import Verdict
 
-CHOSEN, PRESENT, WORST = "chosen", "present", "worst target"
+CHOSEN, PRESENT, WORST, SLOWEST = "chosen", "present", "worst target", "slowest target"
 # Of the map along each axis, and with more than three passive coordinates.
 POINTS, FEW_POINTS = 160, 48
 
@@ -68,6 +69,18 @@ def stands_of(selection: Selection | Stand | BasePlan) -> dict[str, Evaluation]:
 def map_points(machine: AnyMachine) -> int:
     """How many along each axis by default."""
     return FEW_POINTS if takes_long(machine) else POINTS
+
+
+def slowest_target(selection: Selection | Stand | BasePlan, judged: Verdict | None) -> int | None:
+    """At which of several targets the loop decays slowest in the place that is shown, over what is uncertain, from 0.
+
+    None where that is the worst one by the objective, too, or nothing is known of it.
+    """
+    if judged is None or isinstance(selection, Selection):
+        return None
+    name = judged.place if candidate_number(judged.place) and not isinstance(selection, BasePlan) else FIRST
+    slowest = next((place.slowest_target for place in judged.places if place.name == name), None)
+    return None if slowest == selection.worst else slowest
 
 
 def surroundings(selection: Selection | Stand | BasePlan, points: int) -> WorkspaceMap | None:
