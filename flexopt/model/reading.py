@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from flexopt.errors import Fault, ModelError, raise_if_any
 from flexopt.foundation.arrays import TableLike
@@ -153,11 +153,15 @@ def _machine(source: Source) -> Machine | Tree:
 
 def _in_space(data: dict[str, Any]) -> bool:
     """Whether a file without `robot` says what only machines in space have."""
-    base = data.get("base")
-    tables = [base.get(name) for name in ("stiffness", "damping")] if isinstance(base, dict) else []
-    said = {*data, *(key for table in tables if isinstance(table, dict) for key in table)}
+    base = _table(data, "base")
+    said = {*data, *_table(base, "stiffness"), *_table(base, "damping")}
     named = bool(said & IN_SPACE) or isinstance(data.get("end_point"), dict)
     return named and not said & {"links", "link"}
+
+
+def _table(data: dict[str, Any], key: str) -> dict[str, Any]:
+    found = data.get(key)
+    return cast(dict[str, Any], found) if isinstance(found, dict) else {}
 
 
 def _experiment(source: Source) -> Experiment:
