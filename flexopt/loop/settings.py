@@ -125,6 +125,11 @@ class LoopSettings(Result):
             **{name: value.tolist() for name, value in each.items() if value is not None},
         )  # fmt: skip
 
+    def with_chosen(self, gains: Mapping[str, float]) -> LoopSettings:
+        """The same with gains, alike in all rows, that a choice took from their ranges."""
+        each = {name: np.full(self.kp.size, gain) for name, gain in gains.items()}
+        return replace(self, **each, sources={**self.sources, **dict.fromkeys(gains, CHOSEN)}) if gains else self
+
     def motions(self, machine: AnyMachine, *, gravity: bool, own_model: bool = False) -> SmallMotions:
         """The Functions of this loop; `own_model` says something under gravity alone."""
         return small_motions(

@@ -448,6 +448,10 @@ def test_gains_that_are_given_beside_their_ranges_are_those_of_today() -> None:
     assert other.settings.kp[0] == pytest.approx(chosen, rel=1e-6)
     assert other.to_dict()["settings"]["sources"]["kp"] == "chosen with the configuration"
     assert "so proposed: drive (gains without a drive are those of torques), rate, dead_time" in repr(other)
+    # What neither says, Kv here, is the same in both.
+    alone = flexopt.verdict(machine, (0.0, 1.6), loop={"kp_range": (1e3, 1e5)}, **few)
+    first = next(place for place in alone.places if place.name == "candidate 1")
+    assert first.decay.nominal == pytest.approx(alone.selection.best.objective, rel=1e-9)
 
 
 def test_what_a_loop_does_with_the_gains_of_today_is_told_of_places_chosen_with_others() -> None:

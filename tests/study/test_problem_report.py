@@ -330,4 +330,4 @@ def test_of_several_targets_the_loop_is_run_where_it_decays_slowest_too(tmp_path
     assert k != found.about.worst
     run = found.loops["slowest target"].run
     assert run.linear_growth_rate == pytest.approx(-min(decays), rel=1e-6)
-    assert f"the closed loop at target {k + 1} is where that decays slowest" in report_html(found)
+    assert f"the loop decays slowest at target {k + 1}; it is run there, too" in report_html(found)

@@ -19,7 +19,6 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
 from flexopt.loop.meeting import Nearest, nearest
 from flexopt.loop.outcome import UNDEFINED, LoopPoint
-from flexopt.loop.settings import CHOSEN
 from flexopt.loop.uncertain import FEW, MEMBERS, SENSES, UncertainLoop, ValueAt
 from flexopt.model.choices import ALLOWED_GAIN, DECAY, DELAY_MARGIN
 from flexopt.model.loop import logarithms
@@ -141,12 +140,7 @@ class OutcomeProgram:
     def at(self, y: Vector) -> UncertainLoop:
         """The loop in the configuration, with the gains."""
         z, n_base = self.z(y), len(self.problem.machine.base_coordinates)
-        rows = self.problem.target.size
-        gains = {name: np.full(rows, value) for name, value in self.gains(y).items()}
-        settings = self.loop.settings
-        if gains:
-            sources = {**settings.sources, **dict.fromkeys(gains, CHOSEN)}
-            settings = replace(settings, **gains, sources=sources)
+        settings = self.loop.settings.with_chosen(self.gains(y))
         return replace(self.loop, settings=settings, base=z[:n_base], posture=z[n_base:])
 
     def points(self, y: Vector) -> list[LoopPoint]:

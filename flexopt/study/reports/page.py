@@ -296,8 +296,9 @@ def _shown(report: Report) -> str:
 def _slowest(report: Report) -> list[str]:
     """At which other target there is a closed loop, and why."""
     slowest = slowest_target(report.about, report.verdict)
-    of_these = f"the closed loop at target {(slowest or 0) + 1} is where that decays slowest over what is uncertain."
-    return [] if slowest is None else [f"Of several targets {of_these}"]
+    if slowest is None:
+        return []
+    return [f"Over what is uncertain the loop decays slowest at target {slowest + 1}; it is run there, too."]
 
 
 def _options(report: Report) -> str:

@@ -24,7 +24,7 @@ from flexopt.foundation.plain import listed, shown
 from flexopt.foundation.stages import Stages
 from flexopt.loop.evaluation import swing_unit
 from flexopt.loop.lag import lagged_modes
-from flexopt.loop.settings import CHOSEN, LoopSettings, loop_settings
+from flexopt.loop.settings import loop_settings
 from flexopt.loop.spectrum import from_sample_to_sample
 from flexopt.loop.uncertain import FEW, SENSES, UncertainLoop, UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
@@ -163,11 +163,13 @@ def verdict(
     machine, now = solved.machine, solved.present_base
     if now is None:
         raise_if_any(InputError, "verdict", [UNPLACED])
-    asked, uncertain, taken = _real(problem, chosen, loop, ranges)
+    asked, uncertain = _real(problem, chosen, loop, ranges)
     stages.next()
     stands = configurations_of(chosen)
     first = next(iter(stands.values()))[0]
-    settings = _from_ranges(loop_settings(machine, asked, first, gravity=solved.gravity), taken)
+    settings = loop_settings(machine, asked, first, gravity=solved.gravity).with_chosen({
+        name: gain for name, gain in chosen_gains(chosen).items() if getattr(asked, name) is None
+    })  # fmt: skip
     box = UncertaintyBox(machine, uncertain, settings.dead_time)
     raise_if_any(InputError, "verdict", box.faults(settings.rate))
     points = box.members(members, solved.seed)
@@ -323,7 +325,8 @@ def _breaking(chosen: Chosen, now_breaks: str, within: str, now: Sequence[tuple[
         held = f", held {how} by {chosen.objective} at each target,"
     else:
         given = problem.present_posture is not None
-        held = _beside_target(problem, now) if given else ", in one of the postures that reach the target,"
+        how = _beside_target(problem, now) if given else "in one of the postures that reach the target"
+        held = f", {how}," if how else ""
     return f"the present place{held} {now_breaks or within}"
 
 
@@ -331,8 +334,7 @@ def _beside_target(problem: SelectionProblem, held: Sequence[tuple[Vector, Vecto
     """How far the end-point is off the target of one problem, within a sentence; empty where it is there."""
     z = np.concatenate(next(iter(held)))
     off = float(np.linalg.norm(reached(problem, z) - problem.target))
-    told = f"the end-point {off:.3g} m off its target{with_angles(problem.machine)}"
-    return f", {told}," if elsewhere(problem, z) else ""
+    return f"the end-point {off:.3g} m off its target{with_angles(problem.machine)}" if elsewhere(problem, z) else ""
 
 
 def _of_gains(decision: Decision, confirmed: ChangedGains | None) -> Decision:
@@ -352,7 +354,7 @@ def _with_present(
     beside = "" if held is None or others else _beside_target(problem, held)
     if not beside:
         return decision
-    beside = f"staying is judged as the arm is held now{beside.rstrip(',')}"
+    beside = f"staying is judged as the arm is held now, {beside}"
     return replace(decision, reason=f"{decision.reason}; {beside}; without a posture it is judged at the target")
 
 
@@ -425,22 +427,12 @@ def _judging(loop: Loop | None, machine: AnyMachine, control: Control) -> Loop:
     return under_control(loop or machine.loop or Loop(), machine, control, "verdict")
 
 
-def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, tuple[Uncertainty, ...], list[str]]:
-    """The loop with the problem's control, and what is uncertain; both from where they are first given.
-
-    Gains that it does not give are those that were chosen with the best, if any were; the last: which.
-    """
+def _real(problem: Any, chosen: Chosen, loop: Any, ranges: Any) -> tuple[Loop, tuple[Uncertainty, ...]]:
+    """The loop with the problem's control, and what is uncertain; both from where they are first given."""
     first = problems_of(chosen)[0]
     machine, control = first.machine, first.control
     own = _judging(loop or getattr(problem, "loop", None), machine, control)
-    taken = {name: (gain,) for name, gain in chosen_gains(chosen).items() if getattr(own, name) is None}
-    uncertain = ranges or getattr(problem, "uncertainty", None) or machine.uncertainty or GROUND
-    return own.model_copy(update=taken), uncertain, [*taken]
-
-
-def _from_ranges(settings: LoopSettings, names: Sequence[str]) -> LoopSettings:
-    """The settings, of which these gains were chosen with the best place."""
-    return replace(settings, sources={**settings.sources, **dict.fromkeys(names, CHOSEN)})
+    return own, ranges or getattr(problem, "uncertainty", None) or machine.uncertainty or GROUND
 
 
 def _tries(asked: Loop, stay: Place | None, others: Sequence[Place], unconfirmed: Mapping[str, str]) -> bool:
