@@ -12,6 +12,7 @@ from flexopt.loop.uncertain import UncertaintyBox, matters_most
 from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.study.verdicts import verdict
+from flexopt.study.verdicts.broken_places import Breaks
 from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, faster, ranked
 from flexopt.study.verdicts.gain_search import tried_gains
 from flexopt.study.verdicts.places import gains_in_words
@@ -39,11 +40,15 @@ def test_a_place_that_is_better_everywhere_is_moved_to() -> None:
 
 
 def test_places_that_break_constraints_on_some_ground_count_where_all_do() -> None:
-    kept, broken = "", "breaks holding of boom where payload.mass is 3000 kg"
+    kept, broken = Breaks("", ""), Breaks("breaks holding of boom where payload.mass is 3000 kg", "")
     assert fit_places({"stay": kept, "candidate 1": broken, "candidate 2": kept}, "") == ["stay", "candidate 2"]
     assert fit_places({"stay": broken, "candidate 1": broken}, "") == ["stay", "candidate 1"]
     assert fit_places({"stay": kept, "candidate 1": broken}, "breaks clearance of boom") == ["candidate 1"]
     assert fit_places({"stay": kept}, "breaks clearance of boom") == []
+    beside = Breaks("", "breaks tool angle, 0.3 rad, where payload.mass is 3000 kg")
+    assert fit_places({"stay": beside, "candidate 1": broken, "candidate 2": kept}, "") == ["candidate 2"]
+    assert fit_places({"stay": beside, "candidate 1": broken, "candidate 2": beside}, "") == ["stay", "candidate 2"]
+    assert fit_places({"stay": broken, "candidate 1": broken._replace(at_rest=beside.at_rest)}, "") == ["stay"]
     assert "no place found that keeps the constraints on every ground dec" in decide(STAY, [], barred=True).reason
     assert decide(STAY, [], sought="w1").reason.startswith("no place found by w1 decays")
     grows = place("stay", GROUNDS - 1.0)
@@ -366,10 +371,17 @@ def test_a_better_place_that_breaks_constraints_somewhere_is_told(
     word: Any, shares: dict[str, float], told: str
 ) -> None:
     """The first of those that are better on the most grounds."""
-    found = with_barred(Decision(word, "stay", "because"), shares).reason
+    breaks = dict.fromkeys(shares, Breaks("breaks holding of boom where payload.mass is 3000 kg", ""))
+    found = with_barred(Decision(word, "stay", "because"), shares, breaks).reason
     share = 100 * max(shares.values(), default=0.0)
     better = f"; {told} decays at least 10 % faster on {share:.0f} % of the grounds, but breaks constraints on some: "
     assert found == "because" + f"{better}constraints.within seeks places that keep them there" * bool(told)
+    beside = dict.fromkeys(shares, Breaks("", "breaks tool angle, 0.3 rad, where payload.mass is 3000 kg"))
+    found = with_barred(Decision(word, "stay", "because"), shares, beside).reason
+    assert ("but breaks constraints at rest beside its target: an integral part" in found) is bool(told)
+    # What a loop does not do with its own numbers is told elsewhere.
+    of_loop = dict.fromkeys(shares, Breaks("breaks decay of the loop, 0.01/s", ""))
+    assert with_barred(Decision(word, "stay", "because"), shares, of_loop).reason == "because"
 
 
 def test_why_it_is_no_nearer_place_is_told() -> None:

@@ -1537,7 +1537,7 @@ def test_what_a_place_breaks_where_feedback_holds_it_beside_its_target_is_told()
     # The angle of the stick on level ground: the base's turn is a part of it, which sags by the file's load, too.
     by_file = 1.2451 + flexopt.evaluate(machine, held, gravity=True).static_deflection[-1] + sum(held)
     turned = float(runs.dataset["q"].to_numpy()[0, -1, 2:].sum()) - by_file
-    words = re.fullmatch(r"breaks tool angle, (\S+) rad \(.*, where stick.mass 320.7", stay.breaks_at_rest)
+    words = re.fullmatch(r"breaks tool angle, (\S+) rad \(.*, where stick.mass is 320.7 kg", stay.breaks_at_rest)
     assert words, stay.breaks_at_rest
     assert abs(turned) > 2e-3
     assert float(words[1]) == pytest.approx(own.value + turned, abs=5e-4)
@@ -1547,6 +1547,17 @@ def test_what_a_place_breaks_where_feedback_holds_it_beside_its_target_is_told()
         found.selection, loop=loop | {"feedback": "pid", "ki": 0.2}, ranges=loads, members=2, runs=0
     )  # fmt: skip
     assert integral.places[0].breaks_at_rest == ""
+    # Where other places keep it, the machine is sent to one of these.
+    wide = {"tool_angle": (-3.0, own.value + 1e-3)}
+    others = flexopt.select(machine, target, constraints=wide, **few | {"starts": 4})
+    moved = flexopt.verdict(others, loop=loop, ranges=loads, members=2, runs=0)
+    kept = {place.name: place.breaks_at_rest == "" for place in moved.places}
+    assert kept.pop("stay") is False
+    assert set(kept.values()) == {True}
+    assert moved.word == "move"
+    assert moved.reason.startswith(f"the present place at rest beside its target {moved.places[0].breaks_at_rest}; ")
+    assert moved.exclusions
+    assert all(each.startswith("at rest beside its target breaks tool angle, ") for each in moved.exclusions.values())
 
 
 @pytest.mark.long

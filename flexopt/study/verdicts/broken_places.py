@@ -14,9 +14,8 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
-from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.settings import LoopSettings
-from flexopt.loop.uncertain import CORNERED, UncertaintyBox, member_in_words
+from flexopt.loop.uncertain import CORNERED, FEW, UncertaintyBox
 from flexopt.model.loop import gain_ranges
 from flexopt.model.uncertainty import Uncertainty, parameters_of, told_numbers
 from flexopt.selection import SelectionProblem
@@ -35,6 +34,26 @@ MOVED = 1e-9
 TOGETHER = 2.0
 
 
+class Breaks(NamedTuple):
+    """What a place breaks: at corners of what is uncertain, and held beside its target; "breaks …", or nothing."""
+
+    somewhere: str
+    at_rest: str
+
+    @property
+    def told(self) -> str:
+        """Both within a sentence."""
+        return "; ".join(filter(None, (self.somewhere, self.at_rest and f"at rest beside its target {self.at_rest}")))
+
+
+def breaks_of(
+    chosen: Chosen, place: PlaceLoops, stand: Sequence[tuple[Vector, Vector]], *, staying: bool = False
+) -> Breaks:
+    """What a place breaks of what was asked for; what the present loop does not do where it stands is told of that."""
+    own = broken_within(chosen, stand, place.box) if staying else broken_somewhere(chosen, place, stand)
+    return Breaks(own, broken_at_rest(chosen, place))
+
+
 def broken_at(chosen: Chosen, settings: LoopSettings, stand: Sequence[tuple[Vector, Vector]]) -> str:
     """Which constraints that were asked for a place breaks, (base, posture) at each target: "breaks …", or nothing."""
     pairs = zip(problems_of(chosen), map(np.concatenate, stand), strict=True)
@@ -43,33 +62,31 @@ def broken_at(chosen: Chosen, settings: LoopSettings, stand: Sequence[tuple[Vect
     return _at_targets(["; ".join(filter(None, both)) for both in zip(found, of_loop, strict=True)])
 
 
-def broken_somewhere(
-    chosen: Chosen, settings: LoopSettings, stand: Sequence[tuple[Vector, Vector]], box: UncertaintyBox
-) -> str:
+def broken_somewhere(chosen: Chosen, place: PlaceLoops, stand: Sequence[tuple[Vector, Vector]]) -> str:
     """As `broken_within`, and what a loop does not do that has other gains than a candidate was chosen with."""
-    within = broken_within(chosen, stand, box)
+    within = broken_within(chosen, stand, place.box)
     if not (isinstance(chosen, ChosenByLoop) and gain_ranges(chosen.loop)):
         return within
-    return "; ".join(filter(None, (within, _at_targets(chosen.loops_break(settings, stand)))))
+    return "; ".join(filter(None, (within, _at_targets(chosen.loops_break(place.settings, stand)))))
 
 
-def broken_at_rest(
-    chosen: Chosen, place: PlaceLoops, looked: Sequence[Sequence[tuple[LoopPoint, Vector | None]]]
-) -> str:
+def broken_at_rest(chosen: Chosen, place: PlaceLoops) -> str:
     """Which constraints that were asked for a place breaks where feedback holds it beside its target, and where most.
 
-    A load or springs that the controller does not know draw it there, of a loop without an integral part. `looked`: of
-    each target points of its loop, and their members.
+    A load or springs that the controller does not know draw it there, of a loop without an integral part.
     """
     worst = dict[str, tuple[float, ConstraintValue, str]]()
-    for problem, loop, points in zip(problems_of(chosen), place.loops, looked, strict=True):
-        for point, u in points:
-            if u is None or not (point.rests and point.loop.growth_rate <= 0 and loop.off_target(point) > 0):
+    for problem, loop in zip(problems_of(chosen), place.loops, strict=True):
+        if not loop.gravity:
+            continue
+        for u in loop.box.corners(FEW):
+            point = loop.outcome(u)
+            if not (point.rests and point.loop.growth_rate <= 0 and loop.off_target(point) > 0):
                 continue
             posture, p = point.configuration[problem.measures.plant.n_passive :], loop.box.numbers(u)[0]
             for name, (off, value) in broken_held(problem, loop.base, posture, p).items():
                 if off > worst.get(name, (0.0,))[0]:
-                    worst[name] = off, value, member_in_words(loop.box.told(u))
+                    worst[name] = off, value, told_numbers(loop.box.machine, p.tolist())
     if not worst:
         return ""
     name, (_, value, where) = max(worst.items(), key=lambda each: each[1][0])

@@ -58,7 +58,7 @@ class PlaceVerdict(Result):
         breaks: what it breaks of constraints that were asked for, at corners of what is uncertain, and where, in words:
             choices keep them with the file's numbers; empty where nothing.
         breaks_at_rest: the same where feedback without an integral part holds the end-point beside its target
-            (`rests_off`), at the corners and the slowest member.
+            (`rests_off`), at the corners.
         cornerless: of names in `rests_on` that end with a corner of `constraints.within`, those without it.
     """
 

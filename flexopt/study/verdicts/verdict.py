@@ -40,7 +40,7 @@ from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached, with_angles
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.asked import any_problem
-from flexopt.study.verdicts.broken_places import broken_at, broken_at_rest, broken_somewhere, broken_within
+from flexopt.study.verdicts.broken_places import Breaks, breaks_of, broken_at
 from flexopt.study.verdicts.changed_gains import ChangedGains, GainChange, doubt_of
 from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import (
@@ -179,10 +179,8 @@ def verdict(
     others = [name for name in ranked(decays) if name != STAY]
     held = {name: [(each.base, each.posture) for each in stand] for name, stand in stands.items()}
     now_breaks = broken_at(chosen, settings, held[STAY]) if STAY in held else ""
-    # What the present loop does not do where it stands `now_breaks` tells.
-    within = {name: broken_within(chosen, at, box) if name == STAY else broken_somewhere(chosen, settings, at, box)
-              for name, at in held.items()}  # fmt: skip
-    fit = fit_places(within, now_breaks)
+    breaks = {name: breaks_of(chosen, loops[name], at, staying=name == STAY) for name, at in held.items()}
+    fit = fit_places(breaks, now_breaks)
 
     @cache
     def search(name: str) -> Slowest:
@@ -201,7 +199,7 @@ def verdict(
     first_runs = partial(_first_runs, loops, each, points[:runs], duration)
     shown = _each(told if runs else [], first_runs, stages.within)
     stages.next()
-    absent = _breaking(chosen, now_breaks, within[STAY], held[STAY]) if STAY in stands else unreached(chosen)
+    absent = _breaking(chosen, now_breaks, breaks[STAY].told, held[STAY]) if STAY in stands else unreached(chosen)
     known = {
         name: Place(name, decays[name], slowest[name].decay, drives[name][0],
                     besides_driving(solved, drives[name][1], stands[name]), drives[name][1])
@@ -224,16 +222,18 @@ def verdict(
         most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
         sought=_sought(chosen),
     )  # fmt: skip
-    decision = with_barred(_of_gains(decision, confirmed), {
-        name: shares[name] for name in others if STAY in fit and name not in fit and WHERE in within[name]
-    })  # fmt: skip
+    decision = with_barred(
+        _of_gains(decision, confirmed),
+        {name: shares[name] for name in others if STAY in fit and name not in fit},
+        breaks,
+    )
     decision = _with_present(decision, absent if stay is None else "", chosen, held.get(STAY))
     new = confirmed if decision.word == "change gains" else None
     bands = _each([*told, *[NEW_GAINS] * bool(new)], lambda name: _with_gains(
         new, stands, points, drives, chosen,
     ) if new and name == NEW_GAINS else _place(
         name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name], drives[name],
-        shown.get(name), chosen, within[name],
+        shown.get(name), chosen, breaks[name],
     ), stages.within)  # fmt: skip
     stages.next()
     return Verdict(
@@ -254,7 +254,7 @@ def verdict(
         provenance=provenance(
             machine, members=members, runs=runs, duration=duration, selection=chosen.provenance["options"]
         ),
-        exclusions={name: within[name] for name in stands if name not in fit and name != STAY},
+        exclusions={name: breaks[name].told for name in stands if name not in fit and name != STAY},
         present_breaks=now_breaks,
         name=problem.name if isinstance(problem, Problem) else "",
     )
@@ -266,13 +266,15 @@ def _sought(chosen: Chosen) -> str:
     return f"{chosen.objective}{' in the worst case' * bool(everywhere)}"
 
 
-def fit_places(within: Mapping[str, str], now_breaks: str) -> list[str]:
+def fit_places(breaks: Mapping[str, Breaks], now_breaks: str) -> list[str]:
     """To which one may move, or stay at: those that break nothing on any ground, where there is one, else all.
 
-    `within`: what each breaks at corners of what is uncertain; the present one none where it breaks something at all.
+    Of these those that break nothing beside their targets either, where there is one. The present one is none where it
+    breaks something at all.
     """
-    places = [name for name in within if not (now_breaks and name == STAY)]
-    return [name for name in places if not within[name]] or places
+    places = [name for name in breaks if not (now_breaks and name == STAY)]
+    places = [name for name in places if not breaks[name].somewhere] or places
+    return [name for name in places if not breaks[name].at_rest] or places
 
 
 def shares_better(decays: Mapping[str, Vector]) -> dict[str, float]:
@@ -358,18 +360,21 @@ def _with_present(
     return replace(decision, reason=f"{decision.reason}; {beside}; without a posture it is judged at the target")
 
 
-def with_barred(decision: Decision, shares: Mapping[str, float]) -> Decision:
+def with_barred(decision: Decision, barred: Mapping[str, float], breaks: Mapping[str, Breaks]) -> Decision:
     """The decision to stay, or that it cannot be told, with the best of the places that break constraints somewhere.
 
-    `shares`: of the grounds on which each of these is better than the present one.
+    `barred`: the share of the grounds on which each of these is better than the present one.
     """
+    # What a loop does not do with its own numbers breaks nothing on some ground.
+    shares = {name: share for name, share in barred.items() if WHERE in breaks[name].told}
     name = max(shares, key=lambda each: shares[each], default="")
     if decision.word not in ("stay", "cannot tell") or not name or shares[name] <= 1 - MOST:
         return decision
-    barred = f"{name} {BETTER} on {percent(shares[name])} of the grounds, but breaks constraints on some"
-    return replace(
-        decision, reason=f"{decision.reason}; {barred}: constraints.within seeks places that keep them there"
-    )
+    how = "on some: constraints.within seeks places that keep them there"
+    if not breaks[name].somewhere:
+        how = "at rest beside its target: an integral part, or a higher Kp, brings it nearer"
+    better = f"{name} {BETTER} on {percent(shares[name])} of the grounds, but breaks constraints {how}"
+    return replace(decision, reason=f"{decision.reason}; {better}")
 
 
 def _runs_of(members: Vector, duration: float | None, loop: PlaceLoops) -> Runs | None:
@@ -466,7 +471,7 @@ def _with_gains(
     decays = loop.decays(points)
     slowest, worst = loop.slowest(points, decays), decays.min(axis=0)
     held = [(each.base, each.posture) for each in stands[name]]
-    breaks = broken_somewhere(chosen, loop.settings, held, loop.box)
+    breaks = breaks_of(chosen, loop, held)
     return _place(
         name, stands[name], loop, points, worst, math.nan, slowest, drives[name], changed.runs, chosen, breaks
     )
@@ -483,7 +488,7 @@ def _place(
     drive: tuple[float, float],
     runs: Runs | None,
     chosen: Chosen,
-    breaks: str,
+    breaks: Breaks,
 ) -> PlaceVerdict:
     corners = place.box.corners(FEW)
     members = [None, *corners, slowest.member]
@@ -531,8 +536,8 @@ def _place(
         runs=runs,
         unseen=_is_unseen(place.loops[slowest.target], slowest),
         rests_on=tuple(resting_at(chosen, place.settings, held)),
-        breaks=breaks,
-        breaks_at_rest=broken_at_rest(chosen, place, looked),
+        breaks=breaks.somewhere,
+        breaks_at_rest=breaks.at_rest,
         cornerless=cornerless(problems_of(chosen)[0]),
     )
 
