@@ -7,6 +7,7 @@ import json
 import math
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -358,3 +359,58 @@ def test_where_no_step_leads_onto_the_constraints_these_are_named() -> None:
             machine, (7.0, 1.0), base=0.0, posture=(-0.9, -1.2, -0.4), objective="decay", constraints=asked, starts=2
         )
     assert "tip-over margin from x" in str(caught.value)
+
+
+TELESCOPE_URDF = """
+<robot name="telescope">
+  <link name="chassis"><inertial><origin xyz="-0.3 0 1.1"/><mass value="15500"/>
+    <inertia ixx="14000" iyy="36000" izz="42000" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="boom"><inertial><origin xyz="1.5 0 0.05"/><mass value="480"/>
+    <inertia ixx="12" iyy="430" izz="430" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="jib"><inertial><origin xyz="1.2 0 0.1"/><mass value="330"/>
+    <inertia ixx="9" iyy="190" izz="190" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="tube"><inertial><origin xyz="-0.4 0 0"/><mass value="240"/>
+    <inertia ixx="5" iyy="120" izz="120" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="lift" type="revolute"><parent link="chassis"/><child link="boom"/><origin xyz="0.6 0 2.7"/>
+    <axis xyz="0 -1 0"/><limit lower="-0.3" upper="1.3" effort="90000" velocity="0.4"/></joint>
+  <joint name="fold" type="revolute"><parent link="boom"/><child link="jib"/><origin xyz="3.2 0 0"/>
+    <axis xyz="0 -1 0"/><limit lower="-2.8" upper="-0.2" effort="50000" velocity="0.5"/></joint>
+  <joint name="extend" type="prismatic"><parent link="jib"/><child link="tube"/><origin xyz="2.4 0 0"/>
+    <axis xyz="1 0 0"/><limit lower="0.0" upper="2.0" effort="20000" velocity="0.3"/></joint>
+</robot>
+"""
+TELESCOPE = """
+schema = 1
+name = "telescope"
+robot = "telescope.urdf"
+actuated = ["lift", "fold", "extend"]
+placement = ["x"]
+[base]
+stiffness = { z = 6e6, pitch = 2.4e7 }
+damping = { z = 2.5e4, pitch = 9e4 }
+[end_point]
+link = "tube"
+offset = [0.9, 0.0, 0.0]
+rows = ["x", "z"]
+"""
+
+
+def test_what_the_loop_must_do_at_least_loses_no_optimum_that_does_it(tmp_path: Path) -> None:
+    """On a kink, where a mode does not move the end-point: slopes of the loop's branches tell nothing there."""
+    (tmp_path / "telescope.urdf").write_text(TELESCOPE_URDF, encoding="utf-8")
+    (tmp_path / "telescope.toml").write_text(TELESCOPE, encoding="utf-8")
+    machine = flexopt.load(tmp_path / "telescope.toml")
+    loop = {"drive": "torque", "kp": 2.5e4, "kv": 9e3, "rate": 100.0, "dead_time": 0.03, "nullspace_damping": 2e3}
+    few: dict[str, Any] = {"base": 0.0, "objective": "V", "weights": [1, 1], "starts": 6, "workers": 1}
+    margin = {"joint_margin": 0.05}
+    free = flexopt.select(machine, (4.2, 0.0), constraints=margin, **few)
+    assert list(free.best.kinks) == ["kink of w2: a2 = 0"]
+    at = free.best.evaluation
+    assert flexopt.outcome(machine, at.posture, base=at.base, loop=loop).decay > 0.6
+    found = flexopt.select(machine, (4.2, 0.0), constraints=margin | {"outcome": {"decay": 0.5}}, loop=loop, **few)
+    assert found.best.objective == pytest.approx(free.best.objective, abs=1e-9 * free.problem.objective_scale)
+    np.testing.assert_allclose(found.best.z, free.best.z, atol=1e-6)
+    assert found.unverified is None
+    # Where it does not do it, the optimum is none.
+    other = flexopt.select(machine, (4.2, 0.0), constraints=margin | {"outcome": {"decay": 0.7}}, loop=loop, **few)
+    assert np.abs(other.best.z - free.best.z).max() > 1e-2

@@ -19,6 +19,7 @@ from flexopt.selection.broken import falls_within
 from flexopt.selection.outcomes.branches import Branches
 from flexopt.selection.outcomes.program import MEETING, OutcomeProgram, ProgramPoint
 from flexopt.selection.places import FEASIBLE
+from flexopt.selection.proof.check import prove
 from flexopt.selection.proof.nonnegative import nonnegative_least_squares
 
 # Steps at most, how exactly t is sought, and how often the search begins anew from where it came to.
@@ -62,7 +63,7 @@ def climbed(program: OutcomeProgram, start: Vector) -> Climbed | None:
 
     Where the search stops at none, two motions may meet there; else steps that never lead down go on.
     """
-    found = _climbed(program, start)
+    found = proven_of_modes(program, start) or _climbed(program, start)
     falls = found is not None and any(falls_within(part.problem, part.z(y)) for part, y in program.parts(found.y))
     return None if falls else found
 
@@ -71,11 +72,29 @@ def _climbed(program: OutcomeProgram, start: Vector) -> Climbed | None:
     found = _searched(program, start)
     if found is None or found.holds:
         return found
+    if (proven := proven_of_modes(program, found.y, found.steps)) is not None:
+        return proven
     met = _met(program, found)
     if met is not None:
         return met
     raised = _raised(program, found)
     return raised if raised is found or raised.holds else _met(program, raised) or raised
+
+
+def proven_of_modes(program: OutcomeProgram, y: Vector, steps: int = 0) -> Climbed | None:
+    """The point where the modes alone prove it an optimum, and what is kept has room or no configuration has more.
+
+    On kinks of w_i, as where a mode does not move the end-point, branches have no slopes to tell that. None of several
+    targets, and where that is not so.
+    """
+    if not program.measure.of_modes or len(program.parts(y)) > 1 or not math.isfinite(value := program.value(y)):
+        return None
+    proof = prove(program.problem, program.z(y))
+    found = program.branches(y, program.level(value))
+    room = found.values[found.by_level == 0]
+    if not (proof.holds and (proof.unsurpassed or np.all(room > ACTIVE))):
+        return None
+    return Climbed(y, value, 0.0 if proof.unsurpassed else proof.stationarity, proof.active, steps)
 
 
 def _raised(program: OutcomeProgram, found: Climbed) -> Climbed:
