@@ -21,8 +21,8 @@ from flexopt.plant.mass_centre import centre_of_mass
 
 # Newton iterations for the static deflection; it converges quadratically from rest, in 4 or 5 for real machines.
 STATIC_ITERATIONS = 12
-# Steps before, and rounds in which, a posture is turned until the end-point is where it is held.
-SETTLES, HELD = 2, 6
+# Steps before, rounds in which, and steps of each in which, a posture is turned until the end-point is held on target.
+SETTLES, HELD, STEPS = 2, 3, 2
 # Parameters that a message names.
 NAMED = 4
 
@@ -266,6 +266,12 @@ class Plant:
         return self._of_configuration("gravity_stiffness", ca.densify(block), "K_g")
 
     @cached_property
+    def _gravity_coupling(self) -> ca.Function:
+        """∂g_p/∂q of the actuated joints, (m, n). Inputs q, base, p."""
+        g, m = self.graph, self.n_passive
+        return self._of_configuration("gravity_coupling", ca.densify(ca.jacobian(g.gravity[:m], g.q[m:])), "K_c")
+
+    @cached_property
     def deflected(self) -> ca.Function:
         """Passive coordinates (m,) at static equilibrium under gravity, the actuators holding `posture`.
 
@@ -291,20 +297,31 @@ class Plant:
     def held(self) -> ca.Function:
         """The posture (n,), turned by Jv⁺ so that the end-point of the machine as it sags is on a target (n_task,).
 
-        Feedback holds the arm so. Each of `HELD` rounds leaves of what is off the share by which the sag changes over
-        it. Inputs base, posture, p, target.
+        Feedback holds the arm so. `HELD` rounds of Newton's method along Jv⁺, each of `STEPS` steps with the slope
+        where it begins. Inputs base, posture, p, target.
         """
         g, target = self.graph, ca.SX.sym("target", self.n_task)
         q_p, posture = self.rest(g.base, g.posture, g.p)[: self.n_passive], g.posture
         for _ in range(SETTLES):
             q_p = self._newton_step(q_p, g.base, posture, g.p)
-        sagged = self.rigid_jacobian(ca.vertcat(q_p, posture), g.base, g.p)
-        inverse = apply_pseudo_inverse(sagged, ca.SX.eye(self.n_task))
         for _ in range(HELD):
-            q_p = self._newton_step(q_p, g.base, posture, g.p)
-            posture = posture + inverse @ (target - self.end_point(ca.vertcat(q_p, posture), g.base, g.p))
+            inverse = self._turn_to_move(ca.vertcat(q_p, posture))
+            for _ in range(STEPS):
+                q_p = self._newton_step(q_p, g.base, posture, g.p)
+                posture = posture + inverse @ (target - self.end_point(ca.vertcat(q_p, posture), g.base, g.p))
         inputs = {"base": g.base, "posture": g.posture, "p": g.p, "target": target}
         return self._function("held", inputs, [ca.densify(posture)], ["held"])
+
+    def _turn_to_move(self, q: ca.SX) -> ca.SX:
+        """Jv⁺ (dr/dq Jv⁺)⁻¹, (n, n_task): how the joints turn for the end-point of the machine as it sags to move.
+
+        dr/dq Jv⁺ = I − J_p K_t⁻¹ (∂g_p/∂q) Jv⁺, where K_t = K_p + ∂g_p/∂q_p holds the passive coordinates.
+        """
+        g, m = self.graph, self.n_passive
+        toward = apply_pseudo_inverse(self.rigid_jacobian(q, g.base, g.p), ca.SX.eye(self.n_task))
+        pulled = self._gravity_coupling(q, g.base, g.p) @ toward
+        sagging = self.jacobian(q, g.base, g.p)[:, :m] @ ca.solve(self._tangent(q, g.base, g.p), pulled)
+        return toward @ ca.inv(ca.SX.eye(self.n_task) - sagging)
 
     @public(base=_SX, posture=_SX, p=_SX, deflection=_SX)
     def operating_point(self, base: ca.SX, posture: ca.SX, p: ca.SX, deflection: ca.SX | None = None) -> OperatingPoint:
@@ -377,9 +394,13 @@ class Plant:
         return self.stiffness(p)[:m, :m] @ (q_p - rest) + self.gravity(ca.vertcat(q_p, posture), base, p)[:m]
 
     def _newton_step(self, q_p: ca.SX, base: ca.SX, posture: ca.SX, p: ca.SX) -> ca.SX:
-        m = self.n_passive
-        tangent = self.stiffness(p)[:m, :m] + self.gravity_stiffness(ca.vertcat(q_p, posture), base, p)
+        tangent = self._tangent(ca.vertcat(q_p, posture), base, p)
         return q_p - ca.solve(tangent, self._static_force(q_p, base, posture, p))
+
+    def _tangent(self, q: ca.SX, base: ca.SX, p: ca.SX) -> ca.SX:
+        """K_t = K_p + ∂g_p/∂q_p, (m, m)."""
+        m = self.n_passive
+        return self.stiffness(p)[:m, :m] + self.gravity_stiffness(q, base, p)
 
     def _of_configuration(self, name: str, expression: ca.SX, output: str) -> ca.Function:
         g = self.graph
