@@ -40,15 +40,20 @@ def test_a_place_that_is_better_everywhere_is_moved_to() -> None:
 
 
 def test_places_that_break_constraints_on_some_ground_count_where_all_do() -> None:
-    kept, broken = Breaks("", ""), Breaks("breaks holding of boom where payload.mass is 3000 kg", "")
-    assert fit_places({"stay": kept, "candidate 1": broken, "candidate 2": kept}, "") == ["stay", "candidate 2"]
-    assert fit_places({"stay": broken, "candidate 1": broken}, "") == ["stay", "candidate 1"]
-    assert fit_places({"stay": kept, "candidate 1": broken}, "breaks clearance of boom") == ["candidate 1"]
-    assert fit_places({"stay": kept}, "breaks clearance of boom") == []
-    beside = Breaks("", "breaks tool angle, 0.3 rad, where payload.mass is 3000 kg")
-    assert fit_places({"stay": beside, "candidate 1": broken, "candidate 2": kept}, "") == ["candidate 2"]
-    assert fit_places({"stay": beside, "candidate 1": broken, "candidate 2": beside}, "") == ["stay", "candidate 2"]
-    assert fit_places({"stay": broken, "candidate 1": broken._replace(at_rest=beside.at_rest)}, "") == ["stay"]
+    kept, broken = Breaks(), Breaks(somewhere="breaks holding of boom where payload.mass is 3000 kg")
+    assert fit_places({"stay": kept, "candidate 1": broken, "candidate 2": kept}) == ["stay", "candidate 2"]
+    assert fit_places({"stay": broken, "candidate 1": broken}) == ["stay", "candidate 1"]
+    standing = Breaks(standing="breaks clearance of boom")
+    assert fit_places({"stay": standing, "candidate 1": broken}) == ["candidate 1"]
+    assert fit_places({"stay": standing}) == []
+    beside = Breaks(at_rest="breaks tool angle, 0.3 rad, where payload.mass is 3000 kg")
+    assert fit_places({"stay": beside, "candidate 1": broken, "candidate 2": kept}) == ["candidate 2"]
+    assert fit_places({"stay": beside, "candidate 1": broken, "candidate 2": beside}) == ["stay", "candidate 2"]
+    assert fit_places({"stay": broken, "candidate 1": broken._replace(at_rest=beside.at_rest)}) == ["stay"]
+    by_loop = Breaks(by_loop="breaks decay 0.01 1/s (at least 0.02 1/s)")
+    assert fit_places({"stay": by_loop, "candidate 1": broken, "candidate 2": kept}) == ["candidate 2"]
+    # Where no loop does what it must, that tells no place from another.
+    assert fit_places({"stay": by_loop, "candidate 1": by_loop}) == ["stay", "candidate 1"]
     assert "no place found that keeps the constraints on every ground dec" in decide(STAY, [], barred=True).reason
     assert decide(STAY, [], sought="w1").reason.startswith("no place found by w1 decays")
     grows = place("stay", GROUNDS - 1.0)
@@ -371,16 +376,16 @@ def test_a_better_place_that_breaks_constraints_somewhere_is_told(
     word: Any, shares: dict[str, float], told: str
 ) -> None:
     """The first of those that are better on the most grounds."""
-    breaks = dict.fromkeys(shares, Breaks("breaks holding of boom where payload.mass is 3000 kg", ""))
+    breaks = dict.fromkeys(shares, Breaks(somewhere="breaks holding of boom where payload.mass is 3000 kg"))
     found = with_barred(Decision(word, "stay", "because"), shares, breaks).reason
     share = 100 * max(shares.values(), default=0.0)
     better = f"; {told} decays at least 10 % faster on {share:.0f} % of the grounds, but breaks constraints on some: "
     assert found == "because" + f"{better}constraints.within seeks places that keep them there" * bool(told)
-    beside = dict.fromkeys(shares, Breaks("", "breaks tool angle, 0.3 rad, where payload.mass is 3000 kg"))
+    beside = dict.fromkeys(shares, Breaks(at_rest="breaks tool angle, 0.3 rad, where payload.mass is 3000 kg"))
     found = with_barred(Decision(word, "stay", "because"), shares, beside).reason
     assert ("but breaks constraints at rest beside its target: an integral part" in found) is bool(told)
     # What a loop does not do with its own numbers is told elsewhere.
-    of_loop = dict.fromkeys(shares, Breaks("breaks decay of the loop, 0.01/s", ""))
+    of_loop = dict.fromkeys(shares, Breaks(by_loop="breaks decay of the loop, 0.01/s"))
     assert with_barred(Decision(word, "stay", "because"), shares, of_loop).reason == "because"
 
 

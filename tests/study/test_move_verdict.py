@@ -29,7 +29,7 @@ from flexopt.selection.solve import constraint_values
 from flexopt.study import page
 from flexopt.study.page import with_minus
 from flexopt.study.verdicts import verdict as verdict_module
-from flexopt.study.verdicts.broken_places import broken_at, broken_within
+from flexopt.study.verdicts.broken_places import broken_standing, broken_within
 from flexopt.study.verdicts.confirmation import nonlinear_runs, tilts
 from flexopt.study.verdicts.decision import spoken
 from flexopt.study.verdicts.place_loops import configurations_of, held_at, unreached
@@ -882,7 +882,7 @@ def test_a_margin_of_the_joints_that_was_asked_for_is_broken_as_constraints_are(
     ):
         stay = configurations_of(found)["stay"]
         # Nothing is asked of a loop.
-        assert broken_at(found, None, [(e.base, e.posture) for e in stay]) == breaks  # type: ignore[arg-type]
+        assert broken_standing(found, [(e.base, e.posture) for e in stay]) == breaks
         if isinstance(found, flexopt.Selection):
             assert found.present_told.endswith(breaks)
 
@@ -1598,3 +1598,46 @@ def test_how_far_beside_its_target_the_end_point_rests_is_told() -> None:
     )
     near = replace(found, places=tuple(replace(place, rests_off=0.00199) for place in found.places))
     assert "off its target at rest" not in repr(near)
+
+
+def test_another_loop_is_judged_alike_in_every_place() -> None:
+    """With lower gains than the choice had no place decays as it must: that is no reason to move."""
+    machine, held, base = flexopt.load("excavator"), (-1.2479, 1.4872), -2.1859
+    target = flexopt.evaluate(machine, held, base=base).end_point
+    found = flexopt.select(
+        machine, target, objective="w1", loop={"kp": 1e4, "kv": 1e3}, constraints={"outcome": {"decay": 0.012}},
+        base=base, posture=held, starts=2,
+    )  # fmt: skip
+    lower = {"kp": 3e3, "kv": 1e2}
+    told = flexopt.verdict(found, loop=lower, members=4, runs=0)
+    assert told.word == "stay"
+    stay, *others = told.places
+    assert told.present_breaks.startswith("breaks decay 0.00474")
+    assert others
+    for place in others:
+        decay = flexopt.outcome(machine, place.posture, base=place.base, loop=lower).decay
+        assert place.breaks == f"breaks decay {decay:.4g} 1/s (at least 0.012 1/s)"
+    every = "every place found breaks constraints with the present gains: the present place "
+    assert f"{every}{told.present_breaks}" in told.drawbacks
+    assert stay.breaks == ""
+
+
+def test_other_gains_do_what_the_loop_must_do_at_least() -> None:
+    """The fastest of all gains in these ranges bear 5 ms of dead time more, where 16 ms are asked for."""
+    machine, held, base = flexopt.load("excavator"), (-1.2479, 1.4872), -2.1859
+    target = flexopt.evaluate(machine, held, base=base).end_point
+    now = {"kp": 1e4, "kv": 1e3}
+    least = 0.9 * flexopt.outcome(machine, held, base=base, loop=now).delay_margin
+    ranged = now | {"kp_range": (1e3, 1e6), "kv_range": (1e2, 1e5)}
+    told = flexopt.verdict(
+        machine, target, objective="w1", loop=ranged, constraints={"outcome": {"delay_margin": least}}, base=base,
+        posture=held, starts=2, members=4, runs=0,
+    )  # fmt: skip
+    assert told.word == "change gains"
+    new = told.with_gains
+    assert new is not None
+    assert new.breaks == ""
+    loop = now | {name: gains[0] for name, gains in told.gains.items()}
+    at = flexopt.outcome(machine, new.posture, base=new.base, loop=loop)
+    assert at.delay_margin >= (1 - 1e-6) * least
+    assert at.decay > 1.1 * flexopt.outcome(machine, held, base=base, loop=now).decay

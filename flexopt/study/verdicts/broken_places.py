@@ -14,9 +14,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
-from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import CORNERED, FEW, UncertaintyBox
-from flexopt.model.loop import gain_ranges
 from flexopt.model.uncertainty import Uncertainty, parameters_of, told_numbers
 from flexopt.selection import SelectionProblem
 from flexopt.selection.broken import broken, broken_held, broken_names, values_with
@@ -35,39 +33,55 @@ TOGETHER = 2.0
 
 
 class Breaks(NamedTuple):
-    """What a place breaks: at corners of what is uncertain, and held beside its target; "breaks …", or nothing."""
+    """What a place breaks of constraints that were asked for, "breaks …", or nothing.
 
-    somewhere: str
-    at_rest: str
+    Attributes:
+        standing: with the file's numbers, of the configuration; candidates keep these.
+        by_loop: what the loop that is judged does not do of what it must at least.
+        somewhere: at corners of what is uncertain.
+        at_rest: where feedback holds the end-point beside its target.
+    """
+
+    standing: str = ""
+    by_loop: str = ""
+    somewhere: str = ""
+    at_rest: str = ""
+
+    @property
+    def now(self) -> str:
+        """Without what is uncertain."""
+        return "; ".join(filter(None, (self.standing, self.by_loop)))
+
+    @property
+    def otherwise(self) -> str:
+        """With other numbers than the file's, within a sentence."""
+        return "; ".join(filter(None, (self.somewhere, self.at_rest and f"at rest beside its target {self.at_rest}")))
 
     @property
     def told(self) -> str:
-        """Both within a sentence."""
-        return "; ".join(filter(None, (self.somewhere, self.at_rest and f"at rest beside its target {self.at_rest}")))
+        """All, within a sentence."""
+        return "; ".join(filter(None, (self.now, self.otherwise)))
 
 
-def breaks_of(
-    chosen: Chosen, place: PlaceLoops, stand: Sequence[tuple[Vector, Vector]], *, staying: bool = False
-) -> Breaks:
-    """What a place breaks of what was asked for; what the present loop does not do where it stands is told of that."""
-    own = broken_within(chosen, stand, place.box) if staying else broken_somewhere(chosen, place, stand)
-    return Breaks(own, broken_at_rest(chosen, place))
+def breaks_of(chosen: Chosen, place: PlaceLoops, stand: Sequence[tuple[Vector, Vector]]) -> Breaks:
+    """What a place breaks of what was asked for, (base, posture) at each target."""
+    return Breaks(
+        broken_standing(chosen, stand),
+        broken_by_loop(chosen, stand, place),
+        broken_within(chosen, stand, place.box),
+        broken_at_rest(chosen, place),
+    )
 
 
-def broken_at(chosen: Chosen, settings: LoopSettings, stand: Sequence[tuple[Vector, Vector]]) -> str:
-    """Which constraints that were asked for a place breaks, (base, posture) at each target: "breaks …", or nothing."""
+def broken_standing(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]]) -> str:
+    """What of the configuration alone a place breaks with the file's numbers."""
     pairs = zip(problems_of(chosen), map(np.concatenate, stand), strict=True)
-    found = [broken(problem, z, asked=True) for problem, z in pairs]
-    of_loop = chosen.loops_break(settings, stand) if isinstance(chosen, ChosenByLoop) else [""] * len(found)
-    return _at_targets(["; ".join(filter(None, both)) for both in zip(found, of_loop, strict=True)])
+    return _at_targets([broken(problem, z, asked=True) for problem, z in pairs])
 
 
-def broken_somewhere(chosen: Chosen, place: PlaceLoops, stand: Sequence[tuple[Vector, Vector]]) -> str:
-    """As `broken_within`, and what a loop does not do that has other gains than a candidate was chosen with."""
-    within = broken_within(chosen, stand, place.box)
-    if not (isinstance(chosen, ChosenByLoop) and gain_ranges(chosen.loop)):
-        return within
-    return "; ".join(filter(None, (within, _at_targets(chosen.loops_break(place.settings, stand)))))
+def broken_by_loop(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], place: PlaceLoops) -> str:
+    """What a loop does not do of what it must at least; it may have other gains than a candidate was chosen with."""
+    return _at_targets(chosen.loops_break(place.settings, stand)) if isinstance(chosen, ChosenByLoop) else ""
 
 
 def broken_at_rest(chosen: Chosen, place: PlaceLoops) -> str:

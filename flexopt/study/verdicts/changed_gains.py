@@ -34,7 +34,7 @@ class ChangedGains(NamedTuple):
     """A place with other gains: its loop with these, nonlinear runs if any were asked for.
 
     `staying`: of another place than the present one, what staying with other gains does, in words; empty where that is
-    stable nowhere, or runs refute it. `at_end`: see `at_ends`.
+    stable nowhere, or runs refute it. `at_end`: see `at_ends`. `breaks`: what it does not do of what it must at least.
     """
 
     place: Place
@@ -42,6 +42,7 @@ class ChangedGains(NamedTuple):
     runs: Runs | None
     staying: str = ""
     at_end: str = ""
+    breaks: str = ""
 
     @property
     def gains(self) -> dict[str, list[float]]:
@@ -57,8 +58,8 @@ class ChangedGains(NamedTuple):
 
     @property
     def doubt(self) -> str | None:
-        """See `doubt_of`."""
-        return doubt_of(self.runs)
+        """What it breaks, or else see `doubt_of`."""
+        return self.breaks or doubt_of(self.runs)
 
 
 def doubt_of(runs: Runs | None) -> str | None:
@@ -83,6 +84,7 @@ class GainChange:
         known: the places by name;  loops, slowest: of each, with the present gains.
         doubts: why nonlinear runs do not confirm a place with the present gains, by its name.
         points: members (n, k);  runs_of: nonlinear runs of a place's loop.
+        breaks: of what it must do at least what a place's loop does not do.
     """
 
     asked: Loop
@@ -92,6 +94,7 @@ class GainChange:
     doubts: Mapping[str, str]
     points: Vector
     runs_of: Callable[[PlaceLoops], Runs | None]
+    breaks: Callable[[str, PlaceLoops], str] = lambda _name, _loop: ""
 
     def best(self) -> ChangedGains:
         """The place to be in, each with the lowest gains that do as well as its fastest.
@@ -131,7 +134,7 @@ class GainChange:
         loop, tried = self.loops[name], list[_Tried]()
         few = np.concatenate([loop.box.corners(FEW), self.slowest[name].member[None]])
         for _ in range(EXCHANGES):
-            best = best_gains(loop, self.asked, few)
+            best = best_gains(loop, self.asked, few, lambda tried: not self.breaks(name, tried))
             place, member = self._with(name, best)
             tried.append(_Tried(place, best, few))
             # With other gains another member may be the slowest: then gains are sought for it, too.
@@ -155,7 +158,8 @@ class GainChange:
 
         def told(tried: _Tried) -> ChangedGains:
             at_end = at_ends(tried.loop.settings, self.asked, self.loops[name].settings)
-            return ChangedGains(tried.place, tried.loop, self.runs_of(tried.loop), at_end=at_end)
+            breaks = self.breaks(name, tried.loop)
+            return ChangedGains(tried.place, tried.loop, self.runs_of(tried.loop), at_end=at_end, breaks=breaks)
 
         lowest, least = None, 1.0
         # What makes twice as high gains grow need not be among the few that these were sought for.

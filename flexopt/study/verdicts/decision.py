@@ -31,24 +31,25 @@ LEAST_TOLD = 1e-3
 ALIKE = 1e-6
 # Between what a run shows and what helps, in why it does not confirm.
 BETWEEN = "; "
+# How it begins that a place does not do what it must at least.
+BREAKS = "breaks "
 # What "better" is, in every sentence.
 BETTER = f"decays at least {100 * FASTER:.0f} % faster"
 
 RULE = (
-    f"One place is better than another on a ground where it {BETTER}, or decays and the other grows. "
-    "MOVE: a place is stable on every ground looked at, better than the present one on "
-    f"{100 * MOST:.0f} % of them and in its worst case, and {100 * MOST:.0f} % of the nonlinear runs confirm it: the "
-    "base's oscillation decays, and the end-point ends no farther from its target than it began, and at most half as "
-    "far as it ever was. CHANGE GAINS: other gains that were "
-    "tried do in a place what no move does with the present gains, or no place is stable on every ground and other "
-    "gains make one so; runs confirm it; they are tried where the loop has ranges for them, or where the present place "
-    "is not stable on every ground, or not confirmed, and there is none to move to. The place is the present one, "
-    "unless another, each with its own other gains, is better by the rule of MOVE. The fastest that are found are "
-    f"lowered together until it does not grow with twice as high ones, while the slowest decay is within "
-    f"{100 * FASTER:.0f} % of the best, worth the change, and runs confirm it. "
-    "STAY: the present place is stable on every ground, runs confirm it, and no "
-    f"other is better on more than {100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else. A present place that "
-    "breaks constraints that were asked for is none to stay at, and is not among the places, nor is one from which the "
+    f"One place is better than another on a ground where it {BETTER}, or decays and the other grows. MOVE: a place is "
+    f"stable on every ground looked at, better than the present one on {100 * MOST:.0f} % of them and in its worst "
+    f"case, and {100 * MOST:.0f} % of the nonlinear runs confirm it: the base's oscillation decays, and the end-point "
+    "ends no farther from its target than it began, and at most half as far as it ever was. CHANGE GAINS: other "
+    "gains that were tried do in a place what no move does with the present gains, or no place is stable on every "
+    "ground and other gains make one so; runs confirm it; they are tried where the loop has ranges for them, or "
+    "where the present place is not stable on every ground, or not confirmed, and there is none to move to. The "
+    "place is the present one, unless another, each with its own other gains, is better by the rule of MOVE. The "
+    "fastest that are found are lowered together until it does not grow with twice as high ones, while the slowest "
+    f"decay is within {100 * FASTER:.0f} % of the best, worth the change, and runs confirm it. STAY: the present "
+    f"place is stable on every ground, runs confirm it, and no other is better on more than {100 * (1 - MOST):.0f} % "
+    "of them. CANNOT TELL: all else. A present place that breaks constraints that were asked for is none to stay at, "
+    "unless it is what the loop does in no place found, and is not among those compared, nor is one from which the "
     "arm does not reach a target within its limits; nor is one that breaks constraints at a corner of what is "
     "uncertain, where another place keeps them, or there at rest beside its target, where another does not. Where no "
     "nonlinear runs were asked for, they need not confirm. Of several places to move to it is that with the least "
@@ -117,7 +118,6 @@ def decide(
     refuted: Place | None = None,
     doubt: str = "",
     gains: str = "",
-    alternates: str = "",
     absent: str = UNREACHED.format("the target"),
     most: float = 0.0,
     barred: bool = False,
@@ -133,7 +133,6 @@ def decide(
         tried: which other gains were, in words; empty for none.
         refuted: the best place with other gains, where runs do not confirm it;  doubt: why the first of them does not.
         gains: these other gains, in words.
-        alternates: why the loop changes its sign at every sample, where it grows so in every place.
         absent: why there is no staying.
         most: share of the members on which a place is better than staying, of all that were judged.
         barred: whether some that were found are not among these, for they break constraints on some ground.
@@ -186,17 +185,17 @@ def decide(
     if refuted is not None and refuted.holds:
         with_others = _no_gains(tried, refuted, "is", doubt, gains)
     reason = f"{found} is stable on every ground with the present gains{with_others}"
-    return Decision("cannot tell", "", reason + (f"; it grows at {alternates}" if alternates else ""))
+    return Decision("cannot tell", "", reason)
 
 
 def _no_gains(tried: str, refuted: Place | None, does: str, doubt: str, gains: str) -> str:
     """What a place does with other gains by the linear loop, and why runs do not confirm it; else that none help."""
     if refuted is None or not does:
         return f"; no gains worth a change are found with {tried}" * bool(tried)
-    told = f": {doubt}" if doubt else ""
-    return (
-        f"; with other gains{_named(gains)} {spoken(refuted.name)} {does}, but nonlinear runs do not confirm that{told}"
-    )
+    but = f"nonlinear runs do not confirm that{doubt and f': {doubt}'}"
+    if doubt.startswith(BREAKS):
+        but = f"then it {doubt}"
+    return f"; with other gains{_named(gains)} {spoken(refuted.name)} {does}, but {but}"
 
 
 def _named(gains: str) -> str:

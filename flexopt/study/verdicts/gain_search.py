@@ -28,10 +28,11 @@ ROOM, LOWER, HALVINGS = 2.0, 0.5**0.25, 6
 AT_END = 1e-6
 
 
-def best_gains(loop: PlaceLoops, asked: Loop, members: Vector) -> PlaceLoops:
+def best_gains(loop: PlaceLoops, asked: Loop, members: Vector, does: Callable[[PlaceLoops], bool]) -> PlaceLoops:
     """The loop with the best gains within `asked`'s ranges; with none, all gains times one factor, 0.01 to 10.
 
-    The criterion is the decay of the slowest of the members (n, k) at the worst target; they should be few.
+    The criterion is the decay of the slowest of the members (n, k) at the worst target; they should be few. Of gains
+    with which the loop does what it must, where any of those looked at do.
     """
     from scipy.optimize import minimize  # noqa: PLC0415  (loads slowly)
 
@@ -47,14 +48,23 @@ def best_gains(loop: PlaceLoops, asked: Loop, members: Vector) -> PlaceLoops:
 
     points = list(product(*(axis.tolist() for axis in axes)))
     values = [growth(point) for point in points]
-    start = np.array(points[int(np.argmin(values))])
+    order: list[int] = np.argsort(values, kind="stable").tolist()
+    first = next((k for k in order if does(with_gains(points[k]))), None)
+    start = np.array(points[order[0] if first is None else first])
+    least = growth(start)
+
+    def allowed(x: Any) -> float:
+        # What is no better is not looked at: that takes its time.
+        value = growth(x)
+        return value if value >= least or first is None or does(with_gains(x)) else math.inf
+
     bounds = [(float(axis[0]), float(axis[-1])) for axis in axes]
     # The slowest decay of several is not smooth.
     found: Any = minimize(
-        growth, start, method="Nelder-Mead", bounds=bounds,
+        allowed, start, method="Nelder-Mead", bounds=bounds,
         options={"maxfev": EVALUATIONS, "initial_simplex": _simplex(start, axes)},
     )  # fmt: skip
-    return with_gains(found.x if found.fun < min(values) else start)
+    return with_gains(found.x if found.fun < least else start)
 
 
 def lowered(loop: PlaceLoops, asked: Loop, factor: float) -> PlaceLoops:

@@ -55,8 +55,9 @@ class PlaceVerdict(Result):
             axes, rad, of a base that cannot turn its largest shift, m (`swing_unit`).
         runs: nonlinear ones; None where none were asked for.
         rests_on: at each target the bounds and constraints that hold with equality.
-        breaks: what it breaks of constraints that were asked for, at corners of what is uncertain, and where, in words:
-            choices keep them with the file's numbers; empty where nothing.
+        breaks: what it breaks of constraints that were asked for, in words: what its loop does not do of what it must,
+            as with other gains than a candidate was chosen with (of staying see `present_breaks`), and what is broken
+            at corners of what is uncertain, and where; empty where nothing.
         breaks_at_rest: the same where feedback without an integral part holds the end-point beside its target
             (`rests_off`), at the corners.
         cornerless: of names in `rests_on` that end with a corner of `constraints.within`, those without it.

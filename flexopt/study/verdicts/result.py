@@ -27,6 +27,7 @@ from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
 from flexopt.selection.broken import broken
+from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached, with_angles
 from flexopt.selection.result import unverified_told
@@ -133,9 +134,7 @@ class Verdict(Pictured, Printed, Result):
         there = self.with_gains or now
         if self.word == "cannot tell" or there is None:
             return ""
-        # Else another place would keep them, and this one would be none to move to.
-        no_better = f"every place found breaks constraints on some ground: {spoken(there.name)} {there.breaks}"
-        no_better *= bool(there.breaks)
+        no_better = self._no_better(there)
         way = self.selection.broken_between if isinstance(self.selection, BasePlan) and self.place == FIRST else ()
         rest = f"at rest beside its target {spoken(there.name)} {there.breaks_at_rest}" if there.breaks_at_rest else ""
         no_better = "; ".join(filter(None, (no_better, rest, *way)))
@@ -170,12 +169,22 @@ class Verdict(Pictured, Printed, Result):
         if math.isnan(stay.rests_off) and there.rests_off >= FAR_OFF:
             found.append(f"comes to rest {there.rests_off:.3g} m off the target")
         if there.rests_off >= SETTLED * MOVE and there.rests_off >= (1 + FASTER) * stay.rests_off:
-            grows = f" where it stands, {NOT_WHERE_IT_GROWS}," if stay.decay.least <= 0 else ""
+            stands = "where it stands" if self._stay else "with the present ones"
+            grows = f" {stands}, {NOT_WHERE_IT_GROWS}," if stay.decay.least <= 0 else ""
             instead = f"instead of {stay.rests_off:.3g} m{grows}"
             found.append(f"comes to rest {there.rests_off:.3g} {instead} off the target")
         how = "with the new gains it" if self.with_gains else "it"
         told = f"in the worst case {how} {', '.join(found)} there" if found else ""
         return "; ".join(filter(None, (told, no_better)))
+
+    def _no_better(self, there: PlaceVerdict) -> str:
+        """What the place of the word breaks, as all others do with the present gains; empty where nothing."""
+        if self.with_gains:
+            return there.breaks and f"with the new gains {spoken(there.name)} {there.breaks}"
+        breaks = there.breaks or (self.present_breaks if there.name == STAY else "")
+        # Else another place would keep them, and this one would be none to move to.
+        where = " on some ground" if WHERE in breaks else " with the present gains"
+        return breaks and f"every place found breaks constraints{where}: {spoken(there.name)} {breaks}"
 
     @property
     def problems(self) -> tuple[SelectionProblem, ...]:

@@ -35,12 +35,11 @@ from flexopt.model.problem import SelectionKeywords, SelectionOptions, judged_by
 from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 from flexopt.selection import Selection, SelectionProblem, select, solve_problem, solve_selection
 from flexopt.selection.broken import cornerless
-from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached, with_angles
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.asked import any_problem
-from flexopt.study.verdicts.broken_places import Breaks, breaks_of, broken_at
+from flexopt.study.verdicts.broken_places import Breaks, breaks_of, broken_by_loop
 from flexopt.study.verdicts.changed_gains import ChangedGains, GainChange, doubt_of
 from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import (
@@ -178,9 +177,8 @@ def verdict(
     decays: dict[str, Vector] = {name: own.min(axis=0) for name, own in each.items()}
     others = [name for name in ranked(decays) if name != STAY]
     held = {name: [(each.base, each.posture) for each in stand] for name, stand in stands.items()}
-    now_breaks = broken_at(chosen, settings, held[STAY]) if STAY in held else ""
-    breaks = {name: breaks_of(chosen, loops[name], at, staying=name == STAY) for name, at in held.items()}
-    fit = fit_places(breaks, now_breaks)
+    breaks = {name: breaks_of(chosen, loops[name], at) for name, at in held.items()}
+    fit = fit_places(breaks)
 
     @cache
     def search(name: str) -> Slowest:
@@ -199,7 +197,7 @@ def verdict(
     first_runs = partial(_first_runs, loops, each, points[:runs], duration)
     shown = _each(told if runs else [], first_runs, stages.within)
     stages.next()
-    absent = _breaking(chosen, now_breaks, breaks[STAY].told, held[STAY]) if STAY in stands else unreached(chosen)
+    absent = _breaking(chosen, breaks[STAY], held[STAY]) if STAY in stands else unreached(chosen)
     known = {
         name: Place(name, decays[name], slowest[name].decay, drives[name][0],
                     besides_driving(solved, drives[name][1], stands[name]), drives[name][1])
@@ -209,7 +207,16 @@ def verdict(
     doubts = {name: why for name, run in shown.items() if (why := doubt_of(run)) is not None}
     tried = tried_gains(asked) if known and _tries(asked, stay, rest, doubts) else ""
     changed = (
-        GainChange(asked, known, loops, slowest, doubts, points, partial(_runs_of, points[:runs], duration)).best()
+        GainChange(
+            asked,
+            known,
+            loops,
+            slowest,
+            doubts,
+            points,
+            partial(_runs_of, points[:runs], duration),
+            lambda name, loop: broken_by_loop(chosen, held[name], loop),
+        ).best()
         if tried
         else None
     )
@@ -218,12 +225,12 @@ def verdict(
     decision = decide(
         stay, rest, confirmed and confirmed.place, doubts, tried=tried, refuted=refuted and refuted.place,
         doubt=(refuted and refuted.doubt) or "", gains=changed.in_words if changed else "",
-        alternates=_alternates(loops, slowest) if tried else "", absent=absent,
+        absent=absent,
         most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
         sought=_sought(chosen),
     )  # fmt: skip
     decision = with_barred(
-        _of_gains(decision, confirmed),
+        _with_alternates(_of_gains(decision, confirmed), loops, slowest),
         {name: shares[name] for name in others if STAY in fit and name not in fit},
         breaks,
     )
@@ -233,7 +240,9 @@ def verdict(
         new, stands, points, drives, chosen,
     ) if new and name == NEW_GAINS else _place(
         name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name], drives[name],
-        shown.get(name), chosen, breaks[name],
+        shown.get(name), chosen,
+        # `present_breaks` tells what staying does not do with the present loop.
+        breaks[name]._replace(by_loop="") if name == STAY else breaks[name],
     ), stages.within)  # fmt: skip
     stages.next()
     return Verdict(
@@ -255,7 +264,7 @@ def verdict(
             machine, members=members, runs=runs, duration=duration, selection=chosen.provenance["options"]
         ),
         exclusions={name: breaks[name].told for name in stands if name not in fit and name != STAY},
-        present_breaks=now_breaks,
+        present_breaks=breaks[STAY].now if STAY in breaks else "",
         name=problem.name if isinstance(problem, Problem) else "",
     )
 
@@ -266,15 +275,16 @@ def _sought(chosen: Chosen) -> str:
     return f"{chosen.objective}{' in the worst case' * bool(everywhere)}"
 
 
-def fit_places(breaks: Mapping[str, Breaks], now_breaks: str) -> list[str]:
-    """To which one may move, or stay at: those that break nothing on any ground, where there is one, else all.
+def fit_places(breaks: Mapping[str, Breaks]) -> list[str]:
+    """To which one may move, or stay at: those that break nothing, where there is one.
 
-    Of these those that break nothing beside their targets either, where there is one. The present one is none where it
-    breaks something at all.
+    None that breaks something as it stands. Of the others those whose loops do what they must, where there is one; of
+    these those that break nothing on any ground; of these those that break nothing beside their targets.
     """
-    places = [name for name in breaks if not (now_breaks and name == STAY)]
-    places = [name for name in places if not breaks[name].somewhere] or places
-    return [name for name in places if not breaks[name].at_rest] or places
+    places = [name for name, each in breaks.items() if not each.standing]
+    for kind in ("by_loop", "somewhere", "at_rest"):
+        places = [name for name in places if not getattr(breaks[name], kind)] or places
+    return places
 
 
 def shares_better(decays: Mapping[str, Vector]) -> dict[str, float]:
@@ -319,17 +329,17 @@ def _each(names: Collection[str], work: Callable[[str], T], tell: Progress) -> d
     return made
 
 
-def _breaking(chosen: Chosen, now_breaks: str, within: str, now: Sequence[tuple[Vector, Vector]]) -> str:
+def _breaking(chosen: Chosen, breaks: Breaks, now: Sequence[tuple[Vector, Vector]]) -> str:
     """That the present place breaks constraints, now or on some ground, and in which posture where none was given."""
     problem, *others = problems_of(chosen)
     if others:
-        how = "as breaks the least and is best of these" if now_breaks else "as is best"
+        how = "as breaks the least and is best of these" if breaks.now else "as is best"
         held = f", held {how} by {chosen.objective} at each target,"
     else:
         given = problem.present_posture is not None
         how = _beside_target(problem, now) if given else "in one of the postures that reach the target"
         held = f", {how}," if how else ""
-    return f"the present place{held} {now_breaks or within}"
+    return f"the present place{held} {breaks.now or breaks.otherwise}"
 
 
 def _beside_target(problem: SelectionProblem, held: Sequence[tuple[Vector, Vector]]) -> str:
@@ -365,8 +375,7 @@ def with_barred(decision: Decision, barred: Mapping[str, float], breaks: Mapping
 
     `barred`: the share of the grounds on which each of these is better than the present one.
     """
-    # What a loop does not do with its own numbers breaks nothing on some ground.
-    shares = {name: share for name, share in barred.items() if WHERE in breaks[name].told}
+    shares = {name: share for name, share in barred.items() if breaks[name].otherwise}
     name = max(shares, key=lambda each: shares[each], default="")
     if decision.word not in ("stay", "cannot tell") or not name or shares[name] <= 1 - MOST:
         return decision
@@ -446,17 +455,22 @@ def _tries(asked: Loop, stay: Place | None, others: Sequence[Place], unconfirmed
     return bool(gain_ranges(asked)) or not goes
 
 
-def _alternates(loops: Mapping[str, PlaceLoops], slowest: Mapping[str, Slowest]) -> str:
-    """Why the slowest member of every place changes its sign at every sample; empty where one does not."""
-    why = ""
-    for name, at in slowest.items():
-        own = loops[name].loops[at.target]
-        slow = own.outcome(at.member)
-        why = from_sample_to_sample(slow.too_much, own.settings.rate)
-        if not why:
-            return ""
-        why = f"{slow.loop.frequency_hz:.4g} Hz{why}"
-    return why
+def _with_alternates(decision: Decision, loops: Mapping[str, PlaceLoops], slowest: Mapping[str, Slowest]) -> Decision:
+    """The decision, with why the present loop grows where it changes its sign at every sample."""
+    if decision.word not in ("change gains", "cannot tell"):
+        return decision
+    why = {name: told for name, at in slowest.items() if (told := _alternates(loops[name].loops[at.target], at))}
+    # In all places it has one cause, as a rule.
+    where = "" if len(why) == len(slowest) else f" at {listed(map(spoken, why))}"
+    told = [f"with the present gains it grows{where} at {next(iter(why.values()))}"] if why else []
+    return replace(decision, reason="; ".join([decision.reason, *told]))
+
+
+def _alternates(loop: UncertainLoop, slowest: Slowest) -> str:
+    """Why its slowest member changes its sign at every sample; empty where it does not."""
+    slow = loop.outcome(slowest.member)
+    why = from_sample_to_sample(slow.too_much, loop.settings.rate)
+    return why and f"{slow.loop.frequency_hz:.4g} Hz{why}"
 
 
 def _with_gains(
@@ -536,7 +550,7 @@ def _place(
         runs=runs,
         unseen=_is_unseen(place.loops[slowest.target], slowest),
         rests_on=tuple(resting_at(chosen, place.settings, held)),
-        breaks=breaks.somewhere,
+        breaks="; ".join(filter(None, (breaks.by_loop, breaks.somewhere))),
         breaks_at_rest=breaks.at_rest,
         cornerless=cornerless(problems_of(chosen)[0]),
     )
@@ -559,7 +573,8 @@ def _measure(
 ) -> str:  # fmt: skip
     """Which uncertain number decides."""
     if not decision.place and all((place.decays <= 0).all() for place in known.values()):
-        grows = f"every place grows on all {len(points)} grounds looked at"
+        others = " that breaks nothing" * (len(bands) > len(known))
+        grows = f"every place{others} grows on all {len(points)} grounds looked at"
         name = max(known, key=lambda name: bands[name].decay.nominal)
         if box.holds_nominal and (nominal := bands[name].decay.nominal) > 0:
             file = f"with the numbers of the file {spoken(name)} decays at {nominal:.3g}/s"
