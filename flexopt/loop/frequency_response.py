@@ -69,7 +69,7 @@ def exactly(sample: OneSample, crossing: Crossing) -> float:
     """A time of `crossings` as it is: by the response of the loop with a part of a sample more.
 
     Whole samples more are z⁻¹ each, exactly; what a pure dead time would still lack goes to the part, until nothing
-    does.
+    does. Where two eigenvalues cross together that may lead to the other's time; then it stays as it was.
     """
     late, angle, row = crossing.late / sample.period, crossing.angle, crossing.row
     for _ in range(ROUNDS):
@@ -81,6 +81,8 @@ def exactly(sample: OneSample, crossing: Crossing) -> float:
         angle = response.crossing(row, *ends)
         left = ((response.phase(row, angle) - angle * whole) % math.tau - math.pi) / angle
         late += left
+        if abs(late - crossing.late / sample.period) > 1:
+            return crossing.late
         # Before it is late at all nothing grows: it was nearly there only.
         if late < 0 or abs(left) <= SETTLED * late:
             break
@@ -157,18 +159,24 @@ def peak(system: StateSpace, smooth: OneSample, sign: float, feed: float) -> tup
 
 
 class _Response:
-    """Eigenvalues of L(e^{jθ}) by modulus, the loop broken at the law's force."""
+    """Eigenvalues of L(e^{jθ}) by modulus, the loop broken at the law's force.
+
+    By half of the feedback, S = (I + L/2)⁻¹ = I + F (zI − Φ₀ − Γ F/2)⁻¹ Γ/2, whose eigenvalues σ give λ = 2 (1/σ − 1):
+    this resolvent is finite where L is not, on an undamped pole, and where the loop is at a border, λ = −1.
+    """
 
     def __init__(self, sample: OneSample) -> None:
         scale = balance(sample.matrix)[1]
-        self.open = sample.open / scale[:, None] * scale
-        self.into, self.force = sample.into / scale[:, None], sample.force * scale
+        self.into, self.force = sample.into / scale[:, None] / 2, sample.force * scale
+        self.halved = sample.open / scale[:, None] * scale + self.into @ self.force
 
     def eigenvalues(self, angles: Vector) -> ComplexArray:
-        """At angles θ (k,), (k, r)."""
+        """At angles θ (k,), (k, r); the largest number where they are infinite."""
         z = np.exp(1j * angles)[:, None, None]
         right = np.broadcast_to(self.into, (len(z), *self.into.shape))
-        found = np.linalg.eigvals(-self.force @ np.linalg.solve(z * np.eye(len(self.open)) - self.open, right))
+        fed = np.linalg.eigvals(self.force @ np.linalg.solve(z * np.eye(len(self.halved)) - self.halved, right))
+        left_over = 1 + fed
+        found = -2 * fed / np.where(left_over == 0, np.finfo(float).tiny, left_over)
         order = np.argsort(np.abs(found), axis=1)
         return np.asarray(np.take_along_axis(found, order, axis=1), dtype=np.complex128)
 

@@ -277,6 +277,24 @@ def test_a_border_beyond_a_hundred_samples_is_found(number):
     assert not replace(here, dead_time=here.dead_time + margin * (1 + 1e-4)).loop.stable
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_margins_of_machines_without_damping(seed):
+    """The loop broken is infinite on a pole that nothing damps; the border is that of 420 bits, and no earlier one."""
+    data = EXCAVATOR.to_dict()
+    data["base"].pop("damping")
+    data["base"]["stiffness"] = {"rotation": data["base"]["stiffness"]["rotation"]}
+    machine, rng = flexopt.machine_from_dict(data), np.random.default_rng(seed)
+    loops = ((rng.uniform([0.0, -2.0], [1.2, -0.3]), rng.choice([1e3, 1e4])) for _ in range(20))
+    points = (outcome(machine, posture, kp=kp, kv=kp / 5) for posture, kp in loops)
+    here = next(point for point in points if point.loop.stable)
+    margin, gain = here.delay_margin().value, float(here.numbers["kp"][0])
+    assert 0 < margin < 100 * here.period
+    late = LateLoop(machine, here.numbers["posture"], "inverse", [gain] * 2, [gain / 5] * 2, here.period)
+    before, after = (replace(late, dead_time=margin * (1 + step)).growth() for step in (-1e-6, 1e-6))
+    assert before < 0 < after
+    assert all(replace(here, dead_time=x).loop.stable for x in np.linspace(0, margin, 40)[:-1])
+
+
 def test_a_border_that_is_near_zero_only_by_the_frequency_response_is_none():
     """What would be late by less than nothing; the margin stands where the decay does not beside it."""
     data = EXCAVATOR.to_dict()
