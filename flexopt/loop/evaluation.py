@@ -20,7 +20,7 @@ from flexopt.foundation.plain import listed
 from flexopt.foundation.results import Result
 from flexopt.foundation.rounding import without_rounding
 from flexopt.loop.lag import LaggedModes, lagged_modes
-from flexopt.loop.outcome import HIGH, LOW, MEASURES, LoopPoint
+from flexopt.loop.outcome import MEASURES, LoopPoint
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.loop.spectrum import UNBRAKED, drifting_self_motion, from_sample_to_sample, slow_self_motion
 from flexopt.model import AnyMachine
@@ -63,8 +63,8 @@ class Outcome(Result):
             no fewer, no such motion grows. Empty where it does not.
         drift: growth rates of a redundant arm's self-motion, which is no part of the decay, 1/s.
         allowed_gain: largest stable Kp along the present ratio of the gains, NaN where no row has one; gain_intervals:
-            all stable intervals of it, (k, 2). Where the present gains lie in none, the largest stable ones below, 0
-            where there are none; infinite (JSON: null) where no border was met up to 10⁴ times the present gains.
+            all stable intervals of it, (k, 2), between 10⁻⁴ and 10⁴ times the present gains. Where these lie in none,
+            the largest stable ones below, 0 where none is found; infinite (JSON: null) where no border is met.
         delay_margin: dead time that may be added to the end-point's measurement, s. Infinite (JSON: null) where none is
             too long; NaN of a loop that grows. Its gradient is NaN where the dead time would exceed 100 samples.
         disk_margin, sensitivity_peak, complementary_peak: α, ‖S‖∞ and ‖T‖∞, the loop broken at the law's force.
@@ -161,9 +161,9 @@ class Outcome(Result):
     @property
     def _stable(self) -> list[str]:
         """The intervals of Kp in words; an end of the search is no border."""
-        highest, words = self.settings.highest_kp, list[str]()
+        lowest, highest, words = self.settings.lowest_kp, self.settings.highest_kp, list[str]()
         for low, high in self.gain_intervals:
-            ends = ((low, highest * 10 ** (LOW - HIGH)), (high, highest))
+            ends = ((low, lowest), (high, highest))
             least, most = (math.isclose(x, end, rel_tol=1e-6) for x, end in ends)
             parts = [*([] if least else [f"from {low:.4g}"]), *([] if most else [f"up to {high:.4g}"])]
             words.append(" ".join(parts) or f"wherever it was looked at, {low:.4g} to {high:.4g}")
@@ -217,12 +217,12 @@ class Outcome(Result):
             lines.append(f"  {UNBRAKED}")
         own_motion = (*drifting_self_motion(self.drift), *slow_self_motion(self.drift, self.decay))
         lines += [f"  {sentence}" for sentence in own_motion]
-        stable = ", ".join(self._stable) or "nowhere"
-        most = f"above {self.settings.highest_kp:.4g}" if math.isinf(self.allowed_gain) else _told(self.allowed_gain)
+        lowest, now, highest = self.settings.lowest_kp, self.settings.first_kp, self.settings.highest_kp
+        stable = ", ".join(self._stable) or f"nowhere from {lowest:.4g} to {highest:.4g}"
+        most = f"above {highest:.4g}" if math.isinf(self.allowed_gain) else _told(self.allowed_gain)
         # What is stable with higher gains alone has none that may be approached from below.
-        most = "none up to the present one" if self.allowed_gain == 0 else most
+        most = f"none from {lowest:.4g} to the present {now:.4g}" if self.allowed_gain == 0 else most
         unit = f" {self.settings.gain_units[0]} (stable: {stable})"
-        unit = unit.replace(f" {self.settings.gain_units[0]}", "", 1) if self.allowed_gain == 0 else unit
         lines.append(f"  allowed gain Kp {most}{'' if math.isnan(self.allowed_gain) else unit}")
         first = self._stable[0] if self._stable else ""
         if any(rate > 0 for rate in self.drift) and first.startswith("from"):

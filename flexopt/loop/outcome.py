@@ -318,7 +318,7 @@ class LoopPoint:
 
     @cached_property
     def gain_intervals(self) -> tuple[tuple[float, float], ...]:
-        """(lower, upper) of the factors by which all gains may be multiplied together, the loop stable."""
+        """(lower, upper) of the factors, 10^LOW to 10^HIGH, times which all gains together leave the loop stable."""
         if not self.rests:
             return ()
         known, (balanced, scale) = None, balance(self.sample.matrix)
@@ -337,7 +337,7 @@ class LoopPoint:
         """The largest Kp along the present ratio of all gains, in its unit: of the first row that has one.
 
         The upper end of the interval in which the present gains lie; where they lie in none the largest one below, 0
-        where there is none; infinite where no border is met; NaN where no row has one.
+        where none is found; infinite where no border is met; NaN where no row has one.
         """
         kp = self.numbers["kp"]
         row = int(np.argmax(kp > 0))

@@ -17,7 +17,7 @@ from flexopt.foundation.control import RATE_GAIN_UNITS, Control, damping_unit, g
 from flexopt.foundation.results import Result
 from flexopt.loop.gains import DAMPING_RATIO, SHARE, rigid_gains
 from flexopt.loop.levers import servo_gain_of_efforts
-from flexopt.loop.outcome import HIGH, LoopPoint
+from flexopt.loop.outcome import HIGH, LOW, LoopPoint
 from flexopt.loop.small_motions import SmallMotions, damping_entries, small_motions
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Drive, Loop, drive_of, rate_of
@@ -100,9 +100,19 @@ class LoopSettings(Result):
         return RATE_GAIN_UNITS if self.drive == "velocity" else self.force_units
 
     @property
+    def first_kp(self) -> float:
+        """Kp of the first row that has one, of which an allowed gain is; 1 where none has."""
+        return next((x for x in self.kp.tolist() if x > 0), 1.0)
+
+    @property
+    def lowest_kp(self) -> float:
+        """From which Kp on a border of `allowed_gain` is looked for."""
+        return self.first_kp * 10**LOW
+
+    @property
     def highest_kp(self) -> float:
-        """Up to which Kp a border of `allowed_gain` is looked for, of the first row that has one."""
-        return next((x for x in self.kp.tolist() if x > 0), 1.0) * 10**HIGH
+        """Up to which."""
+        return self.first_kp * 10**HIGH
 
     @property
     def even(self) -> bool:

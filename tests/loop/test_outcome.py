@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -243,6 +244,18 @@ def test_allowed_gains_are_those_of_the_border(posture, late):
             assert outcome(EXCAVATOR, posture, late, **gains).loop.stable == word
     else:
         assert all(low > 1 for low, _ in found.gain_intervals)
+
+
+@pytest.mark.parametrize(("kp", "kv"), [(1e5, 1e6), (1e4, 1e8), (2e7, 1e7)])
+def test_stable_gains_below_all_that_were_looked_at_are_not_denied(kp: float, kv: float) -> None:
+    """420 bits tell that with Kv of 10 N m s, less than 1e-4 of the present one, the loop decays."""
+    low = 10.0 / kv
+    assert LateLoop(EXCAVATOR, POSTURE_A, "inverse", [low * kp] * 2, [10.0] * 2, 1 / 200).growth() < 0
+    found = flexopt.outcome(EXCAVATOR, POSTURE_A, loop={"kp": kp, "kv": kv, "rate": 200.0, "drive": "torque"})
+    assert (found.allowed_gain, found.gain_intervals) == (0.0, ())
+    line = next(line for line in repr(found).splitlines() if "allowed gain" in line)
+    looked = [float(x) for x in re.findall(r"from (\S+) to (?:the present )?([^\s)]+)", line) for x in x]
+    assert looked == pytest.approx([1e-4 * kp, kp, 1e-4 * kp, 1e4 * kp], rel=1e-3)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.0031])

@@ -734,6 +734,20 @@ def test_the_worst_of_margins_is_met_at_whatever_corner_it_is() -> None:
     assert best.swing.greatest >= (1 - 1e-9) * 0.1 * max(each.swing for each in outcomes)
 
 
+def test_a_place_without_an_allowed_gain_says_which_gains_were_looked_at() -> None:
+    """With so high gains that lower ones than were looked at are stable; the page says so, too."""
+    posture, loop = (0.9929, -2.6306), {"kp": 1e5, "kv": 1e6, "drive": "torque"}
+    machine = flexopt.load("excavator")
+    found = flexopt.verdict(machine, (0.0, 1.6), base=0.0, posture=posture, loop=loop, members=2, runs=0, starts=1)
+    assert found.places[0].allowed_gain.least == 0.0
+    assert flexopt.outcome(machine, posture, loop=loop | {name: 1e-5 * loop[name] for name in ("kp", "kv")}).decay > 0
+    assert re.findall("none: .*", repr(found)) == [
+        "none: on some ground it decays with no gains that were looked at, from 0.0001 of these up to these, in their "
+        "ratio; lower or higher ones may do"
+    ]
+    assert found.no_gain.capitalize() in found._html()
+
+
 def test_what_is_worse_where_it_moves_is_told() -> None:
     """The word goes by the decay; what else is worse stands beside it, on the page and in the document, too."""
     found = judged("article", loop=ARTICLE, members=2, runs=0)

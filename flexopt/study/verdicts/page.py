@@ -106,6 +106,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "driven": sentence(verdict.driven),
         "rests_beside": sentence(verdict.rests_beside),
         "falls": sentence(verdict.falls),
+        "no_gain": sentence(verdict.no_gain),
         "unseen": sentence(verdict.unseen),
         "weightless": sentence(verdict.weightless),
         "taken": verdict.taken and sentence(f"staying is judged in {verdict.taken}"),

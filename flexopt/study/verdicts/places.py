@@ -29,7 +29,7 @@ def told(value: float, factor: float, unit: str) -> str:
 def allowed(gain: float, unit: str, highest: float) -> str:
     """An allowed gain as text: above the highest one that was looked at where no border was met up to it.
 
-    None where up to the present gain the loop grows with all.
+    None where with all that were looked at up to the present one the loop grows.
     """
     if gain == 0:
         return "none"

@@ -18,7 +18,7 @@ from flexopt.foundation.printing import Printed
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import unseen_told
-from flexopt.loop.outcome import FALLS_AT
+from flexopt.loop.outcome import FALLS_AT, LOW
 from flexopt.loop.settings import CHOSEN, LoopSettings
 from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion
 from flexopt.loop.standard_move import SETTLED
@@ -436,6 +436,16 @@ class Verdict(Pictured, Printed, Result):
         )
 
     @property
+    def no_gain(self) -> str:
+        """What an allowed gain that is none says, a sentence; empty where every row has one."""
+        if all(place.allowed_gain.least != 0 for place in self.rows):
+            return ""
+        looked = f"from {10**LOW:g} of these up to these, in their ratio"
+        return (
+            f"none: on some ground it decays with no gains that were looked at, {looked}; lower or higher ones may do"
+        )
+
+    @property
     def unseen(self) -> str:
         """That the slowest motion of places is none of the controller's, a sentence; empty where it is."""
         names = [place.name for place in self.places if place.unseen]
@@ -544,8 +554,7 @@ class Verdict(Pictured, Printed, Result):
         lines += [f"  {sentence}" for sentence in (self.left_out, self.sought_by, self.unverified) if sentence]
         grows = any(place.decay.least <= 0 for place in rows)
         late = any(math.isnan(place.settling.greatest) and place.decay.least > 0 for place in rows)
-        if any(place.allowed_gain.least == 0 for place in rows):
-            lines.append("  none: on some ground it grows with all gains up to these in their ratio; higher may do")
+        lines += [f"  {self.no_gain}"] if self.no_gain else []
         if grows or late:
             whys = ["there is none, for on some ground it grows"] * grows
             whys += ["where it decays on all, on some it does not settle in a minute"] * (grows and late)
