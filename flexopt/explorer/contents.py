@@ -17,6 +17,7 @@ from flexopt.explorer.meshes import Meshes
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import control_damping
 from flexopt.foundation.rounding import ROUNDING
+from flexopt.loop.outcome import STRAINS
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.spectrum import INVARIANT, OWN, neutral_directions
@@ -36,9 +37,6 @@ TURN, SLIDE = math.pi, 1.0
 # Of the mass of all bodies: the heaviest payload on the slider. Longest dead time on the slider, s.
 PAYLOAD_SHARE, DEAD_TIME_MAX = 0.1, 0.2
 PAYLOAD = "payload.mass"
-# Of a mode's frequency ω, up to which the first order tells what servos and feedback do to it: beyond, it is mostly off
-# by more than a factor of 2.
-STRONG = 0.2
 
 
 def contents(
@@ -74,7 +72,6 @@ def contents(
         "joints": list(machine.joints),
         "joint_units": list(machine.joint_units),
         "unreached": UNREACHED,
-        "strong": STRONG,
         "rounding": ROUNDING,
         "limits": [[x if math.isfinite(x) else None for x in pair] for pair in machine.limits],
         "ranges": [_range(pair, unit) for pair, unit in zip(machine.limits, machine.joint_units, strict=True)],
@@ -145,6 +142,7 @@ def _loop(machine: AnyMachine, settings: LoopSettings, *, gravity: bool) -> dict
         "part_of_sample": PART_OF_SAMPLE,
         "invariant": INVARIANT,
         "own": OWN,
+        "strains": STRAINS,
         "neutral": neutral_directions(motions.structure, plant.n_actuated, settings.kp, settings.ki),
         "excess": plant.n_actuated - plant.n_task,
         "to_q": motions.loop.to_q.ravel(order="F").tolist(),

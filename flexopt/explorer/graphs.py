@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
+from flexopt.loop.lag import lagged_modes
 from flexopt.loop.small_motions import SmallMotions
 from flexopt.plant.singularity import screened
 from flexopt.plant.statics import left_over
@@ -23,7 +24,8 @@ def explorer_functions(measures: Measures, motions: SmallMotions, *, frames: boo
     `skeleton`, `frames`: where the machine is at q. `unloaded`: q at a posture; under the weight `sink`: a step towards
     the static deflection, `held`, about which all others are: `rest`: q; `reach`: r and its derivative by base and
     posture; `reduced`: K_p, M̄ and F of the modes, `screen`, how far from singular (`screened`), and `left_over` of the
-    deflection; `more` besides: follow, D; `own`: M and Jv, for the self-motion; `motions`: the linear loop. `measure`
+    deflection; `more` besides: follow, D; `own`: M and Jv, for the self-motion and what modes have become; `motions`:
+    the linear loop; `first_order`: the decay of its modes to first order, see `LaggedModes.of_known`. `measure`
     and `symmetric`: w_i of f, whose first columns are the mode, and what its eigenvectors `vectors` are of.
     """
     plant, expansion, g = measures.plant, measures.expansion, measures.plant.graph
@@ -37,9 +39,12 @@ def explorer_functions(measures: Measures, motions: SmallMotions, *, frames: boo
         "own": {"M": point.mass, "Jv": point.rigid_jacobian},
     }  # fmt: skip
     at, names = [*measures.inputs, expansion.held_parts["deflection"]], ["base", "posture", "p", "held"]
-    found = {"skeleton": plant.skeleton, "unloaded": plant.rest, "motions": motions.matrices} | {
-        name: _function(name, at, names, outputs) for name, outputs in about.items()
-    }
+    found = {
+        "skeleton": plant.skeleton,
+        "unloaded": plant.rest,
+        "motions": motions.matrices,
+        "first_order": lagged_modes(motions).of_known,
+    } | {name: _function(name, at, names, outputs) for name, outputs in about.items()}
     if measures.gravity:
         found["sink"] = plant.static_step
     if frames:

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.small_motions import BY, DEAD_TIME, INPUTS, SmallMotions
+from flexopt.loop.small_motions import BY, CONFIGURATION, DEAD_TIME, INPUTS, SmallMotions
 from flexopt.plant.control import task_to_joints_transposed
 from flexopt.robustness.evaluation import unreached
 from flexopt.robustness.measures import Measures, build_measures
@@ -58,26 +58,15 @@ class LaggedModes:
 
     @cached_property
     def _graphs(self) -> dict[str, ca.SX]:
-        s, modal, plant = self._symbols, ModalGraphs(self.measures.expansion), self.motions.plant
-        (a, b), omega, gain = modal.factors, modal.omega, s["servo_gain"] if self.motions.served else 1
-        kp, kv, ki = (gain * s[name] for name in ("kp", "kv", "ki"))
+        modal, plant = ModalGraphs(self.measures.expansion), self.motions.plant
+        (a, b), omega, jacobian = modal.factors, modal.omega, modal.expansion.point.rigid_jacobian
         lags, decays = list[ca.SX](), list[ca.SX]()
         for i in range(plant.n_passive):
-            w = omega[i]
-            behind, size = self._behind(w)
-            servo = self._servo(w)
-            joints = modal.shapes[plant.n_passive :, i]
-            into = [
-                task_to_joints_transposed(modal.expansion.point.rigid_jacobian, self.motions.control, part * joints)
-                for part in servo
-            ]
-            # Kp + jω Kv + Ki / (jω)
-            law = kp, kv * w - (ki / w if self.motions.integral else 0)
-            late = size * ca.cos(behind), -size * ca.sin(behind)
-            _, imaginary = _product(_dot(into, _times(law, a[:, i])), late)
-            decays.append(modal.zeta[i] * w + imaginary / (2 * w))
-            mean = [ca.sum(x) / plant.n_task for x in (kp, law[1])]
-            lags.append(behind + ca.atan2(*mean) + ca.sum(ca.atan2(-servo[1], servo[0])) / plant.n_actuated)
+            w, (real, imaginary) = omega[i], self._servo(omega[i])
+            decays.append(self._decay(modal.zeta[i] * w, w, a[:, i], modal.shapes[plant.n_passive :, i], jacobian))
+            mean = [ca.sum(x) / plant.n_task for x in self._law(w)]
+            drives = ca.sum(ca.atan2(-imaginary, real)) / plant.n_actuated
+            lags.append(self._behind(w)[0] + ca.atan2(*mean) + drives)
         lag = ca.vertcat(*lags)
         product, lengths = ca.sum1(a * b).T, (ca.sum1(a**2) * ca.sum1(b**2)).T
         wrapped = ca.fabs(lag - math.tau * ca.floor(lag / math.tau + 0.5))
@@ -87,6 +76,36 @@ class LaggedModes:
             turned = product * ca.cos(lag) - ca.sqrt(lengths - (product * ca.sin(lag)) ** 2)
         values = (modal.allowance, modal.allowance_isotropic, lag, reserve, ca.vertcat(*decays), turned)
         return dict(zip(self.NAMES, values, strict=True))
+
+    def _law(self, w: ca.SX) -> RealImaginary:
+        """Kp + jω Kv + Ki / (jω), (r,) each."""
+        s, gain = self._symbols, self._symbols["servo_gain"] if self.motions.served else 1
+        kp, kv, ki = (gain * s[name] for name in ("kp", "kv", "ki"))
+        return kp, kv * w - (ki / w if self.motions.integral else 0)
+
+    def _decay(self, own: ca.SX, w: ca.SX, a: ca.SX, joints: ca.SX, jacobian: ca.SX) -> ca.SX:
+        """To first order, of a mode that by itself decays at `own`; `joints`: their part of φ."""
+        behind, size = self._behind(w)
+        into = [task_to_joints_transposed(jacobian, self.motions.control, part * joints) for part in self._servo(w)]
+        late = size * ca.cos(behind), -size * ca.sin(behind)
+        _, imaginary = _product(_dot(into, _times(self._law(w), a)), late)
+        return own + imaginary / (2 * w)
+
+    @cached_property
+    def of_known(self) -> ca.Function:
+        """(own, omega (m,), a (r, m), joints (n, m), Jv, gains, drives, period, dead_time) -> `first_order_decay`.
+
+        Of modes that are known: own ζ_i ω_i, with the joints' velocity servos, and the joints' part of φ_i.
+        """
+        plant = self.motions.plant
+        m, r, n = plant.n_passive, plant.n_task, plant.n_actuated
+        shapes = {"own": (m, 1), "omega": (m, 1), "a": (r, m), "joints": (n, m), "Jv": (r, n)}
+        of = {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
+        decays = [
+            self._decay(of["own"][i], of["omega"][i], of["a"][:, i], of["joints"][:, i], of["Jv"]) for i in range(m)
+        ]
+        given = of | {name: x for name, x in self._symbols.items() if name not in CONFIGURATION}
+        return ca.Function("of_known", [*given.values()], [ca.vertcat(*decays)], [*given], ["first_order_decay"])
 
     def _behind(self, w: ca.SX) -> tuple[ca.SX, ca.SX]:
         """By which angle dead time, hold and filter are behind, and what they leave of the size."""

@@ -7,6 +7,7 @@ import math
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -40,6 +41,61 @@ def test_the_gain_from_which_a_mode_grows_is_pythons(name: str, posture: list[fl
     found = [math.inf if kappa is None else kappa for kappa in json.loads(done.stdout)]
     assert math.inf > min(found)
     np.testing.assert_allclose(found, known.allowance_isotropic, rtol=1e-9)
+
+
+TORQUES = {"drive": "torque", "kp": 2e5, "kv": 3e4, "rate": 200.0}
+SERVED = {"drive": "velocity", "kp": 1.0, "kv": 0.01, "rate": 100.0}
+
+
+@pytest.mark.needs("node")
+@pytest.mark.parametrize("gravity", [False, True])
+@pytest.mark.parametrize(
+    ("name", "loop"),
+    [
+        ("excavator", TORQUES),
+        ("excavator", TORQUES | {"dead_time": 0.005, "filter_hz": 20.0, "bandwidth_hz": 5.0, "feedback": "pid", "ki": 10}),
+        ("excavator", SERVED | {"servo_gain": 1e5, "dead_time": 0.033}),
+        ("excavator", SERVED | {"servo_gain": 1e8}),
+        ("boom-stick-bucket", TORQUES | {"dead_time": 0.0123}),
+        pytest.param("slewing-excavator", TORQUES, marks=pytest.mark.long),
+        pytest.param("slewing-excavator", SERVED | {"servo_gain": 1e6, "dead_time": 0.03}, marks=pytest.mark.long),
+    ],
+)  # fmt: skip
+def test_what_modes_have_become_is_pythons(name: str, loop: dict[str, Any], gravity: bool) -> None:
+    """The decay of each, to first order and exactly, and where the first order fails."""
+    machine = flexopt.load(name)
+    explorer = flexopt.explore(machine, POSTURE if name == "excavator" else None, loop=loop, gravity=gravity)
+    base, posture = explorer.configurations["present"]
+    known = flexopt.outcome(machine, posture, base=base, loop=loop, gravity=gravity)
+    at = json.dumps([base.tolist(), posture.tolist()])
+    text = f"{model_script(explorer.page)}\nconst at = {at}.map((x) => Float64Array.from(x));\n"
+    text += "const model = new Model(DATA, GRAPHS), loop = new Loop(model), modes = model.modes(...at);\n"
+    text += "const numbers = { ...DATA.loop.numbers, dead_time: DATA.loop.dead_time };\n"
+    text += "const verdict = loop.verdict(...at, numbers), found = loop.ofModes(...at, numbers, modes, verdict);\n"
+    text += "console.log(JSON.stringify(found));"
+    done = subprocess.run(["node", "-"], input=text, capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)
+    assert [each["fails"] for each in found] == known.first_order_fails.tolist()
+    for key, values in (("first", known.first_order_decay), ("decay", known.mode_decay)):
+        numbers = np.array([math.nan if each[key] is None else each[key] for each in found])
+        # Rates are logarithms of eigenvalues near 1.
+        np.testing.assert_allclose(numbers, values, rtol=1e-8, atol=known.decay_rounding)
+
+
+@pytest.mark.needs("node")
+def test_an_assignment_is_scipys() -> None:
+    """Rows fewer and more than columns, and none."""
+    rng = np.random.default_rng(5)
+    values = [
+        rng.uniform(size=(rows, columns)) for rows in (1, 3, 6) for columns in (0, 1, 2, 5, 6, 15) for _ in range(5)
+    ]
+    asked = json.dumps([[each.ravel().tolist(), *each.shape] for each in values])
+    script = model_script(explored("excavator")[1].page)
+    text = f"{script}\nconsole.log(JSON.stringify({asked}.map((each) => Linear.assignment(...each))));"
+    done = subprocess.run(["node", "-"], input=text, capture_output=True, text=True, check=True)
+    for each, found in zip(values, json.loads(done.stdout), strict=True):
+        pairs = [(i, j) for i, j in enumerate(found) if j >= 0]
+        assert pairs == list(zip(*(x.tolist() for x in linear_sum_assignment(-each)), strict=True))
 
 
 @pytest.mark.long

@@ -406,19 +406,34 @@ def test_a_machine_of_one_joint_has_no_map(chromium: Browser, pages: Path) -> No
         assert not any(words in text for words in ("Map", "colour", "robust"))
 
 
-@pytest.mark.parametrize(("servo_gain", "strong"), [(2e6, True), (2e2, False)])
-def test_a_bound_of_first_order_is_doubted_where_servos_are_strong(
-    servo_gain: float, strong: bool, chromium: Browser, pages: Path
+@pytest.mark.parametrize(
+    ("loop", "posture", "doubted"),
+    [
+        ({"drive": "velocity", "kp": 0.3, "kv": 1e-3, "servo_gain": 2e6}, POSTURE, 3),
+        ({"drive": "velocity", "kp": 0.3, "kv": 1e-3, "servo_gain": 2e2}, POSTURE, 0),
+        ({"kp": 1e4, "kv": 1e3}, POSTURE, 1),
+        ({"kp": 70386.7179, "kv": 3158.629}, [0.3701, -0.3191], 1),
+        ({"kp": 818583.253, "kv": 2288.127}, [-0.2891049, -0.8456419], 2),
+        ({"kp": 192491.853, "kv": 84588.883}, [-0.0638161, -1.0109142], 3),
+    ],
+)
+def test_a_word_of_first_order_is_doubted_where_the_loop_does_otherwise(
+    loop: dict[str, Any], posture: list[float], doubted: int, chromium: Browser, pages: Path
 ) -> None:
-    """As the doubt of `flexopt.outcome` is, which knows what has become of each mode."""
-    machine, loop = flexopt.load("excavator"), {"drive": "velocity", "kp": 0.3, "kv": 1e-3, "servo_gain": servo_gain}
-    found = flexopt.outcome(machine, POSTURE, loop=loop)
-    excited = np.isfinite(found.allowance_isotropic)
-    assert (found.first_order_fails[excited] == strong).all()
-    with opened(chromium, flexopt.explore(machine, POSTURE, loop=loop), pages) as page:
-        told = page.locator("#modes tbody").inner_text()
-        assert told.count("grows if g Kv") == excited.sum() > 0
-        assert told.count("too strong for this first order") == strong * excited.sum()
+    """As `flexopt.outcome` doubts it, whatever serves the joints, and where the exact decay has another sign."""
+    machine = flexopt.load("excavator")
+    found = flexopt.outcome(machine, posture, loop=loop)
+    with opened(chromium, flexopt.explore(machine, posture, loop=loop), pages) as page:
+        told = page.locator("#modes tbody tr").all_inner_texts()
+    doubts = np.array(["for this first order" in text for text in told])
+    grows = np.array(["▲ grows" in text for text in told])
+    assert doubts.tolist() == (found.first_order_fails | (grows != (found.mode_decay < 0))).tolist()
+    assert doubts.sum() == doubted
+    for text, decay in zip(told, found.mode_decay, strict=True):
+        for word, rate in re.findall(r"in the sampled loop it (\w+) at (\S+) /s", text):
+            assert word == ("decays" if decay > 0 else "grows")
+            # Three digits are shown.
+            assert as_number(rate) == pytest.approx(abs(decay), rel=5e-3)
 
 
 @pytest.mark.long

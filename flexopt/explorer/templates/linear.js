@@ -277,11 +277,15 @@ const Linear = {
   },
 
   // A unit x of (A − μ) x = 0: its real parts, then its imaginary ones.
-  eigenvector(A, n, re, im) {
-    const size = im === 0 ? n : 2 * n, M = new Float64Array(size * size), shift = re * (1 + 1e-14);
+  eigenvector(A, n, re, im) { return this.nullVector(A, n, () => [re, im]); },
+
+  // The like of (A − diag d) x = 0, d(j) = [real, imaginary].
+  nullVector(A, n, d) {
+    const size = d(0)[1] === 0 ? n : 2 * n, M = new Float64Array(size * size);
     for (let j = 0; j < n; j++) {
+      const [re, im] = d(j);
       for (let i = 0; i < n; i++) {
-        M[i + j * size] = A[i + j * n] - (i === j ? shift : 0);
+        M[i + j * size] = A[i + j * n] - (i === j ? re * (1 + 1e-14) : 0);
         if (size > n) M[n + i + (n + j) * size] = M[i + j * size];
       }
       if (size > n) { M[j + (n + j) * size] = im; M[n + j + j * size] = -im; }
@@ -295,6 +299,37 @@ const Linear = {
     const whole = new Float64Array(2 * n);
     whole.set(x);
     return whole;
+  },
+
+  // To each row another column so that the values (rows × columns, row by row) sum up to the most; −1: none is left.
+  // Source: Kuhn's method by shortest ways, Burkard, Dell'Amico and Martello, Assignment Problems, 2009, 4.4.
+  assignment(values, rows, columns) {
+    const width = Math.max(rows, columns), cost = (i, j) => (j < columns ? -values[i * columns + j] : 0);
+    const u = new Float64Array(rows + 1), v = new Float64Array(width + 1), owner = new Array(width + 1).fill(rows);
+    for (let row = 0; row < rows; row++) {
+      const least = new Array(width).fill(Infinity), before = new Array(width), used = new Array(width + 1).fill(false);
+      let at = width;
+      owner[width] = row;
+      do {
+        used[at] = true;
+        let next = -1;
+        for (let j = 0; j < width; j++) {
+          if (used[j]) continue;
+          const left = cost(owner[at], j) - u[owner[at]] - v[j];
+          if (left < least[j]) { least[j] = left; before[j] = at; }
+          if (next < 0 || least[j] < least[next]) next = j;
+        }
+        const step = least[next];
+        for (let j = 0; j <= width; j++) {
+          if (used[j]) { u[owner[j]] += step; v[j] -= step; } else least[j] -= step;
+        }
+        at = next;
+      } while (owner[at] !== rows);
+      for (; at !== width; at = before[at]) owner[at] = owner[before[at]];
+    }
+    const found = new Array(rows).fill(-1);
+    for (let j = 0; j < columns; j++) if (owner[j] < rows) found[owner[j]] = j;
+    return found;
   },
 
   hessenbergEigenvalues(R, I, n) {

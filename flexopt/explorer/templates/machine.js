@@ -150,7 +150,7 @@ class Model {
       let alone = true;
       for (let k = 0; k < m; k++) alone = alone && (k === i || !this.together(i, k));
       return {
-        omega, hz: omega / (2 * Math.PI), zeta: damping / (2 * omega), w: c.w[i], a, b, dot, size, shape, alone,
+        omega, hz: omega / (2 * Math.PI), zeta: damping / (2 * omega), own: served / 2, w: c.w[i], a, b, dot, size, shape, alone,
         kappa: dot < 0 ? served / -dot : Infinity,
         angle: Math.acos(Math.max(-1, Math.min(1, dot / size))),
       };
@@ -211,7 +211,8 @@ class Model {
 class Loop {
   constructor(model) { this.model = model; this.data = model.data.loop; }
 
-  // One sample's Φ of x = [s, law, forces on their way], and how many states s has.
+  // One sample's Φ of x = [s, law, forces on their way], how many states s and the law have, forces there are, and samples
+  // they are on their way.
   sample(base, posture, numbers) {
     const { graphs, p, data } = this.model, { run, inputs, outputs } = graphs.motions;
     const given = { base, posture, p, held: this.model.deflection(base, posture), period: [this.data.period], ...this.data.numbers, ...numbers };
@@ -239,7 +240,7 @@ class Loop {
     else into.put(0, 0, push.times(spread));
     F.put(0, 0, drawn.times(ofState)).put(0, n, force.columns(0, k));
     if (oldest) F.put(0, n + k, drawn.times(ofForce));
-    return { matrix: open.plus(into.times(F)), n: data.coordinates.length };
+    return { matrix: open.plus(into.times(F)), states: n + k, r, waiting };
   }
 
   waiting(deadTime) {
@@ -248,11 +249,11 @@ class Loop {
     return [Math.floor(samples) + 1, deadTime - Math.floor(samples) * this.data.period];
   }
 
-  // Decay of the slowest motion, 1/s, its frequency, and what nearer to zero is neither growth nor decay. `rough`: to the
-  // digits that a colour shows.
+  // Decay of the slowest motion, 1/s, its frequency, and what nearer to zero is neither growth nor decay; the sample and its
+  // multipliers. `rough`: to the digits that a colour shows.
   verdict(base, posture, numbers, rough = false) {
-    const { matrix } = this.sample(base, posture, numbers), T = this.data.period, size = matrix.m;
-    if (!matrix.a.every(isFinite)) return { decay: -Infinity, hz: NaN, rounding: 0, drift: [] };
+    const sample = this.sample(base, posture, numbers), { matrix } = sample, T = this.data.period, size = matrix.m;
+    if (!matrix.a.every(isFinite)) return { decay: -Infinity, hz: NaN, rounding: 0, drift: [], sample, values: [] };
     const { matrix: balanced, scale } = Linear.balance(matrix.a, size);
     let M = new Matrix(size, size, balanced), U = new Matrix(size, size, Linear.identity(size)), most = this.data.neutral;
     for (let round = 0; round < 2 && most; round++) {
@@ -276,8 +277,56 @@ class Loop {
     const slowest = rough ? found : Linear.refined(balanced, size, found);
     return {
       decay: -Math.log(Math.hypot(...slowest)) / T, hz: Math.abs(Math.atan2(slowest[1], slowest[0])) / (2 * Math.PI * T),
-      rounding: 10 * size * 2.220446049250313e-16 * Math.hypot(...balanced) / T, drift,
+      rounding: 10 * size * 2.220446049250313e-16 * Math.hypot(...balanced) / T, drift, sample, values,
     };
+  }
+
+  // Of each mode its decay in the sampled loop, 1/s, NaN where no oscillation is left of it, to first order under the late
+  // feedback, NaN of one that shares its frequency, and whether that fails: flexopt's LoopPoint.poles, LaggedModes and
+  // Outcome.first_order_fails.
+  ofModes(base, posture, numbers, modes, verdict) {
+    const { M, Jv } = this.model.about("own", base, posture), exact = this.modeDecays(modes, verdict, M), { rounding } = verdict;
+    const all = (part) => Float64Array.from(modes.flatMap(part)), { run, inputs } = this.model.graphs.first_order;
+    const given = {
+      own: all((x) => x.own), omega: all((x) => x.omega), a: all((x) => x.a), joints: all((x) => [...x.shape.subarray(this.model.m)]),
+      Jv, period: [this.data.period], ...this.data.numbers, ...numbers, dead_time: [numbers.dead_time],
+    };
+    const found = run(inputs.map(([name, size]) => given[name] ?? new Float64Array(size))).first_order_decay;
+    return modes.map(({ alone }, i) => {
+      const first = alone ? found[i] : NaN, decay = exact[i];
+      const off = Math.abs(first - decay) > Math.min(Math.abs(first), Math.abs(decay)) + rounding;
+      return { first, decay, fails: off || (isNaN(decay) && isFinite(first)) };
+    });
+  }
+
+  // Of the oscillations to which modes are given so that the shares of the modes' springs in their energy sum up to the most.
+  modeDecays(modes, { sample: { matrix, states, r, waiting }, values }, M) {
+    const T = this.data.period, strains = this.data.strains, q = this.model.m + this.model.n;
+    // Of the forces on their way the oldest alone: after `waiting` samples each is the newest.
+    const size = states + (waiting ? r : 0), held = new Matrix(size, size).put(0, 0, matrix.block(0, 0, states, size));
+    if (waiting) held.put(states, 0, matrix.block(matrix.m - r, 0, r, size));
+    const { matrix: balanced, scale } = Linear.balance(held.a, size);
+    const toQ = new Matrix(q, q, Float64Array.from(this.data.to_q)), mass = new Matrix(q, q, M.slice());
+    const shapes = new Matrix(q, modes.length, Float64Array.from(modes.flatMap((x) => [...x.shape])));
+    const poles = values.filter(([x, y]) => y > 0 || (y === 0 && x < 0)).map(([x, y]) => {
+      const size = Math.log(Math.hypot(x, y)), angle = Math.atan2(y, x);
+      return { x, y, decay: -size / T, speed: Math.hypot(size, angle) / T, late: [Math.exp(waiting * size), waiting * angle] };
+    });
+    // Of a faster one no springs have their share: it is at most ω²/(ω² + |s|²).
+    const slow = poles.filter(({ speed }) => speed < Math.max(...modes.map((x) => x.omega)) / Math.sqrt(strains));
+    const shares = slow.flatMap(({ x, y, speed, late: [far, turn] }) => {
+      const late = y === 0 ? [far * Math.cos(turn), 0] : [far * Math.cos(turn), far * Math.sin(turn)];
+      const v = Linear.nullVector(balanced, size, (j) => (j < states ? [x, y] : late));
+      const parts = [0, size].map((at) => toQ.times(new Matrix(q, 1, v.slice(at, at + q).map((z, k) => z * scale[k]))));
+      const moved = parts.map((part) => mass.times(part)), along = moved.map((part) => shapes.T.times(part).a);
+      const moving = speed ** 2 * parts.reduce((sum, part, k) => sum + part.T.times(moved[k]).a[0], 0);
+      const strained = modes.map(({ omega }, i) => omega ** 2 * (along[0][i] ** 2 + along[1][i] ** 2));
+      const whole = strained.reduce((sum, x) => sum + x, moving);
+      return strained.map((x) => x / Math.max(whole, Number.MIN_VALUE));
+    });
+    const share = (i, j) => shares[j * modes.length + i];
+    const ordered = modes.flatMap((_, i) => slow.map((_, j) => share(i, j)));
+    return Linear.assignment(ordered, modes.length, slow.length).map((j, i) => (j >= 0 && share(i, j) > strains ? slow[j].decay : NaN));
   }
 
   // Which eigenvalues belong to an arm that drifts along its self-motion: real ones, and its the kinetic energy. Pairs are

@@ -399,6 +399,7 @@ class Explorer extends Pictures {
   judge() {
     const begun = performance.now();
     this.verdict = this.modes && this.loop.verdict(this.base, this.posture, this.gains);
+    this.become = this.modes && this.loop.ofModes(this.base, this.posture, this.gains, this.modes, this.verdict);
     this.log.verdict = performance.now() - begun;
   }
 
@@ -431,7 +432,7 @@ class Explorer extends Pictures {
       const cells = Array.from(row.cells);
       row.classList.toggle("chosen", i === this.mode);
       if (!modes) { cells.slice(1).forEach((cell) => { cell.textContent = "–"; }); return; }
-      const { hz, w, size, angle, dot, kappa, alone, omega } = modes[i];
+      const { hz, w, size, angle, dot, kappa, alone } = modes[i], { decay, fails } = this.become[i];
       if (this.unreached(i)) {
         [digits(hz), "–", "–", "–"].forEach((text, k) => { cells[k + 2].textContent = text; });
         cells[1].textContent = "does not move the end-point, or is not driven";
@@ -442,13 +443,14 @@ class Explorer extends Pictures {
       numbers.forEach((text, k) => { cells[k + 2].textContent = text; });
       const { drive, numbers: { servo_gain: served } } = this.data.loop, torque = drive === "torque";
       const each = torque ? 1 : served[0], gain = torque ? "Kv" : "g Kv", level = each * Math.max(...this.gains.kv);
-      // What servos and feedback do to the mode to first order, as shares of ω.
-      const strength = -dot * ((kappa + level) / (2 * omega) + each * Math.max(...this.gains.kp) / (2 * omega ** 2));
-      const doubt = strength > this.data.strong ? " – servos or feedback are too strong for this first order, which tells little: the sampled loop above counts" : "";
       const excited = dot < 0, state = !excited ? "settles" : level > kappa ? "grows" : "excited";
       const mark = { grows: "▲ grows", excited: "△ excited", settles: "▼ settles" }[state];
-      const bound = kappa > 0 ? `grows if ${gain} > κ<sub>iso</sub> = ${digits(kappa)}; it is ${digits(level)}${doubt}` : "at any Kv > 0";
-      cells[1].innerHTML = `<span class="word ${state}">${mark}</span><span class="kappa">${excited ? bound : ""}</span>`;
+      const bound = kappa > 0 ? `grows if ${gain} > κ<sub>iso</sub> = ${digits(kappa)}; it is ${digits(level)}` : "at any Kv > 0";
+      // This word leaves Kp and lag out, so that it may say the other thing where the first order with these does not fail.
+      const other = Math.abs(decay) > verdict.rounding && (decay < 0) !== (state === "grows");
+      const does = isNaN(decay) ? "no oscillation is left of it" : `it ${decay > 0 ? "decays" : "grows"} at ${digits(Math.abs(decay))} /s`;
+      const doubt = (fails || other || isNaN(decay)) && `feedback, servos or dampers are too strong or late for this first order: in the sampled loop ${does}`;
+      cells[1].innerHTML = `<span class="word ${state}">${mark}</span><span class="kappa">${[excited && bound, doubt].filter(Boolean).join(" – ")}</span>`;
     });
     this.putBase.forEach((put, k) => put(this.base[k]));
     this.putJoints.forEach((put, k) => put(this.posture[k]));
