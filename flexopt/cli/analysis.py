@@ -52,6 +52,7 @@ from flexopt.foundation.documents import json_ready
 from flexopt.foundation.writing import write_file
 from flexopt.model import load, load_any
 from flexopt.model.choices import OUTCOMES, asks_for_loop
+from flexopt.model.loop import Loop, control_of, under_control
 from flexopt.robustness import evaluate
 
 if TYPE_CHECKING:
@@ -293,6 +294,11 @@ def _refuse_early(settings: dict[str, Any], judged: dict[str, tuple[str, ...]], 
         if asked is not None:
             TABLE[name](arguments, name, asked)
     arguments.done()
+    real = _loop(own, judged["loop"])
+    # Of a choice that a verdict follows; else no loop is looked at.
+    if real is not None and settings.get("base") is not None and not by_loop:
+        loop, machine = Loop.model_validate(real), settings["machine"]
+        under_control(loop, machine, control_of(settings.get("control"), loop, machine), "select")
 
 
 def _is_judged(

@@ -192,10 +192,12 @@ def broken_held(
         off = -value.least_room / row.scale
         if off > BROKEN and not row.corner and not UNASKED.search(row.name):
             found[row.name] = max(found.get(row.name, (off, value)), (off, value), key=lambda each: each[0])
-    z = np.append(base, posture)
-    for (name, value), each in zip(_asked_of_variables(problem, z).items(), problem.variables, strict=False):
-        if -value.room > BROKEN * each.scale:
-            found[name] = -value.room / each.scale, value
+    scales = dict(zip(_names_of_bounds(problem), (each.scale for each in problem.variables), strict=True))
+    for name, value in _asked_of_variables(problem, np.append(base, posture)).items():
+        off = -value.room / scales[name]
+        # How the arm is held does not move the base.
+        if off > BROKEN and not name.startswith(BASE_RANGE):
+            found[name] = off, value
     return found
 
 

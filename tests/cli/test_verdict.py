@@ -36,9 +36,16 @@ def test_places_are_sought_under_the_control_of_the_loop_that_is_given(command: 
         assert command(*words, *transpose).document["settings"]["control"] == "transpose"
     for words in (("select", "own.toml"), ("select", "excavator", *at, "--starts", "1")):
         assert command(*words, *transpose).document["problem"]["control"] == "transpose"
-    refused = command("verdict", "other.toml", *few, *transpose)
-    assert refused.code == 2
-    assert "control = 'transpose': is not the control that is asked for, inverse" in refused.message
+    # A choice that could not be judged is not sought either.
+    for words in (
+        ("verdict", "other.toml", *few),
+        ("select", "other.toml"),
+        ("select", "excavator", *at, "--control", "inverse"),
+    ):
+        refused = command(*words, *transpose)
+        assert refused.code == 2
+        assert "control = 'transpose': is not the control that is asked for, inverse" in refused.message
+        assert "best" not in refused.document
     (command.folder / "other.toml").write_text(
         f'{OWN}base = [0.0]\ncontrol = "inverse"\n[loop]\ncontrol = "transpose"\n', encoding="utf-8"
     )

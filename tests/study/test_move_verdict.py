@@ -1561,6 +1561,13 @@ def test_what_a_place_breaks_where_feedback_holds_it_beside_its_target_is_told()
         found.selection, loop=loop | {"feedback": "pid", "ki": 0.2}, ranges=loads, members=2, runs=0
     )  # fmt: skip
     assert integral.places[0].breaks_at_rest == ""
+    # Where the base stands is not of how the arm is held.
+    elsewhere = few | {"base_range": {"x": (0.5, 1.5)}, "starts": 2}
+    outside = flexopt.verdict(
+        flexopt.select(machine, target, **elsewhere), loop=loop, ranges=loads, members=2, runs=0
+    ).places[0]
+    assert outside.rests_off > 0.01
+    assert outside.breaks_at_rest == ""
     # Where other places keep it, the machine is sent to one of these.
     wide = {"tool_angle": (-3.0, own.value + 1e-3)}
     others = flexopt.select(machine, target, constraints=wide, **few | {"starts": 4})

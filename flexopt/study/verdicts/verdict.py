@@ -457,13 +457,14 @@ def _tries(asked: Loop, stay: Place | None, others: Sequence[Place], unconfirmed
 
 def _with_alternates(decision: Decision, loops: Mapping[str, PlaceLoops], slowest: Mapping[str, Slowest]) -> Decision:
     """The decision, with why the present loop grows where it changes its sign at every sample."""
-    if decision.word not in ("change gains", "cannot tell"):
+    asked = slowest if decision.word in ("change gains", "cannot tell") else {}
+    why = {name: told for name, at in asked.items() if (told := _alternates(loops[name].loops[at.target], at))}
+    if not why:
         return decision
-    why = {name: told for name, at in slowest.items() if (told := _alternates(loops[name].loops[at.target], at))}
     # In all places it has one cause, as a rule.
     where = "" if len(why) == len(slowest) else f" at {listed(map(spoken, why))}"
-    told = [f"with the present gains it grows{where} at {next(iter(why.values()))}"] if why else []
-    return replace(decision, reason="; ".join([decision.reason, *told]))
+    told = f"with the present gains it grows{where} at {next(iter(why.values()))}"
+    return replace(decision, reason=f"{decision.reason}; {told}")
 
 
 def _alternates(loop: UncertainLoop, slowest: Slowest) -> str:
