@@ -18,6 +18,7 @@ import numpy as np
 from flexopt.errors import ExportError, Fault, FlexoptWarning, InputError, raise_if_any
 from flexopt.export.context import LIMIT_ALLOWANCE_DEG, LIMIT_ALLOWANCE_M, build_context
 from flexopt.export.kernels import Real, Unsupported
+from flexopt.export.naming import PREFIX_MAX, TAKEN_PREFIXES, prefix_of
 from flexopt.export.operations import TOLERANCES, Field
 from flexopt.export.parts import LOOP, PARTS
 from flexopt.export.project import Project
@@ -27,7 +28,6 @@ from flexopt.foundation.arrays import BaseLike, Document, PostureLike
 from flexopt.foundation.boundary import by, number, public, words
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import json_ready, provenance
-from flexopt.foundation.escapes import c_identifier
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import several
 from flexopt.foundation.results import Result
@@ -44,7 +44,6 @@ REALS: tuple[Real, ...] = ("double", "float")
 SINGULARITY_MARGIN_DEG = 1.0
 # Below this share of accepted inputs an export says so.
 FULL = 0.995
-PREFIX_MAX = 31
 # What is told of a loop, from its `Outcome`.
 JUDGED = ("decay", "frequency_hz", "allowed_gain", "delay_margin", "disk_margin")
 COMPILE_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
@@ -125,8 +124,10 @@ def _check_parts(value: Any) -> tuple[str, ...]:
 
 
 def _check_prefix(value: Any) -> str:
-    if not isinstance(value, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", value):
+    if not isinstance(value, str) or len(value) > PREFIX_MAX or not re.fullmatch(r"[a-z][a-z0-9_]*", value):
         raise ValueError("must be a C name in lower case: a letter, then up to 30 letters, digits or underscores")
+    if value in TAKEN_PREFIXES:
+        raise ValueError("would make names that C has for other things already; choose another")
     return value
 
 
@@ -211,7 +212,8 @@ def export_c(
         limit_allowance_deg, limit_allowance_m: how far measured hinges and slides may lie beyond their limits, degrees
             and m: outputs then come with the warning `BEYOND_LIMIT`, and farther out the call is refused. The defaults
             are above what sensors are calibrated to and end stops give, and below what a broken sensor shows.
-        prefix: of every C name; from the machine's name by default.
+        prefix: of every C name; from the machine's name by default, after `machine_` where it alone would make names
+            that C or the bundle has already, such as `R_OK`.
         overwrite: replace a bundle of which files were changed by hand, too.
         loop: the real controller, as of `flexopt.outcome`; the bundle then has the part `loop`, one sample of it with
             its filter, integral and limits, whose numbers are constants, and README.md says what it does. With a
@@ -229,7 +231,7 @@ def export_c(
         True
     """
     loop = cast("Loop | None", _asked_loop(machine, loop, posture))
-    prefix = c_identifier(machine.name)[:PREFIX_MAX].rstrip("_") if prefix is None else prefix
+    prefix = prefix_of(machine.name) if prefix is None else prefix
     left_out = {} if parts is not None else _left_out(machine, tuple(PARTS)) | _without_loop(loop)
     asked = PARTS if parts is None else parts
     asked = {*asked, LOOP} if loop is not None else set(asked) - {LOOP}

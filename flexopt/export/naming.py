@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from flexopt.export.kernels import Real, single_constant
@@ -12,17 +11,28 @@ from flexopt.foundation.escapes import c_identifier, c_text
 from flexopt.foundation.rendering import render
 
 WIDTH = 118
+PREFIX_MAX = 31
+# Prefixes that make public names of names that the bundle's own sources or POSIX's headers have: `call_kinematics`,
+# `N_PARAMETERS`, `R_OK`.
+TAKEN_PREFIXES = frozenset({"bad", "call", "f", "kernel", "n", "null", "r", "si", "w", "x"})
 
 
-def constants(names: Sequence[str]) -> list[str]:
-    """Different names in upper case; what would coincide is numbered."""
-    found: list[str] = []
+def prefix_of(name: str) -> str:
+    """The prefix of a machine's public names."""
+    word = c_identifier(name)
+    return (f"machine_{word}" if word in TAKEN_PREFIXES else word)[:PREFIX_MAX].rstrip("_")
+
+
+def constants(names: Sequence[str], taken: Iterable[str] = ()) -> list[str]:
+    """Different names in upper case; what would coincide, with another or with one that is taken, is numbered."""
+    found, used = list[str](), set(taken)
     for name in names:
-        word, count = re.sub(r"[^A-Z0-9]+", "_", c_identifier(name).upper()), 2
+        word, count = c_identifier(name).upper(), 2
         unique = word
-        while unique in found:
+        while unique in used:
             unique, count = f"{word}_{count}", count + 1
         found.append(unique)
+        used.add(unique)
     return found
 
 

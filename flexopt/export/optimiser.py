@@ -146,8 +146,14 @@ def build_optimiser(at: Context, prefix: str, real: Real) -> OptimiserSources:
     }
     enough = f"{TOLERANCES[real][1]:g}"
     statuses = {name: (value, text.format(enough=enough)) for name, (value, text) in STATUSES.items()}
+
+    def header(indices: Sequence[str]) -> str:
+        return writer.render("optimiser.h", statuses=statuses, first_failure=FIRST_FAILURE, indices=indices, **values)
+
+    # Indices share their prefix with all else in the header.
+    taken = re.findall(rf"\b{values['P']}_(\w+)", header(()))
     return OptimiserSources(
-        header=writer.render("optimiser.h", statuses=statuses, first_failure=FIRST_FAILURE, **values),
+        header=header(constants(at.choice, taken)),
         configuration=writer.render("optimiser_config.h", statuses=statuses, kernels=text.text, **values),
         workspace_size=f"{values['P']}_WORKSPACE_SIZE",
         kernels=kernels,
@@ -220,7 +226,6 @@ def _values(at: Context, kernels: OptimiserKernels, texts: Mapping[str, Kernel])
             "machine": machine,
             "control": at.control,
             "variables": at.choice,
-            "indices": constants(at.choice),
             "n_base": plant.n_base,
             "n_task": plant.n_task,
             "task_frame": task_frame(machine),

@@ -19,7 +19,8 @@ from flexopt.cli.bundles import export_command
 from flexopt.errors import ExportError, InputError
 from flexopt.export import PARTS, ExportReport, export_c
 from flexopt.export.context import SINGLE_MARGIN_DEG
-from tests.export.programs import MAKE
+from flexopt.export.naming import TAKEN_PREFIXES
+from tests.export.programs import GCC, MAKE
 from tests.oracles.machines import Structure, random_machine
 
 SMALL = ["kinematics", "controller"]
@@ -183,6 +184,47 @@ def test_the_optimiser_is_a_part_with_a_header_of_its_own(machine: flexopt.Machi
     for name, value in entry["statuses"].items():
         assert re.search(rf"EXCAVATOR_OPTIMISER_{name} = {value}\b", header)
         assert f"`EXCAVATOR_OPTIMISER_{name}`" in (report.folder / "README.md").read_text()
+
+
+# Headers that the bundle's sources and their users include.
+HEADERS = (
+    "errno", "float", "inttypes", "limits", "locale", "math", "signal", "stdbool", "stddef", "stdint", "stdio", "stdlib",
+    "string", "time", "unistd", "fcntl", "pthread", "semaphore", "sys/types", "sys/stat", "sys/socket", "termios",
+)  # fmt: skip
+
+
+def identifiers(path: Path) -> set[str]:
+    """Of a C file, without comments and strings."""
+    text = re.sub(r'(?s)/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\])*"', " ", path.read_text(encoding="utf-8"))
+    return set(re.findall(r"[A-Za-z_]\w*", text))
+
+
+@GCC
+@pytest.mark.long
+def test_no_prefix_makes_names_that_c_has_already(
+    whole: ExportReport, machine: flexopt.Machine, tmp_path: Path
+) -> None:
+    own = f"{whole.prefix}_"
+    files = [p for p in whole.folder.rglob("*") if p.suffix in (".c", ".h", ".cpp")]
+    public = {w for p in whole.folder.glob("include/*.h") for w in identifiers(p) if w.lower().startswith(own)}
+    headers = "".join(f"#include <{name}.h>\n" for name in HEADERS)
+    listed = subprocess.run(["gcc", "-E", "-dM", "-"], input=headers, capture_output=True, text=True, check=True).stdout
+    others = {w for p in files for w in identifiers(p)} | set(re.findall(r"#define (\w+)", listed))
+    ends = {name[len(own) - 1 :] for name in public}
+    # What would stand before the end of a public name, were it a prefix.
+    found = {
+        word[:k].lower()
+        for word in others
+        if not word.lower().startswith(own)
+        for k in range(1, len(word))
+        if word[k:] in ends and re.fullmatch(r"[a-z][a-z0-9_]*|[A-Z][A-Z0-9_]*", word[:k])
+    }
+    assert found <= TAKEN_PREFIXES, "others are taken, too"
+    for name in sorted(TAKEN_PREFIXES):
+        named = flexopt.machine_from_dict(machine.to_dict() | {"name": name})
+        assert export_c(named, tmp_path / name, parts=["kinematics"]).prefix == f"machine_{name}"
+        with pytest.raises(InputError, match="prefix"):
+            export_c(machine, tmp_path / f"{name}2", parts=["kinematics"], prefix=name)
 
 
 @MAKE

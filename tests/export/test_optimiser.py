@@ -357,6 +357,20 @@ def test_compiles_without_a_warning(three_joints, tmp_path, compiler, standard, 
     assert done.returncode == 0, done.stderr[:2000]
 
 
+@pytest.mark.parametrize("names", [("h", "budget", "stalled"), ("n_z", "a b", "a_b"), ("while", "NULL", "x")])
+def test_joints_may_have_any_names(three_joints, names, tmp_path):
+    """Those of the header itself, names that C spells alike, words of C: each variable keeps an index of its own."""
+    data = three_joints.to_dict()
+    links = [link | {"name": name} for link, name in zip(data["links"], names, strict=True)]
+    sources = sources_of(flexopt.machine_from_dict(data | {"links": links}))
+    indices = re.search(r"(?s)Index of each variable.*?enum \{(.*?)\}", sources.header)[1]
+    words = re.findall(r"CASE_OPTIMISER_\w+", indices)
+    assert len(words) == 4
+    asserted = "".join(f"typedef char index_{k}[({word} == {k}) ? 1 : -1];\n" for k, word in enumerate(words))
+    (tmp_path / "optimiser.c").write_text(c_text(sources, "double") + asserted)
+    subprocess.run(["gcc", *WARNINGS, "-fsyntax-only", str(tmp_path / "optimiser.c")], check=True)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "real"), [("excavator", "double"), ("slewing-excavator", "float")])
 def test_the_search_is_plain_c_that_tools_can_read(name, real, tmp_path):

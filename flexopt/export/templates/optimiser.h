@@ -37,7 +37,7 @@ extern "C" {
 #define {{ P }}_BUDGET                 {{ budget }} /* default budget; unit: one evaluation of V */
 #define {{ P }}_BUDGET_MAX             {{ budget_max }}
 
-/* Index of each variable in z. */
+/* Index of each variable in z; a number follows where another name of this header is the same. */
 enum {
 {% for word in indices %}
   {{ P }}_{{ word }} = {{ loop.index0 }}{% if not loop.last %},{% endif +%}
