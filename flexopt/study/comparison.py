@@ -23,7 +23,7 @@ from flexopt.foundation.rounding import without_rounding
 from flexopt.model.loop import GAINS
 from flexopt.model.simulation import SimulationOptions
 from flexopt.robustness.residues import residue_unit
-from flexopt.study.verdicts.places import MOVE, STAY
+from flexopt.study.verdicts.places import MOVE, NO_GAIN, STAY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,6 +38,7 @@ class SavedQuantity(NamedTuple):
     whether more of it is better, None where neither is;  `turned`: whether it is shown with the other sign;
     `control`: where that is which says the unit of w_i. Of a list every entry is a quantity, numbered, or with names
     and units from the lists at `names` and `units`; of a number its unit is at `units`, or the first of a list there.
+    `zero`: the word of a number that is 0 where there is none.
     """
 
     key: str
@@ -50,6 +51,7 @@ class SavedQuantity(NamedTuple):
     units: str = ""
     scale: str = ""
     control: str = ""
+    zero: str = ""
 
 
 POSTURE = (
@@ -60,7 +62,7 @@ POSTURE = (
     SavedQuantity("frequencies_hz", "frequency", "Hz"),
     SavedQuantity("condition", "condition of Jv", more=False),
     SavedQuantity("outcome.decay", "decay of the loop", "1/s", more=True),
-    SavedQuantity("outcome.allowed_gain", "allowed Kp", more=True, units="outcome.settings.gain_units"),
+    SavedQuantity("outcome.allowed_gain", "allowed Kp", more=True, units="outcome.settings.gain_units", zero=NO_GAIN),
     SavedQuantity("outcome.delay_margin", "delay margin", "s", more=True),
     SavedQuantity("outcome.sensitivity_peak", "peak of the sensitivity", more=False),
     SavedQuantity("outcome.settling", "settling time", "s", more=False),
@@ -96,7 +98,7 @@ CHOICE = (
 PLACE = (
     SavedQuantity("drive", "drive", "m", more=False),
     SavedQuantity("decay.least", "slowest decay", "1/s", more=True),
-    SavedQuantity("allowed_gain.least", "least allowed Kp", more=True, units="gain_units"),
+    SavedQuantity("allowed_gain.least", "least allowed Kp", more=True, units="gain_units", zero=NO_GAIN),
     SavedQuantity("delay_margin.least", "least delay margin", "s", more=True),
     SavedQuantity("settling.greatest", "longest settling time", "s", more=False),
     SavedQuantity("swing.greatest", f"largest base swing, move of {MOVE:g} m", more=False, units="swing_units"),
@@ -128,19 +130,24 @@ ALWAYS["actuator"].pop("servo_gain")
 
 @dataclass(frozen=True)
 class ComparedRow(Result):
-    """One quantity in every result: values are numbers, words, or None where there is none or no border."""
+    """One quantity in every result: values are numbers, words, or None where there is none or no border.
+
+    `zero`: the word of a number that is 0 where there is none.
+    """
 
     label: str
     unit: str
     values: tuple[float | str | None, ...]
     errors: tuple[float | None, ...]
     more: bool | None
+    zero: str = ""
 
     DOCUMENT = "label unit values errors"
 
     def texts(self) -> list[str]:
         """The values in a table."""
-        return [_text(v, e) for v, e in zip(self.values, self.errors, strict=True)]
+        told = zip(self.values, self.errors, strict=True)
+        return [self.zero if self.zero and value == 0 else _text(value, error) for value, error in told]
 
 
 @dataclass(frozen=True)
@@ -201,6 +208,8 @@ class Comparison(Result):
         told = [line for block in blocks for line in block]
         if any(value is None for row in self.rows for value in row.values):
             told.append("–: there is none, or no border was met")
+        if any(NO_GAIN in row.texts() for row in self.rows if row.zero):
+            told.append(f"{NO_GAIN}: the loop grows with all gains up to these in their ratio; higher may do")
         return "\n".join(told)
 
 
@@ -288,7 +297,7 @@ def _rows(quantity: SavedQuantity, documents: Sequence[Any]) -> list[ComparedRow
     if not any(isinstance(value, list) for value in values):
         errors = tuple(_number(_at(document, quantity.error)) for document in documents)
         own = tuple(_value(v, _at(d, quantity.scale)) for v, d in zip(values, documents, strict=True))
-        return [ComparedRow(quantity.label, _units(quantity, documents), own, errors, quantity.more)]
+        return [ComparedRow(quantity.label, _units(quantity, documents), own, errors, quantity.more, quantity.zero)]
     shared = _units(quantity, documents) if quantity.control else quantity.unit
     found: dict[tuple[str, str], list[float | str | None]] = {}
     for k, (document, value) in enumerate(zip(documents, values, strict=True)):

@@ -169,6 +169,20 @@ def test_units_of_gains_and_measures(command: Command, tmp_path: Path) -> None:
     assert "w1, 1/(kg m2) or 1/kg  " in both
 
 
+def test_an_allowed_gain_that_there_is_not_is_none(command: Command, tmp_path: Path) -> None:
+    """In words as in the evaluation's own; in the document the number that it has there."""
+    machine, loops = flexopt.load("excavator"), ({"kp": 1e4, "kv": 1e3}, {"kp": 1e3, "kv": 0.0, "dead_time": 0.1})
+    found = [flexopt.evaluate(machine, POSTURES["chosen"], loop=loop) for loop in loops]
+    assert found[1].outcome.allowed_gain == 0
+    assert "allowed gain Kp none" in repr(found[1])
+    files = [save(tmp_path, name, each) for name, each in zip(("damped", "late"), found, strict=True)]
+    table = command("compare", *files).stdout
+    assert re.search(r"(?m)^allowed Kp, N m .* none$", table)
+    assert re.search(r"(?m)^none: the loop grows with all gains up to these", table)
+    assert rows_of(command("compare", *files, "--json").document)["allowed Kp"][1] == 0
+    assert "none:" not in command("compare", files[0], files[0]).stdout
+
+
 @pytest.mark.long
 def test_selections_and_verdicts(command: Command, tmp_path: Path) -> None:
     found = [flexopt.solve_problem(flexopt.load_problem(name)) for name in ("article", "article-transpose")]

@@ -11,6 +11,8 @@ STAY, FIRST = "stay", "candidate 1"
 TOLD = 3
 # Length of the standard move, m.
 MOVE = 0.1
+# Of an allowed gain that there is not, whose number is 0.
+NO_GAIN = "none"
 
 
 def candidate_number(place: str) -> int | None:
@@ -32,7 +34,7 @@ def allowed(gain: float, unit: str, highest: float) -> str:
     None where with all that were looked at up to the present one the loop grows.
     """
     if gain == 0:
-        return "none"
+        return NO_GAIN
     return f"above {highest:.4g} {unit}" if math.isinf(gain) else told(gain, 1.0, f" {unit}")
 
 
