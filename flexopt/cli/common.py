@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 import threading
@@ -329,8 +330,9 @@ def check_output(option: str, path: str | None, suffixes: tuple[str, ...]) -> No
     if path is None:
         return
     target = Path(path)
-    if len(target.name.encode()) > FILE_NAME_MAX:
-        raise InputError(f"{option}: the file name is too long, {len(target.name.encode())} bytes of {FILE_NAME_MAX}")
+    length = len(os.fsencode(target.name))
+    if length > FILE_NAME_MAX:
+        raise InputError(f"{option}: the file name is too long, {length} bytes of {FILE_NAME_MAX}")
     if target.suffix.lower() not in suffixes:
         raise InputError(f"{option} = {path!r}: the name must end in {' or '.join(suffixes)}{_writing(target.suffix)}")
     if target.is_dir() or not target.parent.is_dir():

@@ -27,6 +27,7 @@ TERMINAL = "flexopt.terminal"
 _NO_GLYPH = "\N{WHITE SQUARE}"
 # Looks like a backslash, and is none to mathtext.
 _BACKSLASH = "\N{SET MINUS}"
+_HALF = re.compile("[\ud800-\udfff]")
 # More letters leave a picture no room: of a name, of one of several in a legend, of a whole title.
 PICTURE_MAX, LEGEND_MAX, TITLE_MAX = 40, 16, 100
 
@@ -69,8 +70,12 @@ def markup(text: str) -> str:
 
 
 def terminal(text: str) -> str:
-    """Text of several lines for a terminal: nothing in it moves the cursor, colours or turns the direction."""
-    return "\n".join(one_line(line.replace("\t", "    ")) for line in text.split("\n"))
+    """Text of several lines for a terminal: nothing in it moves the cursor, colours or turns the direction.
+
+    Halves of pairs, as which Python reads bytes of a path that the locale cannot, are spelled as where it is quoted.
+    """
+    spelled = _HALF.sub(lambda m: repr(m[0])[1:-1], text)
+    return "\n".join(one_line(line.replace("\t", "    ")) for line in spelled.split("\n"))
 
 
 def ascii_text(text: str, unknown: str | None = None) -> str:

@@ -246,12 +246,15 @@ def test_pages(tmp_path: Path) -> None:
     assert markup(name) in text
 
 
-def run_command(encoding: str, *arguments: str) -> subprocess.CompletedProcess[bytes]:
-    environment = os.environ | {"PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"}
+def run_command(
+    encoding: str, *arguments: str, folder: Path | None = None, **more: str
+) -> subprocess.CompletedProcess[bytes]:
+    environment = os.environ | {"PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"} | more
     return subprocess.run(
         [sys.executable, "-c", "from flexopt.cli import main; main()", *arguments],
         capture_output=True,
         env=environment,
+        cwd=folder,
         check=False,
     )
 
@@ -275,3 +278,23 @@ def test_consoles_of_any_code_page(tmp_path: Path, encoding: str, wanted: bytes)
     failed = run_command(encoding, "evaluate", "λ\x1b[31m", "--posture", "0.5,-1")
     assert failed.returncode == 2
     assert b"\x1b" not in failed.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere paths are Unicode")
+@pytest.mark.parametrize("arguments", [("check", "é.toml"), ("compare", "é.json", "é.json")])
+def test_a_path_that_the_locale_cannot_read_is_spelled_in_one_way(tmp_path: Path, arguments: tuple[str, ...]) -> None:
+    """As Python spells its bytes, whether it stands between quotes or not."""
+    done = run_command("ascii", *arguments, folder=tmp_path, LC_ALL="C", PYTHONCOERCECLOCALE="0")
+    assert done.returncode == 2
+    suffix = Path(arguments[1]).suffix
+    said = (done.stdout + done.stderr).decode("ascii")
+    assert said.count(suffix) == said.count(ascii("é".encode().decode("ascii", "surrogateescape"))[1:-1] + suffix) > 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere paths are Unicode")
+def test_a_page_goes_to_a_path_that_the_locale_cannot_read(tmp_path: Path) -> None:
+    done = run_command(
+        "ascii", "explore", "excavator", "--out", "é.html", folder=tmp_path, LC_ALL="C", PYTHONCOERCECLOCALE="0"
+    )
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["é.html"]
