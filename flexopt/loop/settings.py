@@ -186,16 +186,10 @@ class LoopSettings(Result):
         """Which joints brake themselves more than the proposed servo gain drives them; empty where none does."""
         return self.sources.get("servo_gain", "").partition("; ")[2]
 
-    def handed_on(self, where: str) -> str:
-        """Which numbers follow from the posture of a place, and how other calls are given them; empty without any."""
-        found = [name for name, source in self.sources.items() if source.startswith((SUITING, SERVING))]
-        if not found:
-            return ""
-        names = f"the gains {' and '.join(found)} follow" if len(found) > 1 else f"the gain {next(iter(found))} follows"
-        return (
-            f"{names} from the posture of {where} and would be {'others' if len(found) > 1 else 'another'} elsewhere; "
-            f"to keep {'these' if len(found) > 1 else 'it'}: {self.in_calls}"
-        )
+    @property
+    def of_posture(self) -> list[str]:
+        """Names of the numbers that follow from the posture of a place, which would be others elsewhere."""
+        return [name for name, source in self.sources.items() if source.startswith((SUITING, SERVING))]
 
     @property
     def in_calls(self) -> str:

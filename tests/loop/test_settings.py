@@ -224,9 +224,9 @@ def test_feedback_with_an_integral_but_no_gain_of_it_says_so() -> None:
 
 def test_a_servo_gain_follows_from_the_posture_where_cylinders_do() -> None:
     """Elsewhere efforts and rates are those of every posture, and nothing is to be handed on."""
-    assert "servo_gain" in settings_of(DIGGER, STAND).handed_on("the present place")
+    assert "servo_gain" in settings_of(DIGGER, STAND).of_posture
     arm = flexopt.load("mobile-manipulator")
     postures = ((0.0, -1.0, 1.5, -0.5, -1.57, 0.0), (0.4, -0.6, 1.1, -0.5, -1.2, 0.3))
     one, other = (settings_of(arm, posture, drive="velocity") for posture in postures)
     assert one.servo_gain == other.servo_gain
-    assert one.handed_on("the present place") == ""
+    assert one.of_posture == []

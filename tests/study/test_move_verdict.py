@@ -397,23 +397,34 @@ def test_a_damper_that_is_too_much_for_the_sampling_rate_is_named() -> None:
     assert "half the sampling rate" not in sentence(1e3)
 
 
+@pytest.mark.long("kv follows")
 @pytest.mark.parametrize(
-    "loop",
+    ("loop", "told"),
     [
-        {"kp_range": (10.0, 1e5), "kv_range": (10.0, 1e4), "rate": 100.0},
-        {"kp_range": (0.1, 20.0), "drive": "velocity", "servo_gain": 2e4, "dead_time": 0.02, "filter_hz": 8.0},
+        (
+            {"kp_range": (10.0, 1e5), "kv_range": (10.0, 1e4), "rate": 100.0},
+            "the gains kp and kv were chosen with candidate 1; to keep them",
+        ),
+        (
+            {"kp_range": (0.1, 20.0), "drive": "velocity", "servo_gain": 2e4, "dead_time": 0.02, "filter_hz": 8.0},
+            "the gain kp was chosen with candidate 1; to keep it",
+        ),
+        (
+            {"kp_range": (1e3, 1e5)},
+            "the gain kp was chosen with candidate 1; the gain kv follows from the posture of the present place and "
+            "would be another elsewhere; to keep them",
+        ),
     ],
-    ids=["torque", "velocity"],
+    ids=["torque", "velocity", "kv follows"],
 )
-def test_gains_that_were_chosen_are_handed_on_with_their_digits(loop: dict[str, Any]) -> None:
+def test_gains_that_were_chosen_are_handed_on_with_their_digits(loop: dict[str, Any], told: str) -> None:
     """At an optimum in a kink four digits would be another loop, and so would gains alone of another drive."""
     machine = flexopt.load("excavator")
     few: dict[str, Any] = {"base": 0.0, "objective": "decay", "starts": 2, "members": 2, "runs": 0}
     found = flexopt.verdict(machine, (0.0, 1.6), loop=loop, **few)
-    words = re.search(
-        r"the gains were chosen with candidate 1; to keep them: loop=(.*), in the shell (.*)", repr(found)
-    )
+    words = re.search(rf"{told}: loop=(.*), in the shell (.*)", repr(found))
     assert words
+    assert found.handed_on.count("in the shell") == 1
     place = next(each for each in found.places if each.name == "candidate 1")
     kept = json.loads(words[1])
     there = flexopt.outcome(machine, place.posture, base=place.base, loop=kept)

@@ -14,6 +14,7 @@ import numpy as np
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.foundation.boundary import path, public
 from flexopt.foundation.pictures import Pictured
+from flexopt.foundation.plain import listed
 from flexopt.foundation.printing import Printed
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
@@ -318,16 +319,22 @@ class Verdict(Pictured, Printed, Result):
     @property
     def handed_on(self) -> str:
         """Which gains follow from the posture or were chosen, and how other calls are given them; empty of none."""
-        where = "the present place" if self._stay else FIRST
-        follow = self.settings.handed_on(f"{where} at target 1" if len(self.problems) > 1 else where)
-        gains, chosen = chosen_gains(self.selection), ""
-        given = {name: [gain] for name, gain in gains.items() if self.settings.sources.get(name) != CHOSEN}
+        gains, settings = chosen_gains(self.selection), self.settings
+        chosen = [name for name in gains if settings.sources.get(name) == CHOSEN]
+        given = {name: [gain] for name, gain in gains.items() if name not in chosen}
+        of_posture, told = settings.of_posture, list[str]()
         if given:
-            own = gains_in_words(given, self.settings.gain_units)
-            chosen = f"{FIRST} was chosen with {own}; places are compared with the gains that the loop has now"
-        elif gains:
-            chosen = f"the gains were chosen with {FIRST}; to keep them: {self.settings.in_calls}"
-        return "; ".join(filter(None, (chosen, follow)))
+            own = gains_in_words(given, settings.gain_units)
+            told.append(f"{FIRST} was chosen with {own}; places are compared with the gains that the loop has now")
+        if chosen:
+            told.append(f"{_gains(chosen)} {'were' if len(chosen) > 1 else 'was'} chosen with {FIRST}")
+        if of_posture:
+            where = f"{'the present place' if self._stay else FIRST}{' at target 1' * (len(self.problems) > 1)}"
+            follow, others = ("follow", "others") if len(of_posture) > 1 else ("follows", "another")
+            told.append(f"{_gains(of_posture)} {follow} from the posture of {where} and would be {others} elsewhere")
+        if kept := [*chosen, *of_posture]:
+            told.append(f"to keep {'them' if len(kept) > 1 else 'it'}: {settings.in_calls}")
+        return "; ".join(told)
 
     @property
     def proven(self) -> bool:
@@ -574,6 +581,11 @@ class Verdict(Pictured, Printed, Result):
         lines += [f"  {sentence}" for sentence in self.assumed]
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
         return "\n".join([*lines, *filter(None, (self.drawbacks, self.passed_over, self.measure))])
+
+
+def _gains(names: Sequence[str]) -> str:
+    """Gains by their names, within a sentence."""
+    return f"the gain{'s' * (len(names) > 1)} {listed(names)}"
 
 
 def _interval(each: Uncertainty, machine: AnyMachine) -> str:
