@@ -433,6 +433,22 @@ def test_gains_that_were_chosen_are_handed_on_with_their_digits(loop: dict[str, 
     assert words[2] == " ".join(f"--loop {name}={number}" for name, number in kept.items())
 
 
+@pytest.mark.long
+def test_candidates_that_differ_in_their_gains_alone_are_one_place() -> None:
+    """The places have the gains of today: what was found twice with other gains would stand there twice."""
+    machine, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3, "kp_range": (1e4, 1e5)}
+    few: dict[str, Any] = {"base": 0.0, "objective": "w1", "starts": 2, "members": 3, "runs": 0}
+    found = flexopt.verdict(machine, (0.0, 1.6), loop=loop, constraints={"outcome": {"decay": 0.016}}, **few)
+    assert isinstance(found.selection, OutcomeSelection)
+    first, second = found.selection.candidates
+    # Far closer than configurations that count as one.
+    assert np.allclose(first.z, second.z, atol=1e-6)
+    assert found.selection.gains[0]["kp"] > 1.5 * found.selection.gains[1]["kp"]
+    assert [place.name for place in found.places] == ["stay", "candidate 1"]
+    assert found.judged == 1
+    assert "candidate 2 differs from candidate 1 in its gains alone" in repr(found)
+
+
 def test_gains_that_are_given_beside_their_ranges_are_those_of_today() -> None:
     """The choice takes others from the ranges; staying with those that the machine has now is another matter."""
     machine, today = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}

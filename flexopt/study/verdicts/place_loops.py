@@ -23,7 +23,7 @@ from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.broken import broken, resting
-from flexopt.selection.continua import unwound, way_to
+from flexopt.selection.continua import same, unwound, way_to
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
 from flexopt.selection.outcomes.result import ChosenByLoop, OutcomeSelection
@@ -133,9 +133,9 @@ def configurations_of(chosen: Chosen) -> dict[str, Configurations]:
     """By place: the present one first, where every target is reached from it, then those that were found, best first.
 
     Of targets for one placement the candidates are the placements found, of a path the way along it and the best
-    placement that stands still.
+    placement that stands still. One that stands as an earlier one does is no place of its own.
     """
-    stay = _present(chosen)
+    stay, again = _present(chosen), repeated(chosen)
     if isinstance(chosen, Selection):
         found = [(each.evaluation,) for each in chosen.candidates[:LOOKED]]
     else:
@@ -147,8 +147,20 @@ def configurations_of(chosen: Chosen) -> dict[str, Configurations]:
         elif chosen.still is not None and not (now is not None and np.array_equal(chosen.still.base, now)):
             others.append(_evaluated(problems, [np.append(chosen.still.base, q) for q in chosen.still.posture]))
         found = [tuple(place.evaluation for place in chosen.places), *others]
-    named = {f"candidate {k}": each for k, each in enumerate(found, start=1)}
+    named = {name: each for k, each in enumerate(found, start=1) if (name := f"candidate {k}") not in again}
     return named if stay is None else {STAY: stay} | named
+
+
+def repeated(chosen: Chosen) -> dict[str, str]:
+    """Candidates that differ in their gains alone from an earlier one, and that one, by name."""
+    if not isinstance(chosen, OutcomeSelection):
+        return {}
+    z, found = [each.z for each in chosen.candidates[:LOOKED]], dict[str, str]()
+    for k, own in enumerate(z):
+        first = next(i for i, other in enumerate(z) if same(chosen.problem, other, own))
+        if first < k:
+            found[f"candidate {k + 1}"] = f"candidate {first + 1}"
+    return found
 
 
 def found_in(chosen: Chosen) -> int:

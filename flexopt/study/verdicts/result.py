@@ -35,7 +35,7 @@ from flexopt.selection.result import unverified_told
 from flexopt.selection.several import BasePlan
 from flexopt.study.verdicts.confirmation import INTEGRAL
 from flexopt.study.verdicts.decision import BETWEEN, FASTER, LEAST_TOLD, RULE, Word, spoken
-from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of
+from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of, repeated
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD, allowed, gains_in_words, told
 
@@ -276,7 +276,13 @@ class Verdict(Pictured, Printed, Result):
 
     @property
     def left_out(self) -> str:
-        """How many candidates were looked at, and which of them are told of, a sentence; empty where all are."""
+        """Which candidates are not told of, and why, a sentence; empty where all are."""
+        alike = [f"{name} differs from {first} in its gains alone" for name, first in repeated(self.selection).items()]
+        return "; ".join(filter(None, (self._judged_told, *alike)))
+
+    @property
+    def _judged_told(self) -> str:
+        """How many places were judged, and which of them are told of; empty where all are."""
         names = [place.name for place in self.places if place.name != STAY]
         if len(names) == self.judged:
             return ""
