@@ -67,6 +67,14 @@ def test_a_loop_between_the_lines_of_the_grid_is_found(radius: float) -> None:
     assert np.ptp(curve.points[0]) == pytest.approx(2 * radius, rel=0.1)
 
 
+@pytest.mark.parametrize("radius", [0.03, 1e-3])
+def test_an_arc_that_an_edge_cuts_off_between_two_lines_is_found(radius: float) -> None:
+    """The extremum is on the edge: a line through it beside the edge would leave no room between the two."""
+    (curve,) = found([lambda x, y: (x - 0.313) ** 2 + (y - 1.0) ** 2 - radius**2], SQUARE, 16)
+    assert curve.ends == ("edge", "edge")
+    assert length(curve, SQUARE) == pytest.approx(math.pi * radius, rel=0.1)
+
+
 @pytest.mark.parametrize("gap", [1e-2, 1e-3, -1e-4])
 def test_branches_that_pass_closely_are_not_mixed_up(gap: float) -> None:
     """x y = gap² has a branch in each of two quadrants, gap/√2 from their corner."""

@@ -17,12 +17,14 @@ import numpy as np
 
 from flexopt.foundation.arrays import Mask, Vector
 from flexopt.robustness.atlas.rectangle import INSET, CellFields, Fields, Rectangle, ValuesAndSlopes, Whole
-from flexopt.robustness.atlas.tracing import CONVERGED, CORRECTIONS, ROUNDING, STEP, Tracing, ZeroCurve
+from flexopt.robustness.atlas.tracing import CONVERGED, CORRECTIONS, ROUNDING, SAME, STEP, Tracing, ZeroCurve
 
 NEWTON_MAX = 40
 NEAR = 1e-6
 # In cells: how far chords of a curve may be from it. Points of pieces that may repeat a part of another curve.
 CHORD, REPEATED = 0.03, 40
+# In cells: between lines of the grid, so that crossings with two of them are told apart.
+LEAST_CELL = 10 * SAME
 # Rounds of added lines.
 ROUNDS = 3
 
@@ -51,11 +53,19 @@ def zero_curves(
         hidden = _hidden(scaled, lines, values, functions)
         if not hidden.shape[1]:
             break
-        lines = np.unique(np.concatenate([lines[0], hidden[0]])), np.unique(np.concatenate([lines[1], hidden[1]]))
+        lines = _with_more(lines[0], hidden[0]), _with_more(lines[1], hidden[1])
         values = scaled.at_nodes(lines)
     curves = _without_repeats(Tracing(scaled, lines, values, functions).curves(), rectangle, scaled.size)
     u, v = (low + line * size for low, line, size in zip(rectangle.low, lines, scaled.size, strict=True))
     return curves, Nodes((u, v), values)
+
+
+def _with_more(lines: Vector, more: Vector) -> Vector:
+    """Lines in order, and those of some more that are not so near to another that crossings with both are the same."""
+    for line in more:
+        if np.abs(lines - line).min() > LEAST_CELL:
+            lines = np.sort(np.append(lines, line))
+    return lines
 
 
 def _without_repeats(curves: list[ZeroCurve], rectangle: Rectangle, cell: Vector) -> list[ZeroCurve]:
