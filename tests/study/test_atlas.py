@@ -17,6 +17,7 @@ from tests.oracles.article import brute_force, products
 from tests.oracles.machines import NumpySource, Structure, draw_machine
 from tests.oracles.spatial import in_space
 from tests.study.machines import limited
+from tests.study.telescopes import Factors, swing, telescope
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
 CONTROLS = ("inverse", "transpose")
@@ -196,6 +197,96 @@ def test_where_curves_turn_a_factor_vanishes() -> None:
     assert np.linalg.norm(b) < 1e-12 * np.linalg.norm(a)
     (curve,) = (c for c in atlas.curves if c.mode == 1)
     assert set(curve.ends) == {"b = 0", "limit"}
+
+
+def assert_complete(
+    atlas: flexopt.Atlas, machine: Any, control: str, *, rng: Any, lines: int = 5, gravity: bool = False
+) -> None:
+    """On lines between those of the atlas's own grid: where SciPy finds w_i = 0, from a_i and b_i, there is a curve."""
+    factors, ranges = Factors(machine, control, gravity=gravity), (atlas.x_range, atlas.y_range)
+    varied = [atlas.joints.index(name) for name in atlas.varied]
+    posture = np.zeros(len(atlas.joints))
+    posture[[k for k in range(len(posture)) if k not in varied]] = atlas.fixed
+    count = [0, 0]
+    for axis in range(2):
+        for value in rng.uniform(*ranges[axis], lines):
+            posture[varied[axis]] = value
+            for which, mode, root in factors.roots(posture, varied[1 - axis], ranges[1 - axis]):
+                if mode + 1 in atlas.everywhere:
+                    continue
+                own = [c.points for c in atlas.curves if c.mode == mode + 1 and bool(c.vanishing) == (which == 0)]
+                apart = np.concatenate(own, axis=1) - root[varied][:, None]
+                assert np.abs(apart / atlas.resolution[:, None]).max(axis=0).min() < 0.5
+                count[which] += 1
+    assert min(count) > 0
+    for curve in atlas.curves:
+        assert "undefined" not in curve.ends
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_where_a_keeps_to_a_line_it_is_zero_along_whole_curves(control: str) -> None:
+    """A telescope with its mass on its line: beside a_i = 0, on both sides, w_i is |a_i| times what it is."""
+    machine = telescope()
+    atlas = flexopt.atlas(machine, control=control, cells=(32, 32))
+    factors = Factors(machine, control)
+    for mode in (1, 2):
+        (curve,) = (c for c in atlas.curves if c.mode == mode and c.vanishing)
+        assert curve.ends == ("limit", "limit")
+        assert sorted((curve.first[1], curve.last[1])) == [0.0, 2.0]
+        for lift, extend in curve.points[:, ::7].T:
+            roots = factors.roots([lift, extend], 0, (lift - 0.04, lift + 0.03), 3)
+            (root,) = (root for which, k, root in roots if (which, k) == (0, mode - 1))
+            assert root[0] == pytest.approx(lift, abs=1e-9)  # rounding of a through its slope
+    # And nothing else: not in pieces, and every end is told.
+    assert len(atlas.curves) == 4
+    assert {end for c in atlas.curves for end in c.ends} == {"limit", "b = 0"}
+    assert_complete(atlas, machine, control, rng=np.random.default_rng(1))
+
+
+def test_where_a_is_zero_along_curves_two_of_them_are_doubly_robust() -> None:
+    machine = telescope(folds=True)
+    atlas = flexopt.atlas(machine, joints=["lift", "fold"], posture=[1.0], cells=(32, 32))
+    (point,) = atlas.doubly_robust
+    factors = Factors(machine, "inverse")
+    held = factors(point.posture[:, None])[1][:, :, 0]
+
+    def both(z: Any) -> Any:
+        """a of the second mode, and what b of the first one has along the telescope."""
+        values, modes = factors(np.array([[*z, 1.0]]).T)
+        return (values[[1, 0], [0, 1], 0] * np.sign(np.sum(modes[:, :, 0] * held, axis=0))) / 1e-4
+
+    solved = scipy.optimize.fsolve(both, point.posture[:2] + np.array([0.02, -0.03]), xtol=1e-12)
+    np.testing.assert_allclose(point.posture[:2], solved, atol=1e-9)
+    w = flexopt.evaluate_w(flexopt.build_measures(machine), [0.0], point.posture[:, None]).w[:, 0]
+    assert np.abs(w).max() < 1e-13 * atlas.w_largest.max()  # rounding of a in that of w's scale
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("control", ["inverse", "transpose", "damped:0.3"])
+@pytest.mark.parametrize("seed", range(3))
+def test_random_machines_whose_a_keeps_to_a_line(control: str, seed: int) -> None:
+    """Telescopes of one hinge and of two, and arms that end at their centre of percussion, over singular postures."""
+    for machine, options in (
+        (telescope(rng=np.random.default_rng(seed)), {}),
+        (telescope(True, rng=np.random.default_rng(seed)), {"joints": ["fold", "extend"], "posture": [0.5]}),
+        (telescope(True, rng=np.random.default_rng(seed)), {"joints": ["lift", "fold"], "posture": [0.5]}),
+        (swing(np.random.default_rng(seed)), {}),
+    ):
+        atlas = flexopt.atlas(machine, control=control, cells=(48, 48), gravity=seed == 2, **options)
+        rng = np.random.default_rng([seed, 1])
+        assert_complete(atlas, machine, control, rng=rng, gravity=seed == 2)
+        measures = flexopt.build_measures(machine, control, seed == 2)
+        for point in atlas.doubly_robust:
+            w = flexopt.evaluate_w(measures, [0.0], point.posture[:, None]).w[:, 0]
+            assert np.abs(w[[mode - 1 for mode in point.modes]]).max() < 1e-12 * atlas.w_largest.max()
+
+
+@pytest.mark.long
+def test_a_telescope_in_a_plane_of_symmetry() -> None:
+    machine = flexopt.load("truck-crane")
+    atlas = flexopt.atlas(machine, joints=["lift", "knuckle"], posture=[0.0, 1.0], cells=(48, 48))
+    assert {curve.mode for curve in atlas.curves if curve.vanishing} == {1, 3, 5}
+    assert_complete(atlas, machine, "inverse", rng=np.random.default_rng(2))
 
 
 def test_modes_that_are_parallel_everywhere() -> None:

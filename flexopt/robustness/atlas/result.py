@@ -33,20 +33,22 @@ class RobustCurve(Result):
         closed: whether it returns to where it began.
         ends: why it ends, two words; none where it is closed. "limit": of a joint, or of the range asked for;
             "singular": a singular posture; "a = 0", "b = 0": beyond it a_i and b_i are opposed; "equal frequencies":
-            of two modes; "undefined": beyond it nothing holds the machine.
+            of two modes; "undefined": beyond it there is no measure, as where nothing holds the machine.
         length: in joint space, rad (m).
+        vanishing: "a" where a_i is 0 all along it, as of a telescope whose mass lies on its line; else empty.
         points: (2, K), the two joints along it, rad or m; of a closed one the last is the first.
         end_point: (r, K), m.
         frequency_hz: of the mode, (K,).
         scale: |a_i||b_i|, (K,); NaN at an end that is singular.
     """
 
-    DOCUMENT: ClassVar[str] = "mode closed ends length vertices=size first last"
+    DOCUMENT: ClassVar[str] = "mode closed ends length vanishing vertices=size first last"
 
     mode: int
     closed: bool
     ends: tuple[str, ...]
     length: float
+    vanishing: str
     points: Vector = field(repr=False)
     end_point: Vector = field(repr=False)
     frequency_hz: Vector = field(repr=False)
@@ -339,7 +341,8 @@ class Atlas(Pictured, Gridded, Result):
         ends = [end for curve in own for end in curve.ends]
         listed = ", ".join(f"{ends.count(end)} at {_WHERE[end]}" for end in _WHERE if end in ends)
         loops = f", {closed} closed" if closed else ""
-        told = f"{counted(len(own), 'curve')} w{mode} = 0{loops}"
+        still = sum(bool(curve.vanishing) for curve in own)
+        told = f"{counted(len(own), 'curve')} w{mode} = 0{loops}" + (f", {still} with a = 0 all along" if still else "")
         told += f"; ends: {listed}" if listed else ""
         return told + (f"; {share}" if self.robust_share[mode - 1] > 0 else "")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -17,7 +18,7 @@ from flexopt.foundation.arrays import Mask, Vector
 from flexopt.foundation.documents import provenance
 from flexopt.plant.inverse_kinematics import low_discrepancy
 from flexopt.plant.singularity import CONDITION_MAX
-from flexopt.robustness.atlas.fields import Slice
+from flexopt.robustness.atlas.fields import ROWS, LineOfMotion, Slice, SliceValues
 from flexopt.robustness.atlas.rectangle import Rectangle, Whole
 from flexopt.robustness.atlas.result import Atlas, EdgeCurve, RobustCurve, RobustPoint
 from flexopt.robustness.atlas.tracing import ZeroCurve
@@ -25,6 +26,8 @@ from flexopt.robustness.atlas.zero_curves import Nodes, common_zeros, on_curve, 
 
 # Points on which it is seen that a mode's a and b are parallel everywhere, and how nearly, relative to their lengths.
 SAMPLES, PARALLEL = 256, 1e-12
+# What a and b have beside a line, relative to their lengths: rounding.
+ON_LINE = 1e-10
 # The sine of the angle between a and b on curves on which they are parallel.
 NEARLY = 1e-7
 # In cells: how far Newton's method may go from where two curves seem to meet, and what counts as one point.
@@ -47,19 +50,41 @@ def survey(over: Slice, rectangle: Rectangle, cells: tuple[int, int]) -> Atlas:
     """The atlas of a slice."""
     per_node = PER_NODE if len(over.machine.task_rows) < 3 else PER_NODE_IN_SPACE
     over.expect(per_node * math.prod(cells))
-    over = replace(over, left_out=_everywhere(over, rectangle))
-    curves, nodes = zero_curves(over, rectangle, cells, over.modes + 1)
+    span = (rectangle.high - rectangle.low)[:, None]
+    samples = over.values(rectangle.low[:, None] + span * low_discrepancy(2, SAMPLES, 0))
+    over = replace(over, left_out=_everywhere(samples))
+    found = [_line(samples, mode) for mode in range(over.modes) if mode not in over.left_out]
+    over = replace(over, lines=tuple(line for line in found if line))
+    curves, nodes = zero_curves(over, rectangle, cells, over.traced)
     return _Survey(over, rectangle, cells, nodes, curves).atlas()
 
 
-def _everywhere(over: Slice, rectangle: Rectangle) -> tuple[int, ...]:
+def _everywhere(at: SliceValues) -> tuple[int, ...]:
     """Modes, from 0, whose a and b are parallel in every posture."""
-    span = (rectangle.high - rectangle.low)[:, None]
-    at = over.values(rectangle.low[:, None] + span * low_discrepancy(2, SAMPLES, 0))
     usual = np.nanmedian(at.scale, axis=1).max(initial=0.0) if np.any(np.isfinite(at.scale)) else 0.0
     known = np.isfinite(at.crossed)
     parallel = np.all(~known | (at.crossed <= PARALLEL * np.maximum(at.scale, usual)), axis=1) & known.any(axis=1)
     return tuple(int(k) for k in np.flatnonzero(parallel))
+
+
+def _line(at: SliceValues, mode: int) -> LineOfMotion | None:
+    """The line that a keeps to in every posture, if any."""
+    known = np.isfinite(at.factors[mode]).all(axis=(0, 1))
+    lacking = np.zeros((ROWS[1] - at.factors.shape[2], int(known.sum())))
+    a, b, *columns = (np.concatenate([x[:, known], lacking]) for x in (*at.factors[mode], *at.columns))
+    if a.shape[1] < len(a):
+        return None
+    for joint, column in enumerate(columns):
+        across = np.cross(column, a, axis=0)
+        axes, sizes, _ = np.linalg.svd(across, full_matrices=False)
+        normal = axes[:, 0]
+        # What is to be zero, and of what size it would be: a along the column, b out of the plane.
+        parts = [(np.sum(column * a, axis=0), np.linalg.norm(column, axis=0) * np.linalg.norm(a, axis=0))]
+        parts.append((normal @ b, np.linalg.norm(b, axis=0)))
+        both = all(np.all(np.abs(part) <= ON_LINE * np.maximum(size, np.median(size))) for part, size in parts)
+        if both and sizes[0] > 0 and sizes[1] <= ON_LINE * sizes[0]:
+            return LineOfMotion(mode, joint, normal)
+    return None
 
 
 @dataclass(frozen=True)
@@ -86,6 +111,8 @@ class _Survey:
         self.partly = [curve for curve in crossed if over.spatial and not self._parallel(curve)]
         whole = [curve for curve in crossed if all(curve is not other for other in self.partly)]
         self.arcs = [arc for curve in whole for arc in self._arcs(curve)]
+        # Where a is 0 so is w, whatever the sign of a·b beside it.
+        self.arcs += [replace(c, ends=self._ends(c)) for c in curves if c.function > over.edge]
 
     def atlas(self) -> Atlas:
         """Everything, with the end-points."""
@@ -131,13 +158,23 @@ class _Survey:
 
     def _grid(self) -> tuple[Vector, Vector, float]:
         """On the grid: the largest |w_i|, (m,); the share where it is zero, (m,); the share without measures."""
-        u, v = np.meshgrid(*self.nodes.lines, indexing="ij")
-        at = self.over.values(np.stack([u.ravel(), v.ravel()]))
+        at = self._at_nodes
         w = np.abs(at.w)
         with np.errstate(invalid="ignore"):
             zero = np.mean(w <= ZERO * at.scale, axis=1)
         unmapped = np.mean(~np.isfinite(at.factors).all(axis=(0, 1, 2)))
         return np.max(np.where(np.isfinite(w), w, 0.0), axis=1), zero, float(unmapped)
+
+    @cached_property
+    def _at_nodes(self) -> SliceValues:
+        u, v = np.meshgrid(*self.nodes.lines, indexing="ij")
+        return self.over.values(np.stack([u.ravel(), v.ravel()]))
+
+    @cached_property
+    def _longest(self) -> Vector:
+        """The largest |a| and |b| on the grid, (m, 2); under inverse control of b as it is traced."""
+        lengths = np.linalg.norm(self._at_nodes.factors, axis=2)
+        return np.max(np.where(np.isfinite(lengths), lengths, 0.0), axis=2)
 
     # Curves.
 
@@ -147,7 +184,10 @@ class _Survey:
         dot, edge = self._signs(mode, points)
         cuts = self._cuts(mode, points, dot, edge)
         size, robust = points.shape[1], np.sign(dot * edge) > 0
-        ends = [_Cut(-0.5, points[:, 0], self._end(curve, 0)), _Cut(size - 0.5, points[:, -1], self._end(curve, -1))]
+        ends = [
+            _Cut(place, points[:, k], kind)
+            for place, k, kind in zip((-0.5, size - 0.5), (0, -1), self._ends(curve) or ("", ""), strict=True)
+        ]
         if curve.closed:
             if not cuts:
                 return [ZeroCurve(mode, points, True, ())] if robust[size // 2] else []
@@ -261,11 +301,11 @@ class _Survey:
         """Distances (N,), in cells."""
         return np.linalg.norm(self.rectangle.nearest(one - other) / self.cell[:, None], axis=0)
 
-    def _end(self, curve: ZeroCurve, which: int) -> str:
+    def _ends(self, curve: ZeroCurve) -> tuple[str, ...]:
         """Why a curve ends."""
-        if curve.closed:
-            return ""
-        return "limit" if curve.ends[which] == "edge" else self._reason(curve.function, curve.points[:, which])
+        mode, points = self.over.mode_of(curve.function), curve.points
+        both = zip(curve.ends, (points[:, 0], points[:, -1]), strict=not curve.closed)
+        return tuple("limit" if end == "edge" else self._reason(mode, point) for end, point in both)
 
     def _reason(self, mode: int, point: Vector) -> str:
         """Why a curve cannot be followed beyond a point."""
@@ -277,11 +317,14 @@ class _Survey:
         return "singular" if at.condition[0] > NEARLY_SINGULAR else "undefined"
 
     def _curve(self, arc: ZeroCurve) -> RobustCurve:
-        at = self.over.values(arc.points)
-        scale = np.where(at.condition <= CONDITION_MAX, at.scale[arc.function], np.nan)
+        at, mode = self.over.values(arc.points), self.over.mode_of(arc.function)
+        scale = np.where(at.condition <= CONDITION_MAX, at.scale[mode], np.nan)
         length = float(np.sum(np.linalg.norm(self.rectangle.steps(arc.points), axis=0)))
-        frequency = at.frequency_hz[arc.function]
-        return RobustCurve(arc.function + 1, arc.closed, arc.ends, length, arc.points, at.end_point, frequency, scale)
+        vanishing = "a" if arc.function > self.over.edge else ""
+        frequency = at.frequency_hz[mode]
+        return RobustCurve(
+            mode + 1, arc.closed, arc.ends, length, vanishing, arc.points, at.end_point, frequency, scale
+        )
 
     def _all_edges(self) -> list[EdgeCurve]:
         """Where the two joints cannot move the end-point to all sides."""
@@ -310,13 +353,18 @@ class _Survey:
         """Where two modes' curves meet: starts along each of the two, then Newton's method on both."""
         found: dict[tuple[int, int], list[Vector]] = {}
         for arc in self.arcs:
-            values = self.over(arc.points)[0]
-            for other in {each.function for each in self.arcs} - {arc.function}:
-                pair = min(arc.function, other), max(arc.function, other)
+            values, mode = self.over(arc.points)[0], self.over.mode_of(arc.function)
+            for other in sorted({each.function for each in self.arcs}):
+                first, second = sorted((mode, self.over.mode_of(other)))
+                if first == second:
+                    continue
                 starts = self._near_zeros(arc.function, other, arc.points, values[other])
-                self._add_zeros(pair, starts, found.setdefault(pair, []))
-        robust = [(pair, z) for pair, zeros in found.items() for z in zeros if self._robust(pair, z, largest)]
-        points = [self._point(pair, "", zero) for pair, zero in robust]
+                known = found.setdefault((first, second), [])
+                pair = min(arc.function, other), max(arc.function, other)
+                self._add_zeros(
+                    pair, starts, known, lambda zero, modes=(first, second): self._robust(modes, zero, largest)
+                )
+        points = [self._point(pair, "", zero) for pair, zeros in found.items() for zero in zeros]
         return sorted(points, key=lambda p: (p.modes, *p.posture))
 
     def _add_zeros(
@@ -336,6 +384,9 @@ class _Survey:
     def _parallel(self, curve: ZeroCurve) -> bool:
         """Whether all of a × b is zero along a curve."""
         at = self.over.values(curve.points)
+        if self.over.on_line(curve.function):
+            # Where Jv is singular all along it is what b is multiplied with that is zero.
+            return bool(np.median(at.condition) <= CONDITION_MAX)
         with np.errstate(invalid="ignore"):
             return bool(np.all((at.crossed <= NEARLY * at.scale)[curve.function]))
 
@@ -359,12 +410,13 @@ class _Survey:
         return np.concatenate([crossing, points[:, least]], axis=1)
 
     def _robust(self, modes: tuple[int, ...], zero: Vector, largest: Vector) -> bool:
-        """Whether these measures are zero there, and none because a or b is."""
+        """Whether these measures are zero there, also because a or b is."""
         at = self.over.values(zero[:, None])
         if not at.condition[0] <= CONDITION_MAX:
             return False
-        w, scale = at.w[:, 0], at.scale[:, 0]
-        return all(abs(w[k]) <= min(ZERO * largest.max(), ZERO * scale[k]) for k in modes)
+        w, scale, lengths = at.w[:, 0], at.scale[:, 0], np.linalg.norm(at.factors[..., 0], axis=2)
+        gone = np.any(lengths <= GONE * self._longest, axis=1)
+        return all(abs(w[k]) <= ZERO * (largest.max() if gone[k] else min(largest.max(), scale[k])) for k in modes)
 
     def _singular(self) -> Vector:
         """Singular postures of a redundant arm, (n, K): on the edges all other minors of Jv vanish, too."""

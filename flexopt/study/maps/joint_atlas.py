@@ -96,8 +96,11 @@ def atlas(
 
     w_i = a_i·b_i − |a_i||b_i| is 0 where a_i × b_i = 0 and a_i·b_i ≥ 0, with two task rows a curve. Curves are found on
     a grid, where a_i × b_i changes its sign, and followed by predictor and corrector with exact slopes, so that they
-    close, part and end as they do in truth. They end at joint limits; at singular postures under inverse control; and
-    where a_i or b_i is 0, beyond which a_i and b_i are opposed and w_i = −2|a_i||b_i|. A loop that lies between the
+    close, part and end as they do in truth. They end at joint limits; at singular postures under inverse control;
+    where a_i or b_i is 0, beyond which a_i and b_i are opposed and w_i = −2|a_i||b_i|; where two frequencies meet; and
+    under gravity where nothing holds the machine any more. On a telescope whose mass lies on its line through the
+    end-point the modes move the end-point across that line alone: there a_i, and with it w_i, is 0 along whole curves
+    (`RobustCurve.vanishing`), beside which a_i and b_i are opposed on one side. A loop that lies between the
     lines of the grid is found where a_i × b_i has an extremum near a node that is small; else it may be missed:
     `Atlas.resolution` says how small loops can be told.
 
