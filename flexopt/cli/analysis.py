@@ -126,7 +126,7 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
 @GRAVITY
 @LOOP
 @RANGES
-@option("--certify", is_flag=True, help="Prove that no configuration is better; of two actuated joints in a plane.")
+@option("--certify", is_flag=True, help="Prove that no configuration is better; of arms of two hinges in a plane.")
 @value(
     "--proof",
     "FILE.json",

@@ -56,7 +56,7 @@ def inverse_kinematics(
 ) -> list[Vector]:
     """Postures q_a (n,) in rad or m with r(q) = target, passive joints at rest, inside the joint limits.
 
-    A planar arm of two actuated joints: every branch in closed form, elbow up (last joint negative) before elbow down;
+    A planar arm of two actuated hinges: every branch in closed form, elbow up (last joint negative) before elbow down;
     of more: a set of distinct postures, both branches of the last two joints over a low-discrepancy sample of the
     redundancy. Other machines: the distinct ends of damped Newton steps from a low-discrepancy sample of the joint
     ranges, the nearest to the middle of the ranges (0 of a joint without limits) first: with as many joints as task

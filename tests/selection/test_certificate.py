@@ -26,6 +26,7 @@ from flexopt.selection.certificate.curve import RedundancyCurve
 from tests.oracles.certificates import contradictions, random_case
 from tests.oracles.machines import Structure, arm_at_rest, random_machine
 from tests.oracles.one_machine import in_every_format
+from tests.study.telescopes import telescope
 
 TARGET = (0.0, 1.6)
 SUM: dict[str, Any] = {"objective": "V", "weights": (1.0, 1.0, 1.0)}
@@ -203,7 +204,14 @@ def test_more_redundancy_is_refused() -> None:
     selection = flexopt.select(
         flexopt.load("boom-stick-bucket"), (6.0, 0.0), objective="V", weights=[1.0] * 3, starts=1, workers=1
     )
-    with pytest.raises(flexopt.InputError, match="two actuated joints in a plane"):
+    with pytest.raises(flexopt.InputError, match="two actuated joints, both hinges across the plane"):
+        flexopt.certify(selection)
+
+
+def test_an_arm_with_a_slide_is_told_that_proofs_need_hinges() -> None:
+    """Of two joints in a plane, with x alone free: what it lacks is the second hinge."""
+    selection = flexopt.select(telescope(), (4.6, 0.0), objective="V", weights=[1.0] * 2, starts=1, workers=1)
+    with pytest.raises(flexopt.InputError, match=r"both hinges \(extend: a slide\) across the plane of two task rows"):
         flexopt.certify(selection)
 
 

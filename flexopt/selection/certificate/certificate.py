@@ -134,9 +134,13 @@ def not_provable(problem: SelectionProblem) -> str | None:
     if own:
         return f"has Functions of its own ({', '.join(own)}), of which no bound over whole cells is known"
     if not plant.closed_form or plant.n_actuated != 2 or problem.redundancy > 1:
+        machine = plant.machine
+        slides = [name for name, unit in zip(machine.joints, machine.joint_units, strict=True) if unit == "m"]
+        told = f" ({', '.join(slides)}: {'a slide' if len(slides) == 1 else 'slides'})" if slides else ""
         return (
-            "is of a kind that cannot be covered: proofs need two actuated joints in a plane, and a target that leaves "
-            "the placement x alone free; elsewhere the best of all starts is the best that was found"
+            f"is of a kind that cannot be covered: proofs need two actuated joints, both hinges{told} across the plane "
+            "of two task rows, and a target that leaves the placement along the first row alone free; elsewhere the "
+            "best of all starts is the best that was found"
         )
     if problem.gravity:
         return "asks for the static deflection under gravity, which postures in closed form leave out"
@@ -151,17 +155,19 @@ def not_provable(problem: SelectionProblem) -> str | None:
 def certify(selection: Selection, *, gap: float | None = None) -> Certificate:
     """Prove that no allowed configuration is better than a selection's best by more than a gap.
 
-    The placement x is covered by cells, for either elbow. In each the objective V = Σ αi wi, less the cost of travel,
-    is enclosed by Taylor models with rounding directed outward (`flexopt.compiled.taylor`,
-    `flexopt.selection.certificate.modes`), and cells are split until V ≤ best + gap in all that may hold a
-    configuration within limits, margin and constraints. V = 0 where it is the most there is needs no cells.
+    Of an arm of two hinges in a plane the placement x is covered by cells, for either elbow. In each the objective
+    V = Σ αi wi, less the cost of travel, is enclosed by Taylor models with rounding directed outward
+    (`flexopt.compiled.taylor`, `flexopt.selection.certificate.modes`), and cells are split until V ≤ best + gap in all
+    that may hold a configuration within limits, margin and constraints. V = 0 where it is the most there is needs no
+    cells, of any machine.
 
     Args:
         selection: from `flexopt.select`.
         gap: asked for, as a share of the objective's scale; by default 1e-8 for one w_i, 1e-5 for sums.
 
     Raises:
-        InputError: the problem has more redundancy, ε_max in its objectives, or gravity.
+        InputError: V < 0 and the arm is not of two actuated hinges across the plane of two task rows, or more is free
+            than the placement along the first row; ε_max or own Functions in the objectives; gravity.
 
     Example:
         >>> selection = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), objective="w3", starts=8)
