@@ -168,7 +168,7 @@ def _spectrum(scenario: Scenario, x: Vector, matrix: Vector, integrator: str) ->
     most = neutral_directions(s.loop.structure, s.loop.shape.n_joints, s.parts.get("kp"), s.parts.get("ki"))
     excess = s.loop.shape.n_joints - s.loop.shape.n_task
     plant, q = build_plant(s.machine), _coordinates(s, x)
-    own = partial(OwnMotion.at, plant, q, s.base, plant.parameter_values, s.loop.to_q)
+    own = partial(OwnMotion.at, plant, q, s.base, s.p, s.loop.to_q)
     return spectrum(matrix, s.period, most, excess, own, integrator)
 
 

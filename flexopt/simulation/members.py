@@ -7,7 +7,7 @@ members, and their `SampledLoop`s.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -96,12 +96,13 @@ def member_loops(plan: Plan, ends: Vector | None, among: Sequence[int] | None = 
         assert signals is not None
         e = signals_at_end(s, signals)[0, : len(e)]
     varying, found = plan.varying(slice(0, plan.n)), list[SampledLoop | str]()
+    p = parameters_of_members(s.machine, plan.varied, plan.n)
     for k in asked:
         own = {name: np.ascontiguousarray(values[:, k]) for name, values in varying.items()}
         x = x if ends is None else ends[:, k]
         key = b"".join([*(value.tobytes() for value in own.values()), b"" if ends is None else x.tobytes()])
         if key not in loops:
-            loops[key] = about(bare, x, e, own)
+            loops[key] = about(replace(bare, parts={**bare.parts, **own}, p=p[:, k]), x, e)
         found.append(loops[key])
     return found
 

@@ -58,6 +58,7 @@ class Scenario:
         machine, options: what was asked for.
         loop: its graphs.
         posture, base: design configuration.
+        p: parameters of the machine that moves, (n_par,); of an ensemble's member its own.
         q_design: all coordinates at equilibrium, (n_q,).
         target: end-point there, (n_task,), m.
         offset: of the joints at the start, (n,), rad or m.
@@ -74,6 +75,7 @@ class Scenario:
     loop: ClosedLoop
     posture: Vector
     base: Vector
+    p: Vector
     q_design: Vector
     target: Vector
     offset: Vector
@@ -274,6 +276,7 @@ def build_scenario(
         loop=loop,
         posture=design.posture,
         base=design.base,
+        p=build_plant(machine).parameter_values.full().ravel(),
         q_design=design.q,
         target=design.target,
         offset=offset,

@@ -7,10 +7,9 @@ short for a slow mode, and its integrator can damp a mode by itself; eigenvalues
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -73,7 +72,7 @@ class Ended:
             return _about_design(self.machine, _essential(self.options), without)  # pyright: ignore[reportArgumentType]
         try:
             bare = bare_scenario(self.machine, self.options, paths=True)
-            return about(bare, self.x, self.e[: bare.loop.signals.total], _zeros(bare, without))
+            return about(_without(bare, without), self.x, self.e[: bare.loop.signals.total])
         except FlexoptError as error:
             return str(error)
 
@@ -111,19 +110,19 @@ def _essential(options: SimulationOptions) -> SimulationOptions:
 def _about_design(machine: AnyMachine, options: SimulationOptions, without: tuple[str, ...]) -> SampledLoop | str:
     try:
         bare = bare_scenario(machine, options)
-        return about(bare, bare.resting, np.zeros(bare.loop.signals.total), _zeros(bare, without))
+        return about(_without(bare, without), bare.resting, np.zeros(bare.loop.signals.total))
     except FlexoptError as error:
         return str(error)
 
 
-def _zeros(scenario: Scenario, names: tuple[str, ...]) -> dict[str, Vector]:
-    """In place of a scenario's constants."""
-    return {name: np.zeros_like(scenario.parts[name], dtype=np.float64) for name in names}
+def _without(scenario: Scenario, names: tuple[str, ...]) -> Scenario:
+    """The scenario with these constants zero."""
+    zeros = {name: np.zeros_like(scenario.parts[name], dtype=np.float64) for name in names}
+    return replace(scenario, parts={**scenario.parts, **zeros})
 
 
-def about(bare: Scenario, x: Vector, e: Vector, parts: Mapping[str, Any] | None = None) -> SampledLoop | str:
-    """The linear loop about the rest that is found from a state; `parts` in place of the scenario's constants."""
-    scenario = bare if parts is None else replace(bare, parts={**bare.parts, **parts})
+def about(scenario: Scenario, x: Vector, e: Vector) -> SampledLoop | str:
+    """The linear loop about the rest that is found from a state."""
     if not np.all(np.isfinite(x)):
         return NO_REST
     found = at_rest(scenario.loop.structure, x, e, scenario.constants, self_motion(scenario, x))

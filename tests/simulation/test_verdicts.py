@@ -11,6 +11,7 @@ import pytest
 
 import flexopt
 from benchmarks import verdicts
+from flexopt.model.parameter_values import with_parameters
 from flexopt.simulation.behaviour import Shown
 from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.verdict import beating, judge
@@ -306,6 +307,25 @@ def test_the_self_motion_is_told_apart_where_the_arm_comes_to_rest(posture: tupl
         assert abs(loop.drift[0]) < 1e-2 * nominal.decay < -loop.growth_rate
     if shown:
         assert "converges" in ensemble.verdict
+
+
+@pytest.mark.parametrize(
+    ("name", "posture"), [("boom-stick-bucket", (-0.9, -1.2, -0.4)), ("truck-crane", (-0.5, 1.0, -0.8, 0.6))]
+)
+@pytest.mark.parametrize("mass", [1.0, 2000.0])
+def test_the_self_motion_of_a_member_is_told_apart_with_its_own_masses(
+    name: str, posture: tuple[float, ...], mass: float
+) -> None:
+    """Without weight a load that the controller does not know changes nothing of its law: the loop is that of a machine
+    that has the load in its file."""
+    machine = flexopt.load(name)
+    law = {"drive": "torque", "kp": 9e4, "kv": 4e4, "rate": 100.0, "nullspace_damping": 3000.0}
+    ensemble = flexopt.simulate_ensemble(machine, posture, loop=law, duration=0.1, vary={"payload.mass": [mass]})
+    (member,) = ensemble.linear_loops
+    loaded = with_parameters(machine, {"payload.mass": mass})
+    (own,) = flexopt.simulate_ensemble(loaded, posture, loop=law, duration=0.1, vary={"kp": [9e4]}).linear_loops
+    assert member.growth_rate == pytest.approx(own.growth_rate, rel=1e-6)  # of matrices that rounding tells apart
+    assert member.self_motion == pytest.approx(own.self_motion, rel=1e-6)
 
 
 @pytest.mark.long("20000.0")
