@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
 from flexopt.foundation.quantities import COORDINATE, each, each_named, pair, several, vector
 
 # Of a machine that stands where it is built.
@@ -51,3 +55,20 @@ def check_base_range(value: Any, names: Sequence[str], units: Sequence[str]) -> 
         return str(name), pair(COORDINATE[unit_of[name]], allow_equal=True)(ends)
 
     return dict(each(check, table.items(), [name if name in unit_of and len(names) > 1 else "" for name in table]))
+
+
+def turned_into(placement: Vector, ends: tuple[Vector, Vector], units: Sequence[str]) -> Vector:
+    """The same placement (n_b, …) with its angles whole turns away, as near as can be, where they are between two ends.
+
+    Where none of them is, the one that misses the ends by the least.
+    """
+    turned = np.array(placement, dtype=np.float64)
+    for k, unit in enumerate(units):
+        if unit != "rad":
+            continue
+        first: Vector = np.ceil((ends[0][k] - placement[k]) / math.tau)
+        last: Vector = np.floor((ends[1][k] - placement[k]) / math.tau)
+        over, under = placement[k] + math.tau * first - ends[1][k], ends[0][k] - placement[k] - math.tau * last
+        missed: Vector = np.where(over < under, first, last)
+        turned[k] += math.tau * np.where(first <= last, np.clip(0.0, first, last), missed)
+    return turned

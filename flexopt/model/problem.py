@@ -102,7 +102,7 @@ class SelectionOptions(BuiltByCall):
         base_range: where the base may stand: (lower, upper) of x, or a table such as {"x": (lower, upper), "yaw": …}
             with the placement coordinates that are bounded. By default all placements from which the arm reaches, and
             see `assume`; where the task does not say where that is, within the arm's reach of the present placement.
-            yaw is free. A verdict does not let the base stay outside of it.
+            yaw is free, and its whole turns never count. A verdict does not let the base stay outside of it.
         elbow: of a single target: branch of the initial posture of a planar arm, where no posture is given.
         singularity_margin_deg: distance from singular postures: for two links the angle that θ3 keeps from straight and
             from folded, for more in the root mean square over pairs of segments; in space see

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.coordinates import turned_into
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.constraints.corners import WHERE, all_corners
 from flexopt.selection.constraints.ground import NAME as GROUND
@@ -81,7 +82,8 @@ def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p
 
 def _by_how_much(problem: SelectionProblem, z: Vector, *, asked: bool, p: Vector | None) -> dict[str, float]:
     """How far each limit and constraint, the target aside, is beyond its bounds, in units of its scale."""
-    outside: Vector = np.maximum(problem.lower - z, z - problem.upper) / problem.scale
+    told = _told_turns(problem, z)
+    outside: Vector = np.maximum(problem.lower - told, told - problem.upper) / problem.scale
     rows = np.abs(beyond_bounds(problem, z, p))[problem.target.size :]
     falls = falls_within(problem, z) if p is None else {}
     if p is not None and (falls := not_standing(problem.quantities, z, p)):
@@ -101,6 +103,12 @@ def _by_how_much(problem: SelectionProblem, z: Vector, *, asked: bool, p: Vector
     return by_name
 
 
+def _told_turns(problem: SelectionProblem, z: Vector) -> Vector:
+    """The same configuration with its base turned to where its bounds are: what they ask of it are no whole turns."""
+    n_base, bounds = problem.measures.plant.n_base, (problem.lower, problem.upper)
+    return np.append(turned_into(z[:n_base], bounds, problem.machine.base_units), z[n_base:])
+
+
 def _names_of_bounds(problem: SelectionProblem) -> list[str]:
     """What keeps each variable within its bounds, by name: its limits, or what was asked for, a range or a margin."""
     n_base, kept = problem.measures.plant.n_base, JOINT_MARGIN if problem.asked.joint_margin else LIMITS
@@ -115,8 +123,8 @@ def _asked_of_variables(problem: SelectionProblem, z: Vector) -> dict[str, Const
 
     Of what was asked for.
     """
-    margin, found = problem.asked.joint_margin, dict[str, ConstraintValue]()
-    for name, each, x in zip(_names_of_bounds(problem), problem.variables, z.tolist(), strict=True):
+    margin, found, told = problem.asked.joint_margin, dict[str, ConstraintValue](), _told_turns(problem, z)
+    for name, each, x in zip(_names_of_bounds(problem), problem.variables, told.tolist(), strict=True):
         if name.startswith(BASE_RANGE):
             found[name] = ConstraintValue(x, each.lower, each.upper, each.unit)
         elif name.startswith(JOINT_MARGIN):

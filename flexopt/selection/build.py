@@ -14,6 +14,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Interval, TargetLike, Vector
 from flexopt.foundation.boundary import Keywords, public
 from flexopt.foundation.control import control_damping
+from flexopt.foundation.coordinates import turned_into
 from flexopt.foundation.warned import warn_user
 from flexopt.model import AnyMachine
 from flexopt.model.choices import EVERYTHING, assumes
@@ -135,8 +136,8 @@ def build_one(
     objectives, own, kept, limits, travel_now = read
     names, units = machine.base_coordinates, machine.base_units
     # Checked, and so plain.
-    present, posture = cast("Vector | None", asked.base), cast("Vector | None", asked.posture)
-    ranges = cast(Ranges, asked.base_range or {})
+    posture, ranges = cast("Vector | None", asked.posture), cast(Ranges, asked.base_range or {})
+    present, travel_now = (_faced(machine, placement, ranges) for placement in (asked.base, travel_now))
     ranged = frozenset(ranges)
     margin = math.radians(asked.singularity_margin_deg)
 
@@ -327,6 +328,15 @@ def _placements(
         about = float(target[rows.index(name)]) if name in rows else 0.0 if present is None else float(present[k])
         bounds[name] = sampled[name] = given.get(name, _driven((about - far, about + far), present, k, drive))
     return bounds, sampled, []
+
+
+def _faced(machine: AnyMachine, now: Any, ranges: Ranges) -> Vector | None:
+    """A present placement, or configuration, told by the whole turns of its base that its ranges allow."""
+    if now is None:
+        return None
+    n_base, ends = len(machine.base_coordinates), [ranges.get(name, FREE) for name in machine.base_coordinates]
+    lower, upper = np.array(ends).reshape(-1, 2).T
+    return np.append(turned_into(now[:n_base], (lower, upper), machine.base_units), now[n_base:])
 
 
 def _driven(span: Interval, present: Vector | None, k: int, drive: float | None) -> Interval:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.coordinates import turned_into
 from flexopt.selection.broken import AT_END, beyond_bounds
 from flexopt.selection.problem import SelectionProblem, value_at
 from flexopt.selection.starts import idle_joints, violated
@@ -203,11 +204,8 @@ def turned_about(problem: SelectionProblem, z: Vector, angles: Vector) -> Vector
     way = np.exp(1j * angles) * complex(*(z[at[:2]] - target))
     places = np.repeat(z[:, None], angles.size, axis=1)
     places[at] = np.array([target[0] + way.real, target[1] + way.imag, z[at[2]] + angles])
-    # A bounded yaw may be within its bounds after a whole turn.
-    over = np.ceil((problem.lower[at[2]] - places[at[2]]) / math.tau)
-    under = np.floor((problem.upper[at[2]] - places[at[2]]) / math.tau)
-    bounded = np.isfinite(over) & np.isfinite(under) & (over <= under)
-    places[at[2]] += math.tau * np.where(bounded, np.clip(0.0, over, under), 0.0)
+    n_base = len(names)
+    places[:n_base] = turned_into(places[:n_base], (problem.lower, problem.upper), problem.machine.base_units)
     return problem.wrapped(places.T).T
 
 
@@ -279,13 +277,11 @@ def _configuration(problem: SelectionProblem, z: Vector, pose: AnchorPose) -> Ve
             if abs(value) > ALIKE:
                 return None
             continue
-        k = problem.machine.base_coordinates.index(name)
-        turns = 2 * math.pi * np.array([0, -1, 1]) if name == "yaw" else np.zeros(1)
-        allowed = [v for v in (value + turns).tolist() if problem.lower[k] <= v <= problem.upper[k]]
-        if not allowed:
-            return None
-        place[k] = allowed[0]
-    return problem.wrapped(place)
+        place[problem.machine.base_coordinates.index(name)] = value
+    n_base, ends = len(problem.machine.base_coordinates), (problem.lower, problem.upper)
+    place[:n_base] = turned_into(place[:n_base], ends, problem.machine.base_units)
+    outside = np.maximum(ends[0] - place, place - ends[1])[:n_base]
+    return None if outside.max(initial=0.0) > 0 else problem.wrapped(place)
 
 
 def _alike(problem: SelectionProblem, z: Vector, other: Vector) -> bool:

@@ -18,6 +18,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, BaseRangeLike, MatrixLike, PostureLike, Vector
 from flexopt.foundation.boundary import ArgumentCheck, by, number, of_machine, public, words
 from flexopt.foundation.control import Control
+from flexopt.foundation.coordinates import turned_into
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import DURATION, Quantity, each_named, entries, vector
 from flexopt.model import AnyMachine
@@ -86,8 +87,9 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
         arguments.note("duration", f"times rate must be at most {SAMPLES_MAX} samples", given["duration"])
     if machine is None or arguments.faulty("base"):
         return
-    placement = _placement(machine, given["base"])
-    ends = zip(placement, *_ends(machine, given["base_range"]), strict=True)
+    within = _ends(machine, given["base_range"])
+    placement = _placement(machine, given["base"], within)
+    ends = zip(placement, *within, strict=True)
     for name, unit, (x, low, high) in zip(machine.base_coordinates, machine.base_units, ends, strict=True):
         if not low <= x <= high:
             arguments.note("base", f"must lie in base_range, {name} {low:g} to {high:g} {unit}", placement)
@@ -176,10 +178,11 @@ def nullspace_trajectory(
         >>> climb.stop.value
         'the duration is over'
     """
-    placement, held = _placement(machine, cast("Vector | None", base)), cast(Vector, posture)
+    lower, upper = _ends(machine, cast("Mapping[str, tuple[float, float]] | None", base_range))
+    placement = _placement(machine, cast("Vector | None", base), (lower, upper))
+    held = cast(Vector, posture)
     goal = read_objectives(Arguments("nullspace_trajectory", machine), machine, objective, weights)[0]
     w = np.ones(placement.size + held.size) if metric is None else np.asarray(metric)
-    lower, upper = _ends(machine, cast("Mapping[str, tuple[float, float]] | None", base_range))
     margin = math.radians(singularity_margin_deg)
 
     functions = quantities(machine, control, gravity, gain)
@@ -274,9 +277,9 @@ def _check_start(law: NullspaceLaw, start: PathPoint, initial: Evaluation, margi
         arguments.done()
 
 
-def _placement(machine: AnyMachine, base: Vector | None) -> Vector:
-    """Where the base stands at the start, (n_b,)."""
-    return np.zeros(len(machine.base_coordinates)) if base is None else base
+def _placement(machine: AnyMachine, base: Vector | None, ends: tuple[Vector, Vector]) -> Vector:
+    """Where the base stands at the start, (n_b,), told by the whole turns that its ends allow."""
+    return turned_into(np.zeros(len(machine.base_coordinates)) if base is None else base, ends, machine.base_units)
 
 
 def _ends(machine: AnyMachine, ranges: Mapping[str, tuple[float, float]] | None) -> tuple[Vector, Vector]:

@@ -19,6 +19,7 @@ from flexopt.errors import Fault, FlexoptError, InputError, NoSolutionFound, rai
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import ArrayLike, BaseLike, Document, Progress, TargetsLike, Vector
 from flexopt.foundation.boundary import Keywords, by, public
+from flexopt.foundation.coordinates import turned_into
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import DURATION
 from flexopt.foundation.turns import available_cores
@@ -155,6 +156,7 @@ def plan_base(
     alone = asked.model_copy(update={"starts": None, "base": now})
     problems = build_problems("plan_base", machine, points, "path", alone, constraints)
     if begin is not None:
+        begin = turned_into(begin, (problems[0].lower, problems[0].upper), machine.base_units)
         _check_start(problems[0], begin)
     program = _along(problems, due, np.concatenate([base_rates, joint_rates]), begin)
 
