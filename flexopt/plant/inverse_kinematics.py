@@ -33,6 +33,8 @@ SAMPLES = 256
 SAME = 1e-6
 # A target is reached to this share of a metre, position and orientation rows alike.
 REACHED = 1e-10
+# Rounds in which the sag of a posture settles: each leaves the share by which it changes with the posture.
+SAGS = 40
 # How far off a posture of a machine that sags may be, as a share of the arm, to start from.
 NEARLY = 1e-3
 # Rounding may push |cos| past 1 by this much on the edge of the reach.
@@ -168,6 +170,28 @@ def solve_postures(plant: Plant, target: Vector, bases: Vector, starts: Vector) 
         [plant.parameter_values], REACHED,
     )  # fmt: skip
     return z[n_b:], left
+
+
+def solve_held(plant: Plant, target: Vector, bases: Vector, starts: Vector) -> tuple[Vector, Vector]:
+    """As `solve_postures`, with the end-point of the machine as it sags under its weight on the target.
+
+    Each round aims at rest beside the target by what the last posture sags, which hardly changes from one to the next.
+    """
+    p, postures = plant.parameter_values, starts
+
+    def sag() -> Vector:
+        at_rest = plant.rest.call([bases, postures, p])[0]
+        sagged = ca.vertcat(plant.deflected.call([bases, postures, p])[0], postures)
+        return (plant.end_point.call([at_rest, bases, p])[0] - plant.end_point.call([sagged, bases, p])[0]).full()
+
+    sunk, off = sag(), np.full(starts.shape[1], math.inf)
+    for _ in range(SAGS):
+        postures, left = solve_postures(plant, target.reshape(plant.n_task, -1) + sunk, bases, postures)
+        before, sunk = sunk, sag()
+        off = left + np.abs(sunk - before).max(axis=0)
+        if np.all(off <= REACHED):
+            break
+    return postures, off
 
 
 def held_on(plant: Plant, target: Vector, bases: Vector, postures: Vector) -> Vector:

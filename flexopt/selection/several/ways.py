@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from flexopt.errors import NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
-from flexopt.plant.inverse_kinematics import REACHED, solve_postures
+from flexopt.plant.inverse_kinematics import REACHED, solve_held, solve_postures
 from flexopt.selection.broken import broken_on
 from flexopt.selection.nlp.program import Program
 from flexopt.selection.problem import SelectionProblem
@@ -168,7 +168,8 @@ def _line(
     z = zs[k][:, None] + (zs[k + 1] - zs[k])[:, None] * along
     ends = problems[k].target, problems[k + 1].target
     targets = ends[0][:, None] + (ends[1] - ends[0])[:, None] * along
-    postures, left = solve_postures(plant, targets, z[: plant.n_base], z[plant.n_base :])
+    solve = solve_held if problems[0].gravity else solve_postures
+    postures, left = solve(plant, targets, z[: plant.n_base], z[plant.n_base :])
     return np.vstack([z[: plant.n_base], postures]), left <= REACHED
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import fsolve
 
 import flexopt
 from flexopt import build_measures, evaluate, load, simulate
@@ -16,7 +17,7 @@ from flexopt.robustness import evaluate_w
 from flexopt.selection.several import BasePlan, plan_base, select_stand
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.several.results import FixedPlacement
-from flexopt.selection.several.ways import on_lines
+from flexopt.selection.several.ways import broken_on_lines, on_lines
 
 PATH = np.array([[x, 1.6] for x in np.linspace(0.0, 1.5, 7)])
 
@@ -125,6 +126,65 @@ def test_where_v_is_no_number_between_the_targets_nothing_is_promised(
     value, when = on_lines(plan.problems[:2], plan.time, zs[:2], values)
     assert value == -math.inf
     assert when == pytest.approx((plan.time[0] + plan.time[1]) / 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "posture"),
+    [("excavator", (0.99, -2.63)), ("boom-stick-bucket", (-0.9, -1.2, -0.6)), ("mobile-manipulator", (0.3,) * 6)],
+)
+def test_a_straight_way_is_that_of_the_end_point_as_the_machine_sags(name: str, posture: tuple[float, ...]) -> None:
+    machine, there = flexopt.load(name), np.array(posture)
+    base = np.zeros(len(machine.base_coordinates))
+    zs = [np.concatenate([base, there]), np.concatenate([base + 0.2, there + 0.05])]
+    ends = [evaluate(machine, z[base.size :], base=z[: base.size], gravity=True).end_point for z in zs]
+    problems = [flexopt.build_selection(machine, end, gravity=True, starts=1) for end in ends]
+    ways = list[np.ndarray]()
+
+    def values(_: int, z: np.ndarray) -> np.ndarray:
+        ways.append(z)
+        return np.zeros(z.shape[1])
+
+    assert on_lines(problems, np.array([0.0, 1.0]), zs, values)[0] == 0.0
+    # The targets' own postures stay as they are.
+    np.testing.assert_allclose(ways[0][:, [0, -1]], np.array(zs).T, atol=1e-9)
+    for share, z in zip(np.linspace(0.0, 1.0, ways[0].shape[1]), ways[0].T, strict=True):
+        e = evaluate(machine, z[base.size :], base=z[: base.size], gravity=True)
+        np.testing.assert_allclose(e.base, base + 0.2 * share, atol=1e-12)
+        np.testing.assert_allclose(e.end_point, ends[0] + share * (ends[1] - ends[0]), atol=1e-9)
+
+
+def test_what_is_kept_all_the_way_under_gravity_is_not_told_as_broken(excavator: flexopt.Machine) -> None:
+    """A tool angle between bounds that the way of the machine as it sags just keeps, by SciPy's roots, or just breaks."""
+    ends, count = np.array([[0.0, 1.6], [0.4, 1.6]]), 65
+    postures = [flexopt.inverse_kinematics(excavator, end, base=0.0, gravity=True)[0] for end in ends]
+
+    plant = flexopt.build_plant(excavator)
+    p = plant.parameter_values
+
+    def sagged(posture: np.ndarray) -> np.ndarray:
+        return np.append(plant.deflected.call([0.0, posture, p])[0].full(), posture)
+
+    def held(share: float) -> float:
+        target, start = ends[0] + share * (ends[1] - ends[0]), postures[0] + share * (postures[1] - postures[0])
+
+        def off(posture: np.ndarray) -> np.ndarray:
+            return plant.end_point.call([sagged(posture), 0.0, p])[0].full().ravel() - target
+
+        turned = float(sagged(fsolve(off, start, xtol=1e-13))[2:].sum())
+        return (turned + math.pi) % math.tau - math.pi
+
+    angles = [held(share) for share in np.linspace(0.0, 1.0, count)[1:-1].tolist()]
+    low, high = min(angles), max(angles)
+
+    def told(lower: float, upper: float) -> tuple[str, ...]:
+        kept = {"tool_angle": (lower, upper)}
+        problems = [flexopt.build_selection(excavator, end, gravity=True, constraints=kept, starts=1) for end in ends]
+        return broken_on_lines(problems, [np.append(0.0, posture) for posture in postures])
+
+    # Far more than rounding, far less than the springs' share of the angle.
+    assert told(low - 1e-5, high + 1e-5) == ()
+    assert told(low + 1e-5, high + 1e-5)
+    assert told(low - 1e-5, high - 1e-5)
 
 
 @pytest.mark.long
