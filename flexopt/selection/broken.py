@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.coordinates import turned_into
@@ -17,10 +18,14 @@ from flexopt.selection.constraints.ground import NAME as GROUND
 from flexopt.selection.held import EQUILIBRIUM, ON_TARGET, not_standing
 from flexopt.selection.problem import SelectionProblem, own_held, own_with, rows_held, rows_with
 
+# From shares (N,) of a way to its configurations z (n_z, N), and which of them there are (N,).
+Way = Callable[[Vector], tuple[Vector, NDArray[np.bool_]]]
 # How near to a bound a configuration rests on it, of its scale.
 AT_END = 1e-6
 # Share of a variable's or constraint's scale beyond which a bound is broken; how many are named.
 BROKEN, NAMED = 1e-6, 3
+# To which share of a way it is found where something is broken most.
+FINE = 1e-6
 # Of a joint, how far from its limits `constraints.joint_margin` keeps it.
 JOINT_MARGIN = "joint margin of "
 # Where `base_range` lets the base stand, by coordinate; else what a variable's bounds are.
@@ -38,15 +43,40 @@ def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
     return _told(_worst_of(problem, [(name, z) for name in broken_names(problem, z, asked=asked)]), problem)
 
 
-def broken_on(problem: SelectionProblem, zs: Vector) -> str:
-    """As `broken`, of configurations zs (n_z, N): of each limit and constraint where it is broken most."""
-    most = dict[str, tuple[float, Vector]]()
-    for z in zs.T:
-        for name, off in _by_how_much(problem, z, asked=False, p=None).items():
+def broken_on(problem: SelectionProblem, way: Way, shares: Vector) -> str:
+    """As `broken`, on a way: of each limit and constraint where it is broken most.
+
+    Looked for at these shares of it, and of what is told between the neighbours of the worst of them.
+    """
+    zs, there = way(shares)
+    most = dict[str, tuple[float, int]]()
+    for k in np.flatnonzero(there).tolist():
+        for name, off in _by_how_much(problem, zs[:, k], asked=False, p=None).items():
             if off > max(BROKEN, most.get(name, (0.0,))[0]):
-                most[name] = off, z
+                most[name] = off, k
     ordered = sorted(most.items(), key=lambda each: -each[1][0])
-    return _told(_worst_of(problem, [(name, z) for name, (_, z) in ordered]), problem)
+    worst = _worst_of(problem, [(name, zs[:, k]) for name, (_, k) in ordered])
+    ends = np.concatenate([[0.0], shares, [1.0]])
+    for name, (row, _) in [*worst.items()][:NAMED]:
+        off, k = most[row]
+        deepest, z = _deepest(problem, way, row, (ends[k], ends[k + 2]))
+        worst[name] = row, z if deepest > off else zs[:, k]
+    return _told(worst, problem)
+
+
+def _deepest(problem: SelectionProblem, way: Way, row: str, span: tuple[float, float]) -> tuple[float, Vector]:
+    """By how much a row is broken where a bounded search between two shares of a way ends, and its configuration."""
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415  (loads slowly)
+
+    def off(share: float) -> tuple[float, Vector]:
+        z, there = way(np.array([share]))
+        return _by_how_much(problem, z[:, 0], asked=False, p=None)[row] if there[0] else 0.0, z[:, 0]
+
+    def finite(share: float) -> float:
+        # Rising with how much, infinite where a value is no number.
+        return -math.atan(off(share)[0])
+
+    return off(float(minimize_scalar(finite, bounds=span, method="bounded", options={"xatol": FINE}).x))
 
 
 def _worst_of(problem: SelectionProblem, each: Sequence[tuple[str, Vector]]) -> dict[str, tuple[str, Vector]]:

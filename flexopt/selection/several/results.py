@@ -416,7 +416,8 @@ class BasePlan(Pictured, ConfigurationSet):
         between: the smallest V between the targets, where base and end-point move along straight lines, and the time
             at which it is met;  −∞ where the end-point cannot be kept on its line, or V is no number.
         broken_between: what of limits and constraints, which hold at the targets, is broken at 63 points of each of
-            these lines, in words; none where nothing is seen to be. A target on such a line keeps them there, too.
+            these lines, in words, with the most that is found beside the worst of them; none where nothing is seen to
+            be. A target on such a line keeps them there, too.
         travelled: length of the base's way, m, (first in the plane of the ground), and its turning, rad.
 
     Example:

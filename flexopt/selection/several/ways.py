@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -147,8 +148,7 @@ def broken_on_lines(problems: Sequence[SelectionProblem], zs: list[Vector]) -> t
     """What is broken on the straight lines between targets, where the constraints that hold at these are not kept."""
     along, told = np.linspace(0.0, 1.0, WATCHED + 2)[1:-1], list[str]()
     for k in range(len(zs) - 1):
-        z, reached = _line(problems, zs, k, along)
-        if breaks := broken_on(_of_both(*problems[k : k + 2]), z[:, reached]):
+        if breaks := broken_on(_of_both(*problems[k : k + 2]), partial(_line, problems, zs, k), along):
             told.append(f"on the straight way from target {k + 1} to target {k + 2} it {breaks}")
     return tuple(told)
 
