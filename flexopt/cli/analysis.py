@@ -80,8 +80,8 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
     """Frequencies, measures w_i and gradients of MACHINE (a name or a file) in one posture."""
     loaded = read(load, machine)
     with working(options, as_json):
-        posture = asked_posture("evaluate", loaded, options)
         loop = real_loop(loaded.loop, options.pop("loop"))
+        posture = asked_posture("evaluate", loaded, options, loop)
         result = evaluate(loaded, posture, loop=loop, **given(options, "base", "control", "gain", "damped", "gravity"))
     tell(result, as_json=as_json)
 

@@ -482,7 +482,8 @@ JSON = option("--json", "as_json", is_flag=True, help="Print one JSON document."
 OUT = value("--out", "PATH", "Write the JSON document to a file, too.")
 CONTROL = option(
     "--control", metavar="|".join((*CONTROLS, f"{DAMPED}:LAMBDA")),
-    help="Jacobian inverse (default), transpose, or damped inverse with LAMBDA > 0 in the unit of Jv's entries.",
+    help="Jacobian inverse, transpose, or damped inverse with LAMBDA > 0 in the unit of Jv's entries; by default that "
+    "of the loop, else inverse.",
 )  # fmt: skip
 GRAVITY = option("--gravity", is_flag=True, help="Measures under static deflection.")
 PDF = value("--pdf", "FILE", "Print the page to a PDF, too; needs Chromium, Chrome or Edge.")

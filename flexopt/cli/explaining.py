@@ -31,7 +31,7 @@ def explain_command(as_json: bool, machine: str, **options: Any) -> None:
     hand_out = handing_out(options, ".json", as_json=as_json)
     loaded = read(load, machine)
     with working(options, as_json):
-        posture = asked_posture("explain", loaded, options)
         loop = real_loop(loaded.loop, options.pop("loop"))
+        posture = asked_posture("explain", loaded, options, loop)
         result = explain(loaded, posture, loop=loop, **given(options, "base", "control", "gravity"))
     hand_out(result)

@@ -176,9 +176,9 @@ def region_command(as_json: bool, machine: str, **options: Any) -> None:
     hand_out = handing_out(options, ".json", as_json=as_json)
     loaded = read(load, machine)
     with working(options, as_json, "parts") as progress:
-        posture = asked_posture("region", loaded, options)
-        settings = given(options, "base", "control", "gravity", "points", "boxes")
         loop, ranges = real_loop(loaded.loop, options["loop"]), ranges_table(options["ranges"])
+        posture = asked_posture("region", loaded, options, loop)
+        settings = given(options, "base", "control", "gravity", "points", "boxes")
         result = stable_region(loaded, posture, loop=loop, ranges=ranges, progress=progress, **settings)
     hand_out(result)
 

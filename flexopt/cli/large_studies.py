@@ -141,8 +141,8 @@ def sensitivity_command(as_json: bool, machine: str, **options: Any) -> None:
     hand_out = handing_out(options, ".json", as_json=as_json)
     loaded = read(load, machine)
     with working(options, as_json):
-        posture = asked_posture("sensitivity", loaded, options)
         ranges, loop = ranges_table(options["ranges"]), real_loop(loaded.loop, options["loop"])
+        posture = asked_posture("sensitivity", loaded, options, loop)
         chosen = given(options, "base", "control", "gravity", "samples")
         result = sensitivity(loaded, posture, loop=loop, ranges=ranges, **chosen)
     hand_out(result)

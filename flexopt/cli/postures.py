@@ -15,6 +15,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
 from flexopt.model import AnyMachine
 from flexopt.model.choices import ELBOWS
+from flexopt.model.loop import control_of
 from flexopt.plant import build_plant, inverse_kinematics
 from flexopt.robustness import build_measures
 
@@ -23,8 +24,10 @@ POSTURE = value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", num
 configuration = together(POSTURE, END_POINT, ELBOW, BASE, CONTROL, GRAVITY)
 
 
-def asked_posture(call: str, machine: AnyMachine, options: dict[str, Any]) -> Any:
-    """The posture given, or the one that reaches the end-point given."""
+def asked_posture(
+    call: str, machine: AnyMachine, options: dict[str, Any], loop: Mapping[str, Any] | None = None
+) -> Any:
+    """The posture given, or the one that reaches the end-point given; `loop`: the table of the loop that was given."""
     posture, end_point, base = options["posture"], options["end_point"], options["base"]
     faults: list[Fault] = []
     if (posture is None) == (end_point is None):
@@ -45,10 +48,15 @@ def asked_posture(call: str, machine: AnyMachine, options: dict[str, Any]) -> An
     elbow = arguments.choice("elbow", elbow, ELBOWS) if closed_form and elbow else None
     if base is not None:
         arguments.base(machine, base)
-    control: Control = arguments.control(options["control"] or "inverse")
+    control: Control = arguments.control(options["control"] or _of_loop(machine, loop))
     arguments.done()
     postures = inverse_kinematics(machine, point, base=base, gravity=options["gravity"], elbow=elbow)
     return _best(machine, postures, elbow, base, control, options) if redundant else postures[0]
+
+
+def _of_loop(machine: AnyMachine, loop: Mapping[str, Any] | None) -> Any:
+    """The control of the loop that was given, else of the machine's."""
+    return control_of(None, None, machine) if loop is None else loop.get("control", "inverse")
 
 
 def _best(

@@ -35,7 +35,7 @@ from flexopt.foundation.warned import warn_user
 from flexopt.foundation.writing import replace_folder
 from flexopt.loop.evaluation import outcome
 from flexopt.model import AnyMachine, machine_from_dict, tree_from_dict
-from flexopt.model.loop import Loop, LoopLike
+from flexopt.model.loop import Loop, LoopLike, control_of
 
 FORMAT = "flexopt C bundle"
 MANIFEST = "manifest.json"
@@ -178,7 +178,7 @@ def export_c(
     *,
     parts: Sequence[str] | None = None,
     real: Real = "double",
-    control: Control = "inverse",
+    control: Control | None = None,
     gain: float = 5e5,
     baked: bool = False,
     singularity_margin_deg: float = SINGULARITY_MARGIN_DEG,
@@ -203,8 +203,9 @@ def export_c(
         parts: names from `flexopt.export.PARTS`; by default all that the machine allows. The optimiser brings the
             kinematics.
         real: `"double"`, or `"float"` for single precision throughout.
-        control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`: of the measures, the nullspace step and ε_max. The
-            controller has both of the first, and the damped one if asked for.
+        control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`: of the measures, the nullspace step and ε_max; by
+            default that of `loop`, else of the machine's loop. The controller has both of the first, and the damped
+            one if it is this.
         gain: servo gain k_r about which ε_max is tested; the C function takes it as an input.
         baked: whether the machine's parameters become constants: smaller and faster.
         singularity_margin_deg: how far the arm must be from singular postures, degrees; in single precision the parts
@@ -243,7 +244,7 @@ def export_c(
         machine,
         wanted,
         real=real,
-        control=control,
+        control=control_of(control, loop, machine),
         gain=gain,
         baked=baked,
         singularity_margin_deg=singularity_margin_deg,

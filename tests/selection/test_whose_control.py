@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import flexopt
+from tests.cli.command import MACHINE, THIRD_LINK, Command, toml
 
 TARGETS = [(0.0, 1.6), (0.2, 1.4)]
 FEW: dict[str, Any] = {"starts": 1, "workers": 1}
@@ -61,3 +63,68 @@ def test_a_verdict_has_the_loops_control_or_refuses_before_places_are_sought(
     ):
         with pytest.raises(flexopt.InputError, match="control that is asked for, inverse"):
             asked()
+
+
+@pytest.mark.parametrize(
+    ("told", "control"),
+    [({}, "transpose"), ({"control": "inverse"}, "inverse"), ({"control": "damped:0.1"}, "damped:0.1")],
+    ids=["machine", "inverse", "damped"],
+)
+def test_maps_atlas_and_nullspace_law_are_under_the_control_of_the_loop(told: dict[str, Any], control: str) -> None:
+    """As those of a machine without a loop of which the control is asked for."""
+    machine, plain = transposed(), flexopt.load("excavator")
+    few: dict[str, Any] = {"points": (4, 4), "epsilon_max": False}
+    own, asked = flexopt.map_workspace(machine, **told, **few), flexopt.map_workspace(plain, control=control, **few)
+    assert own.options["control"] == control
+    np.testing.assert_array_equal(own.array("w"), asked.array("w"))
+    part: dict[str, Any] = {"x_range": (0.5, 1.5), "y_range": (-2.5, -1.0), "cells": (16, 16)}
+    found, other = flexopt.atlas(machine, **told, **part), flexopt.atlas(plain, control=control, **part)
+    assert [curve.points.tolist() for curve in found.curves] == [curve.points.tolist() for curve in other.curves]
+    ways = [
+        flexopt.nullspace_trajectory(each, (0.9929, -2.6306), duration=0.1, **more)
+        for each, more in ((machine, told), (plain, {"control": control}))
+    ]
+    np.testing.assert_array_equal(ways[0].base, ways[1].base)
+    np.testing.assert_array_equal(ways[0].V, ways[1].V)
+
+
+def test_a_map_with_a_loop_has_its_control() -> None:
+    few: dict[str, Any] = {"points": (4, 4), "epsilon_max": False}
+    machine = transposed()
+    for loop, control in (
+        ({"kp": 1e4, "kv": 1e3}, "inverse"),
+        ({"kp": 1e4, "kv": 1e3, "control": "transpose"}, "transpose"),
+        ("default", "inverse"),
+    ):
+        assert flexopt.map_workspace(machine, loop=loop, **few).options["control"] == control
+    with pytest.raises(flexopt.InputError, match="is not the control of the map, inverse"):
+        flexopt.map_workspace(machine, loop={"control": "transpose"}, control="inverse", **few)
+
+
+def test_commands_are_under_the_control_of_the_files_loop(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether its gains are given or not."""
+    monkeypatch.chdir(tmp_path)
+    own = toml(MACHINE, {"loop.control": '"transpose"', "loop.kp": "1e4"})
+    (tmp_path / "machine.toml").write_text(own, encoding="utf-8")
+    command = Command(capsys, tmp_path)
+    for more in ((), ("--loop", "kp=2e4")):
+        told = command("map", "machine.toml", "--points", "4,4", *more)
+        assert told.code == 0, told.stderr
+        assert "Jacobian transpose control" in told.stdout
+
+
+def test_of_a_redundant_arms_postures_the_best_under_the_loops_control_is_taken(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    own = toml(MACHINE | THIRD_LINK, {"loop.control": '"transpose"'})
+    (tmp_path / "machine.toml").write_text(own, encoding="utf-8")
+    command = Command(capsys, tmp_path)
+
+    def posture(*more: str) -> list[float]:
+        return command.json("evaluate", "machine.toml", "--end-point", "0,1.6", *more)["posture"]
+
+    assert posture() == posture("--loop", "kp=1e4") == posture("--loop", "control=transpose")
+    assert posture("--loop", "default") == posture("--control", "inverse", "--loop", "default") != posture()

@@ -23,6 +23,7 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import DURATION, Quantity, each_named, entries, vector
 from flexopt.model import AnyMachine
 from flexopt.model.choices import BASE_ACCELERATION, BASE_RATE, SINGULARITY_MARGIN_DEG
+from flexopt.model.loop import control_of
 from flexopt.plant.reach import outer_reach
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.selection.nullspace.base_trajectory import BaseTrajectory, Descent, Stop
@@ -115,7 +116,7 @@ def nullspace_trajectory(
     base: BaseLike | None = None,
     objective: str = "w1",
     weights: Sequence[float] | None = None,
-    control: Control = "inverse",
+    control: Control | None = None,
     gain: float = 5e5,
     gravity: bool = False,
     step_gain: MatrixLike | None = None,
@@ -145,7 +146,8 @@ def nullspace_trajectory(
         base: placement at the start (n_b,), m or rad; zero by default.
         objective: `"w1"`, `"w2"`, …, `"epsilon_max"`, or `"V"` = Σ αi wi + β ε_max.
         weights: α of `"V"`, and β after them, as in `flexopt.build_selection`.
-        control: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`, as in `flexopt.evaluate`.
+        control: Jacobian `"inverse"`, `"transpose"` or `"damped:LAMBDA"`, as in `flexopt.evaluate`; by default that of
+            the machine's loop.
         gain: servo gain kr of ε_max.
         gravity: measures and end-point under static deflection.
         step_gain: kξ for each sample: a positive scalar, (n_z,) for a diagonal, or (n_z, n_z), n_z = n_b + n. By
@@ -185,6 +187,7 @@ def nullspace_trajectory(
     w = np.ones(placement.size + held.size) if metric is None else np.asarray(metric)
     margin = math.radians(singularity_margin_deg)
 
+    control = control_of(control, None, machine)
     functions = quantities(machine, control, gravity, gain)
     start = np.concatenate([placement, held])
     initial = functions.evaluated(start)

@@ -21,6 +21,7 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.plain import counted, shown
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
+from flexopt.model.loop import control_of
 from flexopt.robustness.atlas import ROWS, Atlas, Rectangle, Slice, survey
 from flexopt.robustness.plausibility import warn_implausible
 from flexopt.study.maps.planes import Plane, read_plane, two_counts
@@ -82,7 +83,7 @@ def _read(arguments: Arguments, machine: AnyMachine, given: Mapping[str, Any]) -
 def atlas(
     machine: AnyMachine,
     *,
-    control: Control = "inverse",
+    control: Control | None = None,
     gravity: bool = False,
     joints: Sequence[str] | None = None,
     posture: PostureLike | None = None,
@@ -109,7 +110,7 @@ def atlas(
 
     Args:
         machine: from `flexopt.load`, with a task of two or three rows.
-        control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`.
+        control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; by default that of the machine's loop.
         gravity: measures under static deflection.
         joints: names of the two that vary, along x and y; the first two by default.
         posture: the joints that do not vary, in order, rad or m.
@@ -136,4 +137,5 @@ def atlas(
     plane, rectangle = _read(Arguments("atlas", machine), machine, given)
     warn_implausible(machine)
     count, size = available_cores() if threads is None else threads, cast(tuple[int, int], cells)
-    return survey(Slice(machine, control, gravity, plane.varies, plane.posture, plane.base, count), rectangle, size)
+    chosen = control_of(control, None, machine)
+    return survey(Slice(machine, chosen, gravity, plane.varies, plane.posture, plane.base, count), rectangle, size)

@@ -15,13 +15,13 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, PointsLike, PostureLike, Progress, RangeLike, TargetLike, Vector
 from flexopt.foundation.boundary import anything, flag, public, words
 from flexopt.foundation.control import Control, gain_units
+from flexopt.loop.evaluation import settings_at
 from flexopt.loop.many import Decays, decays, expect_decays
-from flexopt.loop.settings import LoopSettings, loop_settings
+from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
-from flexopt.model.loop import Loop, LoopLike
+from flexopt.model.loop import Loop, LoopLike, control_of
 from flexopt.plant import build_plant
-from flexopt.robustness import evaluate
 from flexopt.study.maps.grid import Over
 from flexopt.study.maps.planes import read_plane, two_counts
 from flexopt.study.maps.points import evaluate_points, expect_points
@@ -59,7 +59,7 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
 def map_workspace(
     machine: AnyMachine,
     *,
-    control: Control = "inverse",
+    control: Control | None = None,
     gain: float = 5e5,
     gravity: bool = False,
     over: Over = "end_point",
@@ -91,7 +91,7 @@ def map_workspace(
 
     Args:
         machine: from `flexopt.load`.
-        control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`.
+        control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; by default that of `loop`, else of the machine's loop.
         gain: servo gain kr of ε_max.
         gravity: measures under static deflection.
         over: `"end_point"`, `"posture"` or `"base"`: what varies, the first along x, the second along y.
@@ -132,9 +132,10 @@ def map_workspace(
     given = {"joints": joints, "rows": rows, "coordinates": coordinates, "posture": posture, "end_point": end_point}
     given |= {"base": base, "x_range": x_range, "y_range": y_range}
     plane = read_plane(Arguments("map_workspace", machine), machine, over, given)
+    own = cast("Loop | None", loop)
+    control = control_of(control, own, machine)
     options: dict[str, Any] = {"control": control, "gain": gain, "gravity": gravity, "over": over}
     options |= {"x_range": plane.ranges[0], "y_range": plane.ranges[1], "points": size} | plane.options(elbow)
-    own = cast("Loop | None", loop)
     if own is not None and own.control not in (None, control):
         fault = Fault("loop.control", f"is not the control of the map, {control}", repr(own.control))
         raise_if_any(InputError, "map_workspace", [fault])
@@ -176,8 +177,8 @@ def _settings(
     """The loop's numbers at the point whose posture is nearest to the middle one."""
     middle = np.median(postures, axis=1, keepdims=True)
     k = int(np.abs(postures - middle).max(axis=0).argmin())
-    stand = evaluate(machine, postures[:, k], base=bases[:, k], control=control, gravity=gravity)
-    settings = loop_settings(machine, loop, stand, gravity=gravity)
+    at = postures[:, k], bases[:, k]
+    settings, _ = settings_at(machine, *at, control, loop, gravity=gravity, call="map_workspace")
     expect_decays(postures.shape[1], machine, settings, gravity=gravity)
     return settings
 
