@@ -306,9 +306,8 @@ def test_the_verdict_is_that_of_the_call_and_its_loop_that_of_the_runs(capsys, t
     assert [place["decay"] for place in found["places"]] == [place["decay"] for place in alone["places"]]
 
 
-def test_of_several_targets_the_loop_is_run_where_it_decays_slowest_too(tmp_path):
-    """w1 is 0 at all of them to rounding, so that the worst by it tells nothing of the loop."""
-    (tmp_path / "three.toml").write_text(
+def three_targets(folder):
+    (folder / "three.toml").write_text(
         """schema = 1
         name = "three"
         machine = "excavator"
@@ -317,8 +316,13 @@ def test_of_several_targets_the_loop_is_run_where_it_decays_slowest_too(tmp_path
         loop = { kp = 1e4, kv = 1e3 }""",
         encoding="utf-8",
     )
+    return folder / "three.toml"
+
+
+def test_of_several_targets_the_loop_is_run_where_it_decays_slowest_too(tmp_path):
+    """w1 is 0 at all of them to rounding, so that the worst by it tells nothing of the loop."""
     few = {"points": 4, "members": 2, "runs": 0, "simulation": {"duration": 2.0}}
-    found = flexopt.report(flexopt.load_problem(tmp_path / "three.toml"), **few)
+    found = flexopt.report(flexopt.load_problem(three_targets(tmp_path)), **few)
     assert isinstance(found.about, flexopt.Stand)
     assert found.verdict is not None
     k = found.verdict.places[-1].slowest_target
@@ -331,3 +335,30 @@ def test_of_several_targets_the_loop_is_run_where_it_decays_slowest_too(tmp_path
     run = found.loops["slowest target"].run
     assert run.linear_growth_rate == pytest.approx(-min(decays), rel=1e-6)
     assert f"the loop decays slowest at target {k + 1}; it is run there, too" in report_html(found)
+
+
+@pytest.mark.long
+def test_runs_of_other_gains_are_not_said_to_be_of_the_verdicts_loop(tmp_path):
+    problem = flexopt.load_problem(three_targets(tmp_path))
+    few = {"points": 4, "members": 2, "runs": 0, "simulation": {"kp": 2e4, "kv": 1e3, "duration": 2.0}}
+    found = flexopt.report(problem, **few)
+    assert found.verdict is not None
+    assert list(found.loops) == ["worst target"]
+    assert "decays slowest at target" not in report_html(found)
+
+
+@pytest.mark.long
+def test_the_present_loop_is_run_in_the_posture_that_staying_is_judged_in():
+    """That of the choice, which no one gave, would have the stick in the ground."""
+    machine = flexopt.load("boom-stick-bucket")
+    problem = flexopt.build_selection(machine, (5.0, 1.0), base=0.0, starts=1)
+    loop = {"kp": 5e4, "kv": 2e4, "rate": 100.0, "drive": "torque"}
+    found = flexopt.report(problem, loop=loop, points=4, members=2, runs=0, simulation={"duration": 1.0})
+    stay = found.verdict.places[0]
+    assert stay.name == "stay"
+    assert np.abs(found.selection.initial.posture - stay.posture).max() > 1e-3
+    np.testing.assert_array_equal(found.stands["present"].posture, stay.posture)
+    own = flexopt.outcome(machine, stay.posture, base=0.0, loop=found.verdict.settings.fixed)
+    # Of matrices that rounding tells apart.
+    assert found.loops["present"].run.linear_growth_rate == pytest.approx(-own.decay, rel=1e-6)
+    assert "Present: in the posture that staying is judged in." in report_html(found)

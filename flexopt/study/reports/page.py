@@ -29,7 +29,7 @@ from flexopt.study.page import (
     sentence,
     with_minus,
 )
-from flexopt.study.reports.surroundings import CHOSEN, PRESENT, held_ways, problem_of, slowest_target
+from flexopt.study.reports.surroundings import CHOSEN, PRESENT, SLOWEST, held_ways, problem_of, slowest_target
 from flexopt.study.reports.tables import (
     SHOWN,
     chosen_number,
@@ -98,7 +98,7 @@ def report_html(report: Report) -> str:
         map_caption=_map_caption(report),
         around="at the worst target" if several else "of the chosen configuration",
         loops=_loops(report),
-        loops_note=" ".join([_shown(report), *_slowest(report), *_warned(report)]),
+        loops_note=" ".join([_shown(report), *_stay(report), *_slowest(report), *_warned(report)]),
         runs=_runs(report),
         options=_options(report),
         borders=_borders(report),
@@ -293,10 +293,18 @@ def _shown(report: Report) -> str:
     return f"{told}; candidate 1 has the best {objective}.{at}"
 
 
+def _stay(report: Report) -> list[str]:
+    """How the arm is held in the present loop where that is not how the choice has it."""
+    initial = report.selection.initial if isinstance(report.selection, Selection) else None
+    now = report.stands.get(PRESENT, initial)
+    other = initial is not None and now is not None and initial.z.tolist() != now.z.tolist()
+    return ["Present: in the posture that staying is judged in."] if other else []
+
+
 def _slowest(report: Report) -> list[str]:
     """At which other target there is a closed loop, and why."""
     slowest = slowest_target(report.about, report.verdict)
-    if slowest is None:
+    if slowest is None or SLOWEST not in report.loops:
         return []
     return [f"Over what is uncertain the loop decays slowest at target {slowest + 1}; it is run there, too."]
 

@@ -141,15 +141,16 @@ def report(
     about = selection if judged is None else spoken_of(selection, judged.place)
     drawn = _attempt(notes, "the map", lambda: surroundings(about, size))
     stages.next()
-    stands, loops, real = stands_of(about), dict[str, ReportLoop](), None
-    if not isinstance(about, Selection) and (slowest := slowest_target(about, judged)) is not None:
+    stands, loops, real = stands_of(about, judged), dict[str, ReportLoop](), None
+    # What is said of the controller otherwise goes before a loop that is known, of which the verdict is.
+    otherwise = known is None or bool(brought_twice(given))
+    slowest = None if otherwise else slowest_target(about, judged)
+    if slowest is not None and not isinstance(about, Selection):
         stands[SLOWEST] = about.places[slowest].evaluation
     usual, rate = (SimulationOptions.model_fields[name].default for name in ("duration", "rate"))
     rate = given.get("rate", known.rate if known and known.rate else rate)
     longer = long_enough((float(each.frequencies_hz.min()) for each in stands.values()), rate, least=usual)
     given = ({} if longer == usual else {"duration": longer}) | given
-    # What is said of the controller otherwise goes before a loop that is known.
-    otherwise = known is None or bool(brought_twice(given))
     if otherwise:
         given = _with_gains(machine, best_of(about), given)
     else:
@@ -174,7 +175,7 @@ def report(
         machine=machine,
         selection=selection,
         map=drawn,
-        marks={} if drawn is None else marks_in(about, drawn),
+        marks={} if drawn is None else marks_in(about, drawn, judged),
         loops=loops,
         simulation=given,
         borders=tuple(borders),

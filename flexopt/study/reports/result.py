@@ -62,8 +62,9 @@ class Report(Printed, Result):
             (or over two joints, where the task has one row); None where there is none.
         marks: present and chosen configuration as points of the map, name -> (x, y).
         loops: name of a configuration (`"present"`, `"chosen"`, of several targets `"worst target"` by the objective
-            and, where that is another, `"slowest target"` by the verdict) -> closed loop; the same gains in each.
-            Chosen, here and around the map, is the candidate that the verdict speaks of, else the selection's best.
+            and, where that is another, `"slowest target"` by the verdict, unless options say of another controller
+            than its) -> closed loop; the same gains in each. Present is as staying is judged. Chosen, here and around
+            the map, is the candidate that the verdict speaks of, else the selection's best.
         simulation: options of these.
         borders: gains Kp that each configuration allows.
         verdict: whether it pays to move, where a real controller is known and a present placement; else None.
@@ -110,7 +111,7 @@ class Report(Printed, Result):
     @property
     def stands(self) -> dict[str, Evaluation]:
         """Configurations by name, the present one first where it is known."""
-        return stands_of(self.about)
+        return stands_of(self.about, self.verdict)
 
     @cached_property
     def about(self) -> Selection | Stand | BasePlan:

@@ -25,7 +25,7 @@ from flexopt.selection.starts import violated
 from flexopt.study.maps.grid import closed_form
 from flexopt.study.maps.workspace import map_workspace, takes_long
 from flexopt.study.maps.workspace_map import WorkspaceMap
-from flexopt.study.verdicts.places import FIRST, candidate_number
+from flexopt.study.verdicts.places import FIRST, STAY, candidate_number
 from flexopt.study.verdicts.result import Verdict
 
 CHOSEN, PRESENT, WORST, SLOWEST = "chosen", "present", "worst target", "slowest target"
@@ -58,12 +58,21 @@ def best_of(selection: Selection | Stand | BasePlan) -> Evaluation:
     return selection.places[selection.worst].evaluation
 
 
-def stands_of(selection: Selection | Stand | BasePlan) -> dict[str, Evaluation]:
-    """The present configuration, where it is known, and the chosen one; of several targets that of the worst."""
+def stands_of(selection: Selection | Stand | BasePlan, judged: Verdict | None) -> dict[str, Evaluation]:
+    """The present configuration, where it is known, and the chosen one; of several targets that of the worst.
+
+    Present is what a verdict judges staying in: that of the choice may break constraints, where no posture was given.
+    """
     if not isinstance(selection, Selection):
         return {WORST: best_of(selection)}
-    present = {} if selection.initial is None else {PRESENT: selection.initial}
+    present = {} if selection.initial is None else {PRESENT: _present(selection, selection.initial, judged)}
     return present | {CHOSEN: selection.best.evaluation}
+
+
+def _present(selection: Selection, initial: Evaluation, judged: Verdict | None) -> Evaluation:
+    stay = None if judged is None else next((place for place in judged.places if place.name == STAY), None)
+    z = initial.z if stay is None else np.concatenate(stay.stands[0])
+    return initial if np.array_equal(z, initial.z) else selection.problem.quantities.evaluated(z)
 
 
 def map_points(machine: AnyMachine) -> int:
@@ -149,13 +158,15 @@ def _arm(machine: AnyMachine, stand: Evaluation) -> tuple[Vector, Vector]:
     return elbow - shoulder, tip - elbow
 
 
-def marks_in(selection: Selection | Stand | BasePlan, drawn: WorkspaceMap) -> dict[str, tuple[float, float]]:
+def marks_in(
+    selection: Selection | Stand | BasePlan, drawn: WorkspaceMap, judged: Verdict | None = None
+) -> dict[str, tuple[float, float]]:
     """Where the configurations are in the map's plane."""
     rows, columns = drawn.axes
     problem = problem_of(selection)
     machine = problem.machine
     marks: dict[str, tuple[float, float]] = {}
-    for shown, stand in stands_of(selection).items():
+    for shown, stand in stands_of(selection, judged).items():
         name = CHOSEN if shown == WORST else shown
         at: dict[str, float] = {}
         if drawn.options["over"] == "base":
