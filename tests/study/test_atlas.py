@@ -289,6 +289,43 @@ def test_a_telescope_in_a_plane_of_symmetry() -> None:
     assert_complete(atlas, machine, "inverse", rng=np.random.default_rng(2))
 
 
+@pytest.mark.long
+def test_postures_in_which_a_telescope_keeps_a_at_zero_in_space() -> None:
+    """Off the plane of symmetry a has two components across the telescope: it is 0 in postures, and SciPy finds them."""
+    machine = flexopt.load("truck-crane")
+    atlas = flexopt.atlas(machine, joints=["lift", "knuckle"], posture=[0.8, 1.0], cells=(48, 48))
+    values, p = flexopt.build_measures(machine).values, flexopt.build_plant(machine).parameter_values
+    a_at, modes_at = (values.name_out().index(name) for name in ("a", "modes"))
+
+    def factors(z: Any) -> tuple[Any, Any]:
+        out = values.call([np.zeros(3), np.array([0.8, *z, 1.0]), p])
+        return out[a_at].full(), out[modes_at].full()
+
+    axes = [np.linspace(*span, 31) for span in (atlas.x_range, atlas.y_range)]
+    grid = np.array([[factors((x, y))[0] for y in axes[1]] for x in axes[0]])
+    sizes, found = np.linalg.norm(grid, axis=2), list[tuple[float, ...]]()
+    for mode in range(sizes.shape[-1]):
+        size = np.pad(sizes[..., mode], 1, constant_values=np.inf)
+        beside = [size[1 + i : 32 + i, 1 + j : 32 + j] for i in (-1, 0, 1) for j in (-1, 0, 1)]
+        for i, j in np.argwhere(size[1:-1, 1:-1] <= np.min(beside, axis=0)):
+            start = np.array([axes[0][i], axes[1][j]])
+            held = factors(start)[1][:, mode]
+
+            def a(z: Any, mode: int = mode, held: Any = held) -> Any:
+                a, modes = factors(z)
+                return a[:, mode] * np.sign(modes[:, mode] @ held) / sizes[..., mode].max()
+
+            solved = scipy.optimize.least_squares(a, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+            inside = all(axis[0] <= z <= axis[-1] for axis, z in zip(axes, solved.x, strict=True))
+            if inside and np.linalg.norm(solved.fun) < 1e-9:
+                found.append((mode + 1, *solved.x))
+    zero = sorted(
+        (q.modes[0], *q.posture[1:3]) for q in atlas.isolated if q.scale[q.modes[0] - 1] < 1e-12 * q.scale.max()
+    )
+    assert len(zero) == len(found) > 0
+    np.testing.assert_allclose(zero, sorted(found), atol=1e-7)  # differences of SciPy's slopes
+
+
 def test_modes_that_are_parallel_everywhere() -> None:
     """A crane on rails that give along x: to move the trolley along x takes the end-point nowhere in the one mode."""
     carriage = {"name": "rail", "kind": "slide", "axis": [1.0, 0.0, 0.0], "passive": True, "stiffness": 1e5}
