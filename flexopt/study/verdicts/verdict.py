@@ -457,8 +457,9 @@ def _tries(asked: Loop, stay: Place | None, others: Sequence[Place], unconfirmed
 
 def _with_alternates(decision: Decision, loops: Mapping[str, PlaceLoops], slowest: Mapping[str, Slowest]) -> Decision:
     """The decision, with why the present loop grows where it changes its sign at every sample."""
-    asked = slowest if decision.word in ("change gains", "cannot tell") else {}
-    why = {name: told for name, at in asked.items() if (told := _alternates(loops[name].loops[at.target], at))}
+    if decision.word not in ("change gains", "cannot tell"):
+        return decision
+    why = {name: told for name, at in slowest.items() if (told := _alternates(loops[name].loops[at.target], at))}
     if not why:
         return decision
     # In all places it has one cause, as a rule.
