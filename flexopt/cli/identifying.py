@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any
 
 import click
@@ -29,7 +30,10 @@ from flexopt.model import load
 @argument("log")
 @value("--posture", "A,B,…", "How the arm is held, rad (slides: m); by default where the log's joints stand.", numbers)
 @BASE
-@value("--unknown", "NAMES", "What is not known: stiffness,damping (the default), payload.mass and so on.", names)
+@value(
+    "--unknown", "NAMES", "What is not known: stiffness,damping (the default), payload.mass and so on.", names,
+    multiple=True,
+)  # fmt: skip
 @value("--window", "FROM,TO", "Part of the log, s; by default all after the arm's last motion.", numbers)
 @value("--imu", "X,Y[,Z]", "Where the accelerometer sits on the body that carries the arm, m; its origin.", numbers)
 @GRAVITY
@@ -46,6 +50,7 @@ def identify_command(as_json: bool, machine: str, log: str, **options: Any) -> N
 
     hand_out = handing_out(options, ".json", as_json=as_json)
     loaded = read(load, machine)
+    options["unknown"] = [*chain.from_iterable(options["unknown"])] or None
     with working(options, as_json, "stages") as progress:
         result = identify(loaded, log, progress=progress, **given(options))
     hand_out(result)

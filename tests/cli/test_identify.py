@@ -30,6 +30,8 @@ def test_the_command_says_what_python_says(command: Command) -> None:
     assert document["machine_sha256"] == found.machine.content_hash
     assert set(document["values"]) == {"base.stiffness.rotation", "base.damping.rotation"}
     assert repr(found) in command(*words).stdout
+    more = command.json(*words[:-2], "--unknown", "base.stiffness.rotation", "--unknown", "base.damping.rotation")
+    assert set(more["values"]) == set(document["values"])
 
 
 @pytest.mark.long

@@ -283,7 +283,10 @@ def test_where_no_gains_are_found_it_says_which_were_tried_and_how_others_are() 
     loop = {"kp": 1e7, "kv": 1e2, "dead_time": 0.02}
     found = judged("article", loop=loop, runs=0, members=4)
     assert found.word == "cannot tell"
-    assert "nor with 0.01 to 10 times these; kp_range and kv_range of the loop have others tried" in found.sentence
+    assert (
+        "nor with 0.01 to 10 times these, all by one factor; kp_range and kv_range of the loop have others tried"
+        in found.sentence
+    )
     ranges = {"kp_range": (1.0, 1e7), "kv_range": (1.0, 1e5)}
     other = judged("article", loop=loop | ranges, runs=0, members=4)
     assert other.word == "change gains"

@@ -18,7 +18,7 @@ from flexopt.loop.uncertain import FEW
 from flexopt.model.loop import Loop
 from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import FASTER, MOST, Place, decide, pays
-from flexopt.study.verdicts.gain_search import at_ends, best_gains, lowered, most_room
+from flexopt.study.verdicts.gain_search import at_ends, best_gains, lowered, most_room, one_factor
 from flexopt.study.verdicts.place_loops import PlaceLoops, Slowest
 from flexopt.study.verdicts.places import STAY, gains_in_words
 
@@ -34,7 +34,8 @@ class ChangedGains(NamedTuple):
     """A place with other gains: its loop with these, nonlinear runs if any were asked for.
 
     `staying`: of another place than the present one, what staying with other gains does, in words; empty where that is
-    stable nowhere, or runs refute it. `at_end`: see `at_ends`. `breaks`: what it does not do of what it must at least.
+    stable nowhere, or runs refute it. `at_end`: see `at_ends`, `one_factor`. `breaks`: what it does not do of
+    what it must at least.
     """
 
     place: Place
@@ -157,7 +158,7 @@ class GainChange:
             return _Tried(there, loop, member[None])
 
         def told(tried: _Tried) -> ChangedGains:
-            at_end = at_ends(tried.loop.settings, self.asked, self.loops[name].settings)
+            at_end = at_ends(tried.loop.settings, self.asked, self.loops[name].settings) or one_factor(self.asked)
             breaks = self.breaks(name, tried.loop)
             return ChangedGains(tried.place, tried.loop, self.runs_of(tried.loop), at_end=at_end, breaks=breaks)
 

@@ -24,6 +24,7 @@ GRID, EVALUATIONS, LEAST, MOST = 9, 80, 1e-2, 10.0
 # So many times as high gains are to hold, too; in which steps gains are lowered for that, and how often the last one is
 # halved where it is too much.
 ROOM, LOWER, HALVINGS = 2.0, 0.5**0.25, 6
+OTHERS = "kp_range and kv_range of the loop have others tried"
 # By which share a gain may be off an end of what is looked at and lie there.
 AT_END = 1e-6
 
@@ -108,7 +109,12 @@ def tried_gains(asked: Loop) -> str:
     """Which gains `best_gains` looks at, in words."""
     if gain_ranges(asked):
         return "others in their ranges"
-    return f"{LEAST:g} to {MOST:g} times these; kp_range and kv_range of the loop have others tried"
+    return f"{LEAST:g} to {MOST:g} times these, all by one factor; {OTHERS}"
+
+
+def one_factor(asked: Loop) -> str:
+    """That gains were tried in one ratio alone, in words; empty where ranges have others tried."""
+    return "" if gain_ranges(asked) else f"all gains were tried by one factor: {OTHERS}"
 
 
 def at_ends(found: LoopSettings, asked: Loop, now: LoopSettings) -> str:
