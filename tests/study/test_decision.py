@@ -127,7 +127,18 @@ def test_nothing_is_said_that_runs_do_not_confirm() -> None:
     # Each with its own; what is why of all once.
     two = [better, place("far", GROUNDS)]
     ends = {
-        "confirm the present place (A), near (B) and far (A)": {"stay": "A", "near": "B", "far": "A"},
+        "confirm the present place and far (A); nor near (B)": {"stay": "A", "near": "B", "far": "A"},
+        "confirm the present place (A), near (B) and far (C)": {"stay": "A", "near": "B", "far": "C"},
+        "confirm the present place and near (it is 0.1 and 0.2 m off; C); nor far (B)": {
+            "stay": "it is 0.1 m off; C",
+            "near": "it is 0.2 m off; C",
+            "far": "B",
+        },
+        "confirm the present place (0.1 m in 2 s), near (0.2 m in 3 s) and far (0.2 m in 4 s)": {
+            "stay": "0.1 m in 2 s",
+            "near": "0.2 m in 3 s",
+            "far": "0.2 m in 4 s",
+        },
         "confirm the present place, near and far (A)": {"stay": "A", "near": "A", "far": "A"},
     }
     for words, doubts in ends.items():

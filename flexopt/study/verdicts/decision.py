@@ -31,6 +31,7 @@ LEAST_TOLD = 1e-3
 ALIKE = 1e-6
 # Between what a run shows and what helps, in why it does not confirm.
 BETWEEN = "; "
+NUMBER = re.compile(r"[-+±]?\d[\d.e+-]*")
 # How it begins that a place does not do what it must at least.
 BREAKS = "breaks "
 # What "better" is, in every sentence.
@@ -228,14 +229,18 @@ def _because(why: str) -> str:
 
 def _kind(why: str) -> str:
     """A doubt without its numbers."""
-    return re.sub(r"[-+±]?\d[\d.e+-]*", "", why)
+    return NUMBER.sub("", why)
 
 
 def _doubted(names: Sequence[str], unconfirmed: Mapping[str, str]) -> str:
-    """Places that runs do not confirm, each with why; what is why of all, or helps in all, stands once."""
-    whys = {unconfirmed[name] for name in names}
-    if len(whys) == 1:
-        return listed(map(spoken, names)) + _because(whys.pop())
+    """Places that runs do not confirm, each with why; what is why of several, but for a number, stands once."""
+    alike = dict[str, list[str]]()
+    for name in names:
+        alike.setdefault(_kind(unconfirmed[name]), []).append(name)
+    if len(alike) > 1 and len(alike) < len(names):
+        return "; nor ".join(_doubted(group, unconfirmed) for group in alike.values())
+    if len(alike) == 1 and (why := _of_all([unconfirmed[name] for name in names])):
+        return listed(map(spoken, names)) + _because(why)
     parts = [unconfirmed[name].split(BETWEEN) for name in names]
     least, common = min(map(len, parts)), 0
     while common < least - 1 and len({each[-1 - common] for each in parts}) == 1:
@@ -243,6 +248,18 @@ def _doubted(names: Sequence[str], unconfirmed: Mapping[str, str]) -> str:
     heads = [BETWEEN.join(each[: len(each) - common]) for each in parts]
     each = listed(f"{spoken(name)}{_because(head)}" for name, head in zip(names, heads, strict=True))
     return BETWEEN.join([each, *parts[0][len(parts[0]) - common :]])
+
+
+def _of_all(whys: Sequence[str]) -> str:
+    """Doubts of one kind as one, which has the numbers of all where only one of them differs; else nothing."""
+    each = [NUMBER.findall(why) for why in whys]
+    differ = [k for k, numbers in enumerate(zip(*each, strict=True)) if len(set(numbers)) > 1]
+    if len(differ) > 1:
+        return ""
+    told = [listed(dict.fromkeys(numbers)) if k in differ else numbers[0]
+            for k, numbers in enumerate(zip(*each, strict=True))]  # fmt: skip
+    texts = NUMBER.split(whys[0])
+    return "".join(text + number for text, number in zip(texts, [*told, ""], strict=True))
 
 
 def _why_not(rival: Place, share: float, unconfirmed: Mapping[str, str]) -> str:
