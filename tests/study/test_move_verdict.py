@@ -1673,6 +1673,7 @@ def test_another_loop_is_judged_alike_in_every_place() -> None:
     assert stay.breaks == ""
 
 
+@pytest.mark.long
 def test_other_gains_do_what_the_loop_must_do_at_least() -> None:
     """The fastest of all gains in these ranges bear 5 ms of dead time more, where 16 ms are asked for."""
     machine, held, base = flexopt.load("excavator"), (-1.2479, 1.4872), -2.1859
