@@ -264,7 +264,7 @@ def test_what_does_not_go_together() -> None:
         ({"objective": "decay,speed"}, "must be w1"),
         ({"objective": "w_1, decy"}, "did you mean 'w1'.; did you mean 'decay'.$"),
         ({"objective": "nothing at all"}, "separated by commas$"),
-        ({"objective": "decay", "loop": {"control": "transpose"}}, "control that is asked for"),
+        ({"objective": "decay", "control": "inverse", "loop": {"control": "transpose"}}, "control that is asked for"),
     ):
         with pytest.raises(flexopt.InputError, match=sentence):
             flexopt.select(EXCAVATOR, TARGET, **options)  # type: ignore[arg-type]
