@@ -91,7 +91,8 @@ def broken_at_rest(chosen: Chosen, place: PlaceLoops) -> str:
     """
     worst = dict[str, tuple[float, ConstraintValue, str]]()
     for problem, loop in zip(problems_of(chosen), place.loops, strict=True):
-        if not loop.gravity:
+        # An integral part takes it to the target.
+        if not loop.gravity or loop.settings.ki.all():
             continue
         for u in loop.box.corners(FEW):
             point = loop.outcome(u)
