@@ -48,15 +48,10 @@ def asked_posture(
     elbow = arguments.choice("elbow", elbow, ELBOWS) if closed_form and elbow else None
     if base is not None:
         arguments.base(machine, base)
-    control: Control = arguments.control(options["control"] or _of_loop(machine, loop))
+    control: Control = arguments.control(control_of(options["control"], loop, machine))
     arguments.done()
     postures = inverse_kinematics(machine, point, base=base, gravity=options["gravity"], elbow=elbow)
     return _best(machine, postures, elbow, base, control, options) if redundant else postures[0]
-
-
-def _of_loop(machine: AnyMachine, loop: Mapping[str, Any] | None) -> Any:
-    """The control of the loop that was given, else of the machine's."""
-    return control_of(None, None, machine) if loop is None else loop.get("control", "inverse")
 
 
 def _best(

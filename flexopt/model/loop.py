@@ -6,7 +6,7 @@ In: a table. Out: a frozen `Loop`, and what of it does not go together or not wi
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Annotated, Any, Literal
 
 from flexopt.errors import Fault, InputError, raise_if_any
@@ -159,10 +159,11 @@ def _limit_faults(loop: Loop, why: str) -> list[Fault]:
     return [Fault(name, sentence, str(list(each))) for name, each in limits.items() if each is not None]
 
 
-def control_of(asked: Control | None, loop: Loop | None, machine: Any) -> Control:
+def control_of(asked: Control | None, loop: Loop | Mapping[str, Any] | None, machine: Any) -> Control:
     """The control that is asked for, else that of the loop, by default the machine's, else the Jacobian's inverse."""
-    real: Loop | None = machine.loop if loop is None else loop
-    return asked or (real and real.control) or "inverse"
+    real: Loop | Mapping[str, Any] | None = machine.loop if loop is None else loop
+    own = real.get("control") if isinstance(real, Mapping) else real and real.control
+    return asked or own or "inverse"
 
 
 def under_control(loop: Loop, machine: Any, control: Control, call: str) -> Loop:
