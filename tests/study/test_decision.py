@@ -16,7 +16,8 @@ from flexopt.study.verdicts.broken_places import Breaks
 from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, faster, ranked
 from flexopt.study.verdicts.gain_search import tried_gains
 from flexopt.study.verdicts.places import gains_in_words
-from flexopt.study.verdicts.verdict import first_places, fit_places, overlooked, shares_better, with_barred
+from flexopt.study.verdicts.told_places import first_places, fit_places, overlooked, shares_better
+from flexopt.study.verdicts.verdict import with_barred
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
 

@@ -28,13 +28,12 @@ from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
 from flexopt.selection.broken import broken
-from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached, with_angles
 from flexopt.selection.result import unverified_told
-from flexopt.selection.several import BasePlan
 from flexopt.study.verdicts.confirmation import INTEGRAL
-from flexopt.study.verdicts.decision import BETWEEN, FASTER, LEAST_TOLD, RULE, Word, spoken
+from flexopt.study.verdicts.decision import BETWEEN, LEAST_TOLD, RULE, Word, spoken
+from flexopt.study.verdicts.drawbacks import NOT_WHERE_IT_GROWS, drawbacks_of
 from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of, repeated
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD, allowed, gains_in_words, told
@@ -49,10 +48,6 @@ GROUND_ASSUMED = (
 )
 # A self-motion that takes longer than this to e-fold, s, stays where it is while a machine works.
 STAYS = 3600.0
-# From how far off its target on a place is told to rest there where there is nothing to compare it with, m.
-FAR_OFF = 0.01
-# Of what grows there is no rest.
-NOT_WHERE_IT_GROWS = "not counting where it grows"
 # The place of a verdict with other gains, in a row of places.
 NEW_GAINS = "new gains"
 # Why a place is told of that is none of the best, if it is not the selection's first.
@@ -131,61 +126,7 @@ class Verdict(Pictured, Printed, Result):
     @property
     def drawbacks(self) -> str:
         """See the class."""
-        stay, now = self._stay, next((place for place in self.places if place.name == self.place), None)
-        there = self.with_gains or now
-        if self.word == "cannot tell" or there is None:
-            return ""
-        no_better = self._no_better(there)
-        way = self.selection.broken_between if isinstance(self.selection, BasePlan) and self.place == FIRST else ()
-        rest = f"at rest beside its target {spoken(there.name)} {there.breaks_at_rest}" if there.breaks_at_rest else ""
-        no_better = "; ".join(filter(None, (no_better, rest, *way)))
-        stay = now if self.with_gains and stay is None else stay
-        if stay is None or self.word not in ("move", "change gains"):
-            return no_better
-        bears, unit, highest = "bears Kp up to {}", self.settings.gain_units[0], self.settings.highest_kp
-        if self.with_gains:
-            # Of other gains it is the room above them that counts.
-            kp = self.settings.kp.tolist()
-            bears, unit, highest = "bears {}", "times its gains", highest / _first(kp)
-            there, stay = _in_gains(there, self.gains["kp"]), _in_gains(stay, kp)
-        compared = (
-            ("decays at {}", "decay", "least", 1.0, "1/s", ""),
-            ("settles in {}", "settling", "greatest", 1.0, "s", ""),
-            (f"moves the base by {{}} in a move of {MOVE:g} m", "swing", "greatest", 1e3, f"m{there.swing_unit}", ""),
-            (bears, "allowed_gain", "least", 1.0, unit, f"above {highest:.4g}"),
-            ("bears {} more of dead time", "delay_margin", "least", 1e3, "ms", "any number of"),
-        )
-        found = list[str]()
-        for words, measure, worst, factor, unit, endless in compared:
-            value, before = (getattr(getattr(place, measure), worst) for place in (there, stay))
-            sense = 1.0 if worst == "greatest" else -1.0
-            # Whatever has a border is worse than what has none.
-            much = FASTER * abs(before) if math.isfinite(before) else 0.0
-            if sense * value > sense * before + much:
-                instead = endless if math.isinf(before) else f"{factor * before:.4g}"
-                found.append(words.format(f"{factor * value:.4g} instead of {instead} {unit}"))
-            elif measure == "settling" and math.isnan(value) and not math.isnan(before):
-                found.append(f"does not settle in a minute instead of in {before:.4g} s")
-        # Where it grows on all grounds there is no less to compare with.
-        if math.isnan(stay.rests_off) and there.rests_off >= FAR_OFF:
-            found.append(f"comes to rest {there.rests_off:.3g} m off the target")
-        if there.rests_off >= SETTLED * MOVE and there.rests_off >= (1 + FASTER) * stay.rests_off:
-            stands = "where it stands" if self._stay else "with the present ones"
-            grows = f" {stands}, {NOT_WHERE_IT_GROWS}," if stay.decay.least <= 0 else ""
-            instead = f"instead of {stay.rests_off:.3g} m{grows}"
-            found.append(f"comes to rest {there.rests_off:.3g} {instead} off the target")
-        how = "with the new gains it" if self.with_gains else "it"
-        told = f"in the worst case {how} {', '.join(found)} there" if found else ""
-        return "; ".join(filter(None, (told, no_better)))
-
-    def _no_better(self, there: PlaceVerdict) -> str:
-        """What the place of the word breaks, as all others do with the present gains; empty where nothing."""
-        if self.with_gains:
-            return there.breaks and f"with the new gains {spoken(there.name)} {there.breaks}"
-        breaks = there.breaks or (self.present_breaks if there.name == STAY else "")
-        # Else another place would keep them, and this one would be none to move to.
-        where = " on some ground" if WHERE in breaks else " with the present gains"
-        return breaks and f"every place found breaks constraints{where}: {spoken(there.name)} {breaks}"
+        return drawbacks_of(self)
 
     @property
     def problems(self) -> tuple[SelectionProblem, ...]:
@@ -200,7 +141,7 @@ class Verdict(Pictured, Printed, Result):
     @property
     def present_end_point(self) -> Vector | None:
         """See the class."""
-        stay = self._stay
+        stay = self.stay
         if stay is None:
             return None
         pairs = zip(self.problems, stay.stands, strict=True)
@@ -216,9 +157,9 @@ class Verdict(Pictured, Printed, Result):
     def present_told(self) -> str:
         """Where the present posture of one target is off it, and what it breaks, unasked, too; empty where neither."""
         problem, several = self.problems[0], len(self.problems) > 1
-        if self._stay is None or several:
+        if self.stay is None or several:
             return self.present_breaks
-        z = np.concatenate(next(iter(self._stay.stands)))
+        z = np.concatenate(next(iter(self.stay.stands)))
         # What stands behind the constraints that were asked for is the loop's.
         of_loop = self.present_breaks.removeprefix(broken(problem, z, asked=True)).removeprefix("; ")
         return "; ".join(filter(None, (elsewhere(problem, z), broken(problem, z), of_loop)))
@@ -335,7 +276,7 @@ class Verdict(Pictured, Printed, Result):
         if chosen:
             told.append(f"{_gains(chosen)} {'were' if len(chosen) > 1 else 'was'} chosen with {FIRST}")
         if of_posture:
-            where = f"{'the present place' if self._stay else FIRST}{' at target 1' * (len(self.problems) > 1)}"
+            where = f"{'the present place' if self.stay else FIRST}{' at target 1' * (len(self.problems) > 1)}"
             follow, others = ("follow", "others") if len(of_posture) > 1 else ("follows", "another")
             told.append(f"{_gains(of_posture)} {follow} from the posture of {where} and would be {others} elsewhere")
         if kept := [*chosen, *of_posture]:
@@ -384,7 +325,7 @@ class Verdict(Pictured, Printed, Result):
     def taken(self) -> str:
         """In which posture staying is judged, where the problem does not say; empty where it does."""
         many, given = len(self.problems) > 1, self.problems[0].present_posture is not None
-        if self._stay is None:
+        if self.stay is None:
             return ""
         if many:
             # No one posture is how the arm is held.
@@ -395,13 +336,14 @@ class Verdict(Pictured, Printed, Result):
         if given:
             return ""
         now = getattr(self.selection, "initial", None)
-        other = now is not None and np.abs(now.posture - self._stay.posture).max() > LEAST_TOLD
+        other = now is not None and np.abs(now.posture - self.stay.posture).max() > LEAST_TOLD
         # See `held_now`.
         why = ", another than the choice's present one, which breaks constraints" if other else ""
         return f"a posture that reaches the target{why}: how the arm is held was not given"
 
     @property
-    def _stay(self) -> PlaceVerdict | None:
+    def stay(self) -> PlaceVerdict | None:
+        """The present place; None where there is no staying."""
         return next((place for place in self.places if place.name == STAY), None)
 
     def _where(self, place: PlaceVerdict) -> str:
@@ -600,17 +542,6 @@ def _interval(each: Uncertainty, machine: AnyMachine) -> str:
     low, high = each.value or (0.0, 0.0)
     units = {machine.parameters[k].unit for k in parameters_of(each.of, machine)} or {"s"}
     return f"{each.name} {low:g} to {high:g} {' or '.join(sorted(units))}".rstrip()
-
-
-def _first(kp: Sequence[float]) -> float:
-    """That of the first row that has one, of which an allowed gain is."""
-    return next((x for x in kp if x > 0), 1.0)
-
-
-def _in_gains(place: PlaceVerdict, kp: Sequence[float]) -> PlaceVerdict:
-    """The place with its least allowed gain in times its own."""
-    band = place.allowed_gain
-    return replace(place, allowed_gain=replace(band, least=band.least / _first(kp)))
 
 
 def _row(place: PlaceVerdict, gain: str, wide: int) -> str:

@@ -49,7 +49,6 @@ from flexopt.study.verdicts.decision import (
     Place,
     decide,
     deciding,
-    faster,
     may_stay,
     percent,
     ranked,
@@ -70,8 +69,9 @@ from flexopt.study.verdicts.place_loops import (
     unreached,
 )
 from flexopt.study.verdicts.place_verdict import Band, PlaceVerdict
-from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD
+from flexopt.study.verdicts.places import FIRST, MOVE, STAY
 from flexopt.study.verdicts.result import NEW_GAINS, Verdict
+from flexopt.study.verdicts.told_places import first_places, fit_places, overlooked, shares_better
 
 # Members that decays are computed of, and nonlinear runs.
 MEMBERS, RUNS = 64, 16
@@ -273,51 +273,6 @@ def _sought(chosen: Chosen) -> str:
     """By what places were sought, and where of all that is uncertain, within a sentence."""
     everywhere = isinstance(chosen, ChosenByLoop) and len(chosen.uncertainty)
     return f"{chosen.objective}{' in the worst case' * bool(everywhere)}"
-
-
-def fit_places(breaks: Mapping[str, Breaks]) -> list[str]:
-    """To which one may move, or stay at: those that break nothing, where there is one.
-
-    None that breaks something as it stands. Of the others those whose loops do what they must, where there is one; of
-    these those that break nothing on any ground; of these those that break nothing beside their targets.
-    """
-    places = [name for name, each in breaks.items() if not each.standing]
-    for kind in ("by_loop", "somewhere", "at_rest"):
-        places = [name for name in places if not getattr(breaks[name], kind)] or places
-    return places
-
-
-def shares_better(decays: Mapping[str, Vector]) -> dict[str, float]:
-    """On which share of the grounds each place is better than the present one; empty where there is none."""
-    stay = decays.get(STAY)
-    return {} if stay is None else {name: float(np.mean(faster(own, stay))) for name, own in decays.items()}
-
-
-def first_places(names: Sequence[str], decays: Mapping[str, Vector], slowest: Callable[[str], float]) -> list[str]:
-    """The `TOLD` places that are stable on the most grounds and, of these, decay fastest in the worst case found.
-
-    They come ranked by their decays on the members, of which the least is no less than what a search finds: it is asked
-    of one after the other until none behind may be better.
-    """
-    found = dict[str, tuple[float, float]]()
-    for name in names:
-        share = float(np.mean(decays[name] > 0))
-        best = sorted(found.values(), reverse=True)[:TOLD]
-        if len(best) == TOLD and (share, float(decays[name].min())) <= best[-1]:
-            break
-        found[name] = share, slowest(name)
-    return sorted(found, key=lambda name: found[name], reverse=True)[:TOLD]
-
-
-def overlooked(shares: Mapping[str, float], told: Sequence[str]) -> list[str]:
-    """The place that is better than the present one on the most grounds, where those told of are so on too few.
-
-    These are stable on the most grounds; what speaks against staying may be another, which grows on some.
-    """
-    if not shares:
-        return []
-    first = max(shares, key=lambda name: shares[name])
-    return [first] if shares[first] > 1 - MOST >= max(shares[name] for name in told) else []
 
 
 def _each(names: Collection[str], work: Callable[[str], T], tell: Progress) -> dict[str, T]:

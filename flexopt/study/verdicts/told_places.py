@@ -1,0 +1,60 @@
+"""Which places a verdict may send to, and which of them it tells of.
+
+In: what each place breaks, its decays over the members. Out: names of places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.study.verdicts.broken_places import Breaks
+from flexopt.study.verdicts.decision import MOST, faster
+from flexopt.study.verdicts.places import STAY, TOLD
+
+
+def fit_places(breaks: Mapping[str, Breaks]) -> list[str]:
+    """To which one may move, or stay at: those that break nothing, where there is one.
+
+    None that breaks something as it stands. Of the others those whose loops do what they must, where there is one; of
+    these those that break nothing on any ground; of these those that break nothing beside their targets.
+    """
+    places = [name for name, each in breaks.items() if not each.standing]
+    for kind in ("by_loop", "somewhere", "at_rest"):
+        places = [name for name in places if not getattr(breaks[name], kind)] or places
+    return places
+
+
+def shares_better(decays: Mapping[str, Vector]) -> dict[str, float]:
+    """On which share of the grounds each place is better than the present one; empty where there is none."""
+    stay = decays.get(STAY)
+    return {} if stay is None else {name: float(np.mean(faster(own, stay))) for name, own in decays.items()}
+
+
+def first_places(names: Sequence[str], decays: Mapping[str, Vector], slowest: Callable[[str], float]) -> list[str]:
+    """The `TOLD` places that are stable on the most grounds and, of these, decay fastest in the worst case found.
+
+    They come ranked by their decays on the members, of which the least is no less than what a search finds: it is asked
+    of one after the other until none behind may be better.
+    """
+    found = dict[str, tuple[float, float]]()
+    for name in names:
+        share = float(np.mean(decays[name] > 0))
+        best = sorted(found.values(), reverse=True)[:TOLD]
+        if len(best) == TOLD and (share, float(decays[name].min())) <= best[-1]:
+            break
+        found[name] = share, slowest(name)
+    return sorted(found, key=lambda name: found[name], reverse=True)[:TOLD]
+
+
+def overlooked(shares: Mapping[str, float], told: Sequence[str]) -> list[str]:
+    """The place that is better than the present one on the most grounds, where those told of are so on too few.
+
+    These are stable on the most grounds; what speaks against staying may be another, which grows on some.
+    """
+    if not shares:
+        return []
+    first = max(shares, key=lambda name: shares[name])
+    return [first] if shares[first] > 1 - MOST >= max(shares[name] for name in told) else []
