@@ -1,4 +1,7 @@
-"""One BLAS thread and few rounds of the garbage collector for each process of tests, which are left out; a browser."""
+"""One BLAS thread and few rounds of the garbage collector for each process of tests, which are left out; a browser.
+
+No test is timed: what hypothesis takes for slow is a machine that has other work.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,8 @@ import sys
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+
+from hypothesis import HealthCheck, settings
 
 from tests.browser import chromium, pytest_runtest_setup
 from tests.long_tests import pytest_addoption, pytest_collection_modifyitems
@@ -25,6 +30,9 @@ __all__ = [
 # are processors, that wait for each other.
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ.setdefault(name, "1")
+
+settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("untimed")
 
 # Graphs make hundreds of thousands of objects without cycles; looking for some among them takes an eighth of all time.
 gc.set_threshold(200_000, 20, 100)

@@ -48,7 +48,8 @@ def asked_posture(
     elbow = arguments.choice("elbow", elbow, ELBOWS) if closed_form and elbow else None
     if base is not None:
         arguments.base(machine, base)
-    control: Control = arguments.control(control_of(options["control"], loop, machine))
+    whose = "control" if options["control"] else "--loop control"
+    control: Control = arguments.control(control_of(options["control"], loop, machine), whose)
     arguments.done()
     postures = inverse_kinematics(machine, point, base=base, gravity=options["gravity"], elbow=elbow)
     return _best(machine, postures, elbow, base, control, options) if redundant else postures[0]

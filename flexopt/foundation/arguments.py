@@ -142,9 +142,9 @@ class Arguments:
         rows = ("x", "y") if machine is None else machine.task_rows
         return np.array(self.checked(field, value, lambda v: check_task(v, rows), (0.0,) * len(rows)))
 
-    def control(self, value: Any) -> Control:
+    def control(self, value: Any, field: str = "control") -> Control:
         """`"inverse"`, `"transpose"` or `"damped:LAMBDA"`."""
-        return self.checked("control", value, check_control, "inverse")
+        return self.checked(field, value, check_control, "inverse")
 
     def done(self) -> None:
         """Raise every fault noted so far."""

@@ -23,7 +23,7 @@ from flexopt.foundation.rounding import without_rounding
 from flexopt.model.loop import GAINS
 from flexopt.model.simulation import SimulationOptions
 from flexopt.robustness.residues import residue_unit
-from flexopt.study.verdicts.places import MOVE, NO_GAIN, STAY
+from flexopt.study.verdicts.places import MOVE, NO_GAIN, NO_GAIN_LOOKED_AT, STAY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -209,7 +209,7 @@ class Comparison(Result):
         if any(value is None for row in self.rows for value in row.values):
             told.append("–: there is none, or no border was met")
         if any(NO_GAIN in row.texts() for row in self.rows if row.zero):
-            told.append(f"{NO_GAIN}: the loop grows with all gains up to these in their ratio; higher may do")
+            told.append(f"{NO_GAIN}: the loop {NO_GAIN_LOOKED_AT}")
         return "\n".join(told)
 
 

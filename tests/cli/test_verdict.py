@@ -27,6 +27,7 @@ end_point = [0.0, 1.6]
 """
 
 
+@pytest.mark.long
 def test_places_are_sought_under_the_control_of_the_loop_that_is_given(command: Command) -> None:
     transpose = ("--loop", "control=transpose", "--loop", "kp=1e4", "--loop", "kv=1e3", "--json")
     (command.folder / "own.toml").write_text(f"{OWN}base = [0.0]\nstarts = 1\n", encoding="utf-8")

@@ -211,7 +211,7 @@ def test_a_step_of_many_substeps(way: str, kind: str) -> None:
 
 @pytest.mark.long
 @given(st.integers(0, 1000), st.integers(1, 4))
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4)
 def test_fast_and_exact_agree_for_random_machines(seed: int, links: int) -> None:
     chain = build_chain(links, seed)
     fast = build("compiled", chain.step, fast=chain.fast, refresh=chain.refresh)

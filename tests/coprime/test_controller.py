@@ -65,7 +65,7 @@ def test_unstable_ill_posed_and_signs():
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=15)
+@settings(derandomize=True, max_examples=15)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_margin_is_the_least_over_a_dense_grid(seed, n, dt):
     """b ≤ ‖[K; I](I + PK)⁻¹[I P]‖⁻¹ at every frequency of a grid, and close to the least of them."""
@@ -104,7 +104,7 @@ def test_controllers_in_closed_form():
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=30)
+@settings(derandomize=True, max_examples=30)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_optimal_controller_attains_and_is_smaller_than_the_plant(seed, n, dt):
     plant = random_plant(seed, n, dt)
@@ -119,7 +119,7 @@ def test_optimal_controller_attains_and_is_smaller_than_the_plant(seed, n, dt):
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=30)
+@settings(derandomize=True, max_examples=30)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_no_controller_beats_the_optimum(seed, n, dt):
     plant = random_plant(seed, n, dt)
@@ -128,7 +128,7 @@ def test_no_controller_beats_the_optimum(seed, n, dt):
         assert ncf_margin(plant, lqg(plant, seed + k)) <= float(result) * (1 + 1e-9)
 
 
-@settings(derandomize=True, deadline=None, max_examples=12)
+@settings(derandomize=True, max_examples=12)
 @given(seeds, orders)
 def test_neighbours_of_the_optimal_controller_are_no_better(seed, n):
     plant = random_plant(seed, n)
@@ -138,7 +138,7 @@ def test_neighbours_of_the_optimal_controller_are_no_better(seed, n):
         assert ncf_margin(plant, near(K, seed + k, 1e-3)) <= float(result) * (1 + 1e-9)
 
 
-@settings(derandomize=True, deadline=None, max_examples=12)
+@settings(derandomize=True, max_examples=12)
 @given(seeds, orders)
 def test_sampled_twins_have_the_same_margin(seed, n):
     plant = random_plant(seed, n)

@@ -90,7 +90,7 @@ def test_gap_against_finite_sections(seed):
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=20)
+@settings(derandomize=True, max_examples=20)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_order_symmetry_and_zero(seed, n, dt):
     one, two = pair(seed, n, dt)
@@ -107,7 +107,7 @@ def test_order_symmetry_and_zero(seed, n, dt):
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=20)
+@settings(derandomize=True, max_examples=20)
 @given(seeds, orders)
 def test_triangle_inequality(seed, n):
     one, two = pair(seed, n)
@@ -117,7 +117,7 @@ def test_triangle_inequality(seed, n):
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=20)
+@settings(derandomize=True, max_examples=20)
 @given(seeds, orders)
 def test_robust_stabilization(seed, n):
     """arcsin b(P2, K) ≥ arcsin b(P1, K) − arcsin δ_ν(P1, P2), and gap ≤ δ_ν/ε_max (Vinnicombe)."""
@@ -132,7 +132,7 @@ def test_robust_stabilization(seed, n):
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=20)
+@settings(derandomize=True, max_examples=20)
 @given(seeds, orders, st.sampled_from([0.0, 0.1]))
 def test_chordal_distance_against_a_grid(seed, n, dt):
     one, two = pair(seed, n, dt)
@@ -163,7 +163,7 @@ def test_sharp_resonances_are_not_missed(shift, gain):
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=20)
+@settings(derandomize=True, max_examples=20)
 @given(seeds, st.integers(1, 5))
 def test_winding_number_against_a_phase_count(seed, n):
     """δ_ν < 1 exactly where (zeros − poles of det(I + P2*P1) in Re s > 0) + η(P1) − η(P2) = 0 (Vinnicombe 1993).
@@ -185,7 +185,7 @@ def test_winding_number_against_a_phase_count(seed, n):
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=15)
+@settings(derandomize=True, max_examples=15)
 @given(seeds, orders)
 def test_sampled_twins_are_as_far_apart(seed, n):
     one, two = pair(seed, n)

@@ -83,7 +83,7 @@ def test_integral_action_on_a_resonance():
     assert value == pytest.approx(0.68935, abs=1e-5)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, max_examples=40)
 @given(seeds, orders)
 def test_continuous_plants_against_scipy_slicot_and_gramians(seed, n):
     plant = random_plant(seed, n)
@@ -96,7 +96,7 @@ def test_continuous_plants_against_scipy_slicot_and_gramians(seed, n):
     assert float(result) == pytest.approx(hankel_epsilon(plant), rel=RELATIVE / float(result) ** 2)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, max_examples=40)
 @given(seeds, orders)
 def test_sampled_plants_against_scipy_and_slicot(seed, n):
     plant = random_plant(seed, n, dt=0.05)
@@ -105,7 +105,7 @@ def test_sampled_plants_against_scipy_and_slicot(seed, n):
     assert float(result) == pytest.approx(slicot_epsilon(plant), rel=RELATIVE)
 
 
-@settings(derandomize=True, deadline=None, max_examples=15)
+@settings(derandomize=True, max_examples=15)
 @given(seeds, orders)
 def test_sampled_twin_has_the_same_margin_and_solutions(seed, n):
     plant = random_plant(seed, n)
@@ -116,7 +116,7 @@ def test_sampled_twin_has_the_same_margin_and_solutions(seed, n):
     np.testing.assert_allclose(there.X, here.X, rtol=1e-6, atol=1e-8 * np.linalg.norm(here.X))
 
 
-@settings(derandomize=True, deadline=None, max_examples=20)
+@settings(derandomize=True, max_examples=20)
 @given(seeds, orders)
 def test_riccati_equations_hold_in_the_callers_coordinates(seed, n):
     plant = random_plant(seed, n)
@@ -134,7 +134,7 @@ def test_riccati_equations_hold_in_the_callers_coordinates(seed, n):
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=20)
+@settings(derandomize=True, max_examples=20)
 @given(seeds)
 def test_time_and_state_units_do_not_matter(seed):
     plant = random_plant(seed, 5)
@@ -233,7 +233,7 @@ def test_badly_conditioned_plants_are_within_their_bound():
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=20)
+@settings(derandomize=True, max_examples=20)
 @given(seeds, orders)
 def test_every_margin_is_within_its_bound(seed, n):
     """Poles and gains over six decades, half of them lightly damped."""

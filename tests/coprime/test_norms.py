@@ -61,7 +61,7 @@ def test_equal_poles_behind_a_fast_one_decay(count, fast):
     assert hinf_norm((A + np.eye(count + 1), B, C)) == math.inf
 
 
-@settings(derandomize=True, deadline=None, max_examples=30)
+@settings(derandomize=True, max_examples=30)
 @given(seeds, orders)
 def test_continuous_against_slicot_and_grid(seed, n):
     plant = stable_plant(seed, n)
@@ -74,7 +74,7 @@ def test_continuous_against_slicot_and_grid(seed, n):
         assert np.linalg.norm(responses(plant, np.array([where]))[0], 2) == pytest.approx(norm, rel=1e-10)
 
 
-@settings(derandomize=True, deadline=None, max_examples=20)
+@settings(derandomize=True, max_examples=20)
 @given(seeds, orders)
 def test_sampled_against_slicot(seed, n):
     plant = stable_plant(seed, n, dt=0.02)
@@ -82,7 +82,7 @@ def test_sampled_against_slicot(seed, n):
     assert hinf_norm(plant) == pytest.approx(theirs, rel=1e-9)
 
 
-@settings(derandomize=True, deadline=None, max_examples=15)
+@settings(derandomize=True, max_examples=15)
 @given(seeds, orders)
 def test_units_coordinates_and_sampled_twin(seed, n):
     plant = stable_plant(seed, n)

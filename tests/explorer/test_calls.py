@@ -37,6 +37,7 @@ def test_the_first_posture_is_within_limits_that_are_far_from_zero() -> None:
     assert -6.0 < stick < -4.0
 
 
+@pytest.mark.long
 def test_present_is_the_posture_that_a_verdict_judges() -> None:
     """Nobody says how the arm is held; the one way that `select` takes turns the tool too far."""
     asked: dict[str, Any] = {"base": 0.8, "starts": 2, "constraints": {"tool_angle": [-3.0, 0.0]}}

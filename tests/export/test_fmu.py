@@ -710,7 +710,7 @@ def test_the_report_is_ready_for_json(report: FmuReport) -> None:
 
 
 @pytest.mark.long
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(seeds, st.booleans())
 def test_setup_is_what_a_scenario_computes(seed: int, gravity: bool) -> None:
     rng = np.random.default_rng(seed)

@@ -399,7 +399,7 @@ def test_unknowns_depend_on_what_the_description_says_and_on_nothing_else(tmp_pa
 
 
 @pytest.mark.long
-@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=6, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 10**6), st.booleans())
 def test_setup_is_what_a_scenario_computes(seed: int, gravity: bool) -> None:
     rng = np.random.default_rng(seed)

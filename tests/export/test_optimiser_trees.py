@@ -197,6 +197,7 @@ def test_angles_without_bounds_are_unwound(excavator, some):
     assert wound.value == pytest.approx(plain.value, abs=SAME * plain.scale)
 
 
+@pytest.mark.long
 def test_a_narrowed_range_is_kept_and_costs_something(slewing, excavator, some):
     """Ranges that the free optimum lies outside of, next to a point that reaches the target."""
     worse = 0

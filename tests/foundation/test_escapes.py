@@ -66,7 +66,6 @@ def machine(name: str, *links: str) -> flexopt.Machine:
     return machine_from_dict(data)
 
 
-@settings(deadline=None)
 @given(anything)
 def test_any_text_in_c(text: str) -> None:
     plain = c_text(text)
@@ -76,14 +75,12 @@ def test_any_text_in_c(text: str) -> None:
     assert re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", c_identifier(text))
 
 
-@settings(deadline=None)
 @given(anything)
 def test_any_text_in_markup(text: str) -> None:
     document = ET.fromstring(f'<a b="{markup(text)}">{markup(text)}</a>')
     assert (document.text or "") == document.attrib["b"] == one_line(text)
 
 
-@settings(deadline=None)
 @given(anything, st.sampled_from(["ascii", "cp1252", "cp437", "cp932", "latin-1", "utf-8"]))
 def test_any_text_on_a_terminal(text: str, encoding: str) -> None:
     shown = terminal(text).encode(encoding, TERMINAL).decode(encoding)
@@ -92,7 +89,7 @@ def test_any_text_on_a_terminal(text: str, encoding: str) -> None:
     assert ascii_text(text).isascii()
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(anything)
 def test_any_text_in_a_picture(text: str) -> None:
     """The text drawn is the text given, whatever stands beside it."""

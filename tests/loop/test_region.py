@@ -305,6 +305,7 @@ def test_degrees_do_not_depend_on_how_stiff_springs_are() -> None:
     assert wrong(loop, certify(loop, boxes=60)) == 0
 
 
+@pytest.mark.long
 def test_what_is_fixed_or_undamped_is_no_error() -> None:
     fixed = [{"of": "stiffness", "factor": (1, 1)}]
     edge = GAINS | {"kp": 5310.7658853378825, "dead_time": 0.02}

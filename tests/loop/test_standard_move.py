@@ -302,6 +302,7 @@ def test_settling_jumps_where_an_excursion_leaves_the_band() -> None:
     assert at(high).settling().slopes is None
 
 
+@pytest.mark.long
 def test_an_elastic_root_of_the_arm_is_not_the_base() -> None:
     """Softer, it turns farther than the base does; the turn that is told stays the base's."""
     data = flexopt.load("excavator").to_dict()

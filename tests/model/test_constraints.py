@@ -157,7 +157,7 @@ def test_polygons_that_are_none(polygon, words):
 corners = st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3)), min_size=3, max_size=7)
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=500)
 @given(corners)
 def test_simple_is_what_shapely_calls_valid(polygon):
     shape = shapely.Polygon(polygon)

@@ -189,7 +189,7 @@ def test_content_hash_changes_with_what_is_added(path: tuple[str | int, ...]) ->
     assert flexopt.machine_from_dict(changed(path, 0.25)).content_hash != original.content_hash
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 @given(machines())
 def test_to_dict_round_trips(drawn: tuple[MachineDict, Machine]) -> None:
     _, machine = drawn
@@ -393,7 +393,7 @@ def spelled(path: tuple[str | int, ...]) -> str:
 
 
 @pytest.mark.long
-@settings(max_examples=400, deadline=None, derandomize=True)
+@settings(max_examples=400, derandomize=True)
 @given(
     st.dictionaries(
         st.sampled_from(leaves(EXCAVATOR) + UNKNOWN), st.one_of(st.just(DELETED), JUNK), min_size=1, max_size=4
@@ -413,7 +413,7 @@ def test_junk_in_single_keys_is_named(junk: dict[tuple[str | int, ...], Any]) ->
 
 
 @pytest.mark.long
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200, derandomize=True)
 @given(st.lists(st.tuples(st.sampled_from(TABLES + SPARE + UNKNOWN), JUNK), min_size=1, max_size=3))
 def test_junk_in_place_of_tables_is_refused(junk: list[tuple[tuple[str | int, ...], Any]]) -> None:
     data = excavator_dict()
@@ -426,7 +426,7 @@ def test_junk_in_place_of_tables_is_refused(junk: list[tuple[tuple[str | int, ..
 
 
 @pytest.mark.long
-@settings(max_examples=300, deadline=None, derandomize=True)
+@settings(max_examples=300, derandomize=True)
 @given(
     st.fixed_dictionaries(
         {"posture": st.one_of(JUNK, st.none(), st.lists(st.floats(-4, 4), min_size=2, max_size=2))},

@@ -112,7 +112,7 @@ def test_every_quantity_agrees_with_three_oracles(structure, seed):
     close(ours["Jv"], pinocchio.jacobian(q)[:, m:])
 
 
-@settings(derandomize=True, deadline=None, max_examples=12)
+@settings(derandomize=True, max_examples=12)
 @given(drawn=machines(), seed=seeds)
 def test_dynamics_of_any_machine(drawn, seed):
     data, machine = drawn
@@ -127,7 +127,7 @@ def test_dynamics_of_any_machine(drawn, seed):
     close(ours["M"], ours["M"].T, relative=1e-15)
 
 
-@settings(derandomize=True, deadline=None, max_examples=12)
+@settings(derandomize=True, max_examples=12)
 @given(drawn=machines(), seed=seeds)
 def test_equations_of_motion_leave_no_residual_against_mujoco(drawn, seed):
     data, machine = drawn
@@ -142,7 +142,7 @@ def test_equations_of_motion_leave_no_residual_against_mujoco(drawn, seed):
     close(sum(terms), expected, sum(np.linalg.norm(term) for term in terms))
 
 
-@settings(derandomize=True, deadline=None, max_examples=8)
+@settings(derandomize=True, max_examples=8)
 @given(drawn=machines(), seed=seeds)
 def test_springs_dampers_and_rest(drawn, seed):
     data, machine = drawn
@@ -157,7 +157,7 @@ def test_springs_dampers_and_rest(drawn, seed):
     assert np.linalg.matrix_rank(stiffness[: plant.n_passive, : plant.n_passive]) == plant.n_passive
 
 
-@settings(derandomize=True, deadline=None, max_examples=8)
+@settings(derandomize=True, max_examples=8)
 @given(drawn=machines(), seed=seeds)
 def test_base_jacobian_moves_anchor_and_arm(drawn, seed):
     data, machine = drawn
@@ -171,7 +171,7 @@ def test_base_jacobian_moves_anchor_and_arm(drawn, seed):
     close(got, np.hstack([[[1.0], [0.0]], jacobian[:, plant.n_passive :]]))
 
 
-@settings(derandomize=True, deadline=None, max_examples=8)
+@settings(derandomize=True, max_examples=8)
 @given(drawn=machines({"n_max": 4}), seed=seeds)
 def test_gravity_stiffness_is_the_passive_block_of_the_oracles(drawn, seed):
     data, machine = drawn

@@ -142,7 +142,7 @@ def tendons(data: Data) -> tuple[Any, Any]:
     return model, mujoco.MjData(model)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seeds)
 def test_direct_cylinders_are_mujocos_tendons(seed: int) -> None:
     data = driven_tree(seed)

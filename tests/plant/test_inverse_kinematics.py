@@ -56,7 +56,7 @@ def wrapped(angle):
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=12)
+@settings(derandomize=True, max_examples=12)
 @given(drawn=machines(), seed=seeds)
 def test_every_branch_reaches_the_target(drawn, seed):
     _, machine = drawn
@@ -71,7 +71,7 @@ def test_every_branch_reaches_the_target(drawn, seed):
         assert all(np.abs(one - other).max() > 1e-7 for other in postures[:i])
 
 
-@settings(derandomize=True, deadline=None, max_examples=12)
+@settings(derandomize=True, max_examples=12)
 @given(drawn=machines(TWO), seed=seeds)
 def test_two_links_give_their_two_branches_up_first(drawn, seed):
     _, machine = drawn
@@ -92,7 +92,7 @@ def test_straight_arm_is_one_posture():
     assert len(inverse_kinematics(machine, tip)) == 1
 
 
-@settings(derandomize=True, deadline=None, max_examples=12)
+@settings(derandomize=True, max_examples=12)
 @given(drawn=machines(TWO), seed=seeds)
 def test_limits_are_kept_and_whole_turns_are_used(drawn, seed):
     _, machine = drawn
@@ -169,7 +169,7 @@ def test_redundant_arm_gets_many_postures_and_repeats_them(structure):
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=6)
+@settings(derandomize=True, max_examples=6)
 @given(drawn=machines(frequency=(4.0, 10.0)), seed=seeds)
 def test_under_gravity_the_deflected_end_point_is_on_the_target(drawn, seed):
     data, machine = drawn
@@ -207,7 +207,7 @@ def test_limits_hold_under_gravity_too():
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=6)
+@settings(derandomize=True, max_examples=6)
 @given(drawn=machines({"n_max": 3}), seed=seeds)
 def test_miss_is_the_distance_to_the_nearest_point_that_can_be_reached(drawn, seed):
     _, machine = drawn
@@ -251,7 +251,7 @@ def check_intervals(machine, rng, just):
                 inverse_kinematics(machine, target, base=outside)
 
 
-@settings(derandomize=True, deadline=None, max_examples=8)
+@settings(derandomize=True, max_examples=8)
 @given(drawn=machines(TWO), seed=seeds)
 def test_base_intervals_of_two_joints(drawn, seed):
     check_intervals(drawn[1], np.random.default_rng(seed), 1e-7)
@@ -283,7 +283,7 @@ def test_target_that_is_too_high_has_no_base_interval():
     assert inner < outer < caught.value.miss + outer
 
 
-@settings(derandomize=True, deadline=None, max_examples=6)
+@settings(derandomize=True, max_examples=6)
 @given(drawn=machines({"n_min": 3}), seed=seeds)
 def test_passive_arm_joints_stay_at_rest_in_the_chain(drawn, seed):
     data, machine = drawn

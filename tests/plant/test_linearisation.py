@@ -39,7 +39,7 @@ def compare(got, expected, mass):
 
 
 @pytest.mark.parametrize("control", ["inverse", "transpose", "damped:0.3"])
-@settings(derandomize=True, deadline=None, max_examples=8)
+@settings(derandomize=True, max_examples=8)
 @given(drawn=machines(), seed=seeds)
 def test_linear_plant_is_the_derivative_of_the_nonlinear_one(control, drawn, seed):
     data, machine = drawn
@@ -51,7 +51,7 @@ def test_linear_plant_is_the_derivative_of_the_nonlinear_one(control, drawn, see
     compare(got, expected, mass)
 
 
-@settings(derandomize=True, deadline=None, max_examples=6)
+@settings(derandomize=True, max_examples=6)
 @given(drawn=machines({"n_min": 3}), seed=seeds)
 def test_redundant_arm_is_driven_by_the_moore_penrose_inverse(drawn, seed):
     _, machine = drawn
@@ -68,7 +68,7 @@ def test_redundant_arm_is_driven_by_the_moore_penrose_inverse(drawn, seed):
 
 
 @pytest.mark.parametrize("control", ["inverse", "transpose"])
-@settings(derandomize=True, deadline=None, max_examples=6)
+@settings(derandomize=True, max_examples=6)
 @given(drawn=machines(**STIFF), seed=seeds)
 def test_gravity_deflects_to_equilibrium_and_stiffens_the_passive_block_only(control, drawn, seed):
     data, machine = drawn

@@ -164,7 +164,7 @@ def test_every_builder_agrees_with_the_plant(structure, seed):
 
 
 @pytest.mark.long
-@settings(derandomize=True, deadline=None, max_examples=12)
+@settings(derandomize=True, max_examples=12)
 @given(drawn=machines(), seed=seeds)
 def test_every_builder_of_any_machine(drawn, seed):
     check_everything(Case(*drawn, np.random.default_rng(seed)))

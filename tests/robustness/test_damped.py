@@ -91,7 +91,7 @@ def test_numerators_equal_the_partial_fractions_of_the_plant(structure, joint_da
 
 
 @CONTROLS
-@settings(derandomize=True, deadline=None, max_examples=8)
+@settings(derandomize=True, max_examples=8)
 @given(drawn=machines({"n_max": 3, "m_max": 3}, joint_damping=False, damping_ratio=0.1), seed=seeds)
 def test_pairs_and_rigid_part_recombine_to_the_transfer_function(control, drawn, seed):
     _, machine = drawn

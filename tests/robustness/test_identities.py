@@ -25,7 +25,7 @@ from tests.oracles.machines import (
 pytestmark = pytest.mark.filterwarnings("ignore:ε_max:flexopt.errors.FlexoptWarning")
 RELATIVE = 1e-10
 CONTROLS = pytest.mark.parametrize("control", ["inverse", "transpose"])
-examples = settings(derandomize=True, deadline=None, max_examples=15)
+examples = settings(derandomize=True, max_examples=15)
 
 
 class Solved:
@@ -159,7 +159,7 @@ def test_measure_is_never_positive_and_keeps_its_digits_near_zero(control, drawn
 
 
 @CONTROLS
-@settings(derandomize=True, deadline=None, max_examples=12)
+@settings(derandomize=True, max_examples=12)
 @given(drawn=machines(), seed=seeds, base=st.floats(-100, 100))
 def test_placement_changes_nothing_but_the_end_point(control, drawn, seed, base):
     _, machine = drawn
@@ -189,7 +189,7 @@ def isotropic(draw):
 
 @pytest.mark.long("transpose")
 @CONTROLS
-@settings(derandomize=True, deadline=None, max_examples=15)
+@settings(derandomize=True, max_examples=15)
 @given(data=isotropic(), seed=seeds, turn=st.floats(-3, 3))
 def test_turning_an_isotropic_machine_changes_no_measure(control, data, seed, turn):
     turned = data | {"base": data["base"] | {"rest_angle": data["base"]["rest_angle"] + turn}}
@@ -205,7 +205,7 @@ def test_turning_an_isotropic_machine_changes_no_measure(control, data, seed, tu
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore:the gradient of ε_max")
 @CONTROLS
-@settings(derandomize=True, deadline=None, max_examples=10)
+@settings(derandomize=True, max_examples=10)
 @given(drawn=machines(), seed=seeds)
 def test_evaluate_reports_the_same_numbers(control, drawn, seed):
     _, machine = drawn

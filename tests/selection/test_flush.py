@@ -6,6 +6,7 @@ from itertools import product
 
 import casadi as ca
 import numpy as np
+import pytest
 from scipy.optimize import fsolve
 
 import flexopt
@@ -27,6 +28,7 @@ def reaching_over() -> flexopt.Machine:
     return flexopt.machine_from_dict(data)
 
 
+@pytest.mark.long
 def test_the_lowest_way_over_a_box_lies_along_it() -> None:
     machine = reaching_over()
     plant = flexopt.build_plant(machine)

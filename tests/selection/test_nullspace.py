@@ -321,7 +321,7 @@ def test_the_document(machine, unlimited):
 
 @pytest.mark.long
 @QUIET
-@settings(max_examples=10, deadline=None, derandomize=True)
+@settings(max_examples=10, derandomize=True)
 @given(
     made=machines(structure={"n_min": 2, "n_max": 4}),
     seed=seeds,
@@ -361,7 +361,7 @@ def test_the_step_is_that_of_an_svd_projector(made, seed, control, weighted):
 
 @pytest.mark.long
 @QUIET
-@settings(max_examples=6, deadline=None, derandomize=True)
+@settings(max_examples=6, derandomize=True)
 @given(
     made=machines(structure={"n_min": 3, "n_max": 4, "passive_joints": False}),
     seed=seeds,

@@ -49,6 +49,7 @@ def _chosen(objective: str, options: str) -> OutcomeSelection:
     return found
 
 
+@pytest.mark.long
 def test_a_base_that_the_task_does_not_see_stays_where_it_is() -> None:
     """Of a task of the height alone placements are all alike: each posture is one optimum, held from where it stands."""
     data = in_space(EXCAVATOR.model_dump(by_alias=True))
@@ -174,6 +175,7 @@ def test_the_worst_case_is_no_better_anywhere_in_its_box() -> None:
     )
 
 
+@pytest.mark.long
 def test_what_the_machine_says_is_uncertain_counts() -> None:
     soil = {"of": "stiffness", "factor": [0.5, 2.0]}
     doubtful = machine_from_dict(EXCAVATOR.to_dict() | {"uncertainty": [soil]})
@@ -306,7 +308,7 @@ def test_a_problem_file_and_the_command(tmp_path: Any, monkeypatch: pytest.Monke
     assert same["best"]["objective"] == pytest.approx(found.best.objective, rel=1e-9)
 
 
-@pytest.mark.long("delay_margin-50.0")
+@pytest.mark.long("delay_margin-50.0", "allowed_gain-200.0")
 @pytest.mark.parametrize(("objective", "gain"), [("allowed_gain", 200.0), ("delay_margin", 50.0)])
 def test_the_worst_of_a_gain_and_of_a_margin_is_that_of_the_verdict(objective: str, gain: float) -> None:
     """Of the same place; and no member drawn at random knows a worse one."""

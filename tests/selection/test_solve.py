@@ -292,7 +292,7 @@ def test_unreachable_target_of_three_joints(three_links):
 
 
 @pytest.mark.long
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8, derandomize=True)
 @given(x=st.floats(-3.0, 3.0), y=st.floats(-1.5, 3.2), control=st.sampled_from(["inverse", "transpose"]))
 def test_any_reachable_target_gives_verified_candidates_or_one_clear_error(x, y, control):
     machine = flexopt.load("excavator")

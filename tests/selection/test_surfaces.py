@@ -119,6 +119,7 @@ def test_no_point_of_the_surface_nearby_has_better_other_modes() -> None:
     assert tried >= 4
 
 
+@pytest.mark.long
 def test_extents_hold_the_representatives() -> None:
     """And the candidate itself; a point alone has none."""
     for candidate in slewing(0).candidates:

@@ -33,7 +33,7 @@ def amplitude(rate, frequency=SLOWEST, phase=0.0, wobble=0.0):
     return np.exp(2 * rate * AT) * (1 + wobble * np.cos(4 * math.pi * frequency * AT + phase))
 
 
-@settings(derandomize=True, deadline=None)
+@settings(derandomize=True)
 @given(rate=st.floats(-3, 3), frequency=st.floats(3, 25), phase=st.floats(0, 6), wobble=st.floats(0, 0.9))
 def test_one_mode(rate, frequency, phase, wobble):
     result = judged(amplitude(rate, frequency, phase, wobble))

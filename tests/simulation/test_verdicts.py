@@ -258,7 +258,7 @@ def test_a_slow_swing_of_an_arm_that_drifts_is_no_growth(duration: float) -> Non
     assert run.verdict == "converges"
 
 
-@pytest.mark.long("slewing-excavator-posture2")
+@pytest.mark.long("slewing-excavator-posture2", "truck-crane-posture1")
 @pytest.mark.parametrize(
     ("name", "posture"),
     [
@@ -309,6 +309,7 @@ def test_the_self_motion_is_told_apart_where_the_arm_comes_to_rest(posture: tupl
         assert "converges" in ensemble.verdict
 
 
+@pytest.mark.long("1.0-truck-crane-posture1")
 @pytest.mark.parametrize(
     ("name", "posture"), [("boom-stick-bucket", (-0.9, -1.2, -0.4)), ("truck-crane", (-0.5, 1.0, -0.8, 0.6))]
 )

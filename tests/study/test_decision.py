@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -41,26 +42,36 @@ def test_a_place_that_is_better_everywhere_is_moved_to() -> None:
 
 
 def test_places_that_break_constraints_on_some_ground_count_where_all_do() -> None:
-    kept, broken = Breaks(), Breaks(somewhere="breaks holding of boom where payload.mass is 3000 kg")
-    assert fit_places({"stay": kept, "candidate 1": broken, "candidate 2": kept}) == ["stay", "candidate 2"]
-    assert fit_places({"stay": broken, "candidate 1": broken}) == ["stay", "candidate 1"]
+    def holds(name: str) -> bool:
+        return name != grows_at
+
+    grows_at, kept, broken = "", Breaks(), Breaks(somewhere="breaks holding of boom where payload.mass is 3000 kg")
+    assert fit_places({"stay": kept, "candidate 1": broken, "candidate 2": kept}, holds) == ["stay", "candidate 2"]
+    assert fit_places({"stay": broken, "candidate 1": broken}, holds) == ["stay", "candidate 1"]
     standing = Breaks(standing="breaks clearance of boom")
-    assert fit_places({"stay": standing, "candidate 1": broken}) == ["candidate 1"]
-    assert fit_places({"stay": standing}) == []
+    assert fit_places({"stay": standing, "candidate 1": broken}, holds) == ["candidate 1"]
+    assert fit_places({"stay": standing}, holds) == []
     beside = Breaks(at_rest="breaks tool angle, 0.3 rad, where payload.mass is 3000 kg")
-    assert fit_places({"stay": beside, "candidate 1": broken, "candidate 2": kept}) == ["candidate 2"]
-    assert fit_places({"stay": beside, "candidate 1": broken, "candidate 2": beside}) == ["stay", "candidate 2"]
-    assert fit_places({"stay": broken, "candidate 1": broken._replace(at_rest=beside.at_rest)}) == ["stay"]
+    assert fit_places({"stay": beside, "candidate 1": broken, "candidate 2": kept}, holds) == ["candidate 2"]
+    assert fit_places({"stay": beside, "candidate 1": broken, "candidate 2": beside}, holds) == ["stay", "candidate 2"]
+    assert fit_places({"stay": broken, "candidate 1": broken._replace(at_rest=beside.at_rest)}, holds) == ["stay"]
+    # What grows is nowhere at rest, and no better than what breaks something there.
+    grows_at = "candidate 2"
+    assert fit_places({"stay": beside, "candidate 2": kept}, holds) == ["stay", "candidate 2"]
+    assert fit_places({"stay": beside, "candidate 1": kept, "candidate 2": kept}, holds) == [
+        "candidate 1",
+        "candidate 2",
+    ]
     by_loop = Breaks(by_loop="breaks decay 0.01 1/s (at least 0.02 1/s)")
-    assert fit_places({"stay": by_loop, "candidate 1": broken, "candidate 2": kept}) == ["candidate 2"]
+    assert fit_places({"stay": by_loop, "candidate 1": broken, "candidate 2": kept}, holds) == ["candidate 2"]
     # Where no loop does what it must, that tells no place from another.
-    assert fit_places({"stay": by_loop, "candidate 1": by_loop}) == ["stay", "candidate 1"]
-    assert "no place found that keeps the constraints on every ground dec" in decide(STAY, [], barred=True).reason
+    assert fit_places({"stay": by_loop, "candidate 1": by_loop}, holds) == ["stay", "candidate 1"]
+    assert "no place found that keeps the constraints dec" in decide(STAY, [], barred=True).reason
     assert decide(STAY, [], sought="w1").reason.startswith("no place found by w1 decays")
     grows = place("stay", GROUNDS - 1.0)
     told = decide(grows, [], place("candidate 1", GROUNDS), barred=True, gains="kp 1 1/s")
     assert told.word == "change gains"
-    assert told.reason.endswith("no place found that keeps the constraints on every ground is stable on every ground")
+    assert told.reason.endswith("no place found that keeps the constraints is stable on every ground")
     refuted = decide(grows, [], refuted=place("candidate 1", GROUNDS), doubt="the run of 20 s grows", gains="kp 1 1/s")
     assert refuted.word == "cannot tell"
     assert refuted.reason.endswith("but nonlinear runs do not confirm that: the run of 20 s grows")
@@ -486,7 +497,7 @@ def test_what_alone_parts_a_few_grounds_is_named() -> None:
         first = place("candidate 1", np.where(fails, 1.05, 1.3), 2.0)
         decision = decide(stay, [first], None, {})
         assert (decision.word, decision.place) == ("cannot tell", "candidate 1")
-        return verdict._measure(decision, box, members, {"stay": stay, "candidate 1": first}, stay, {})
+        return verdict._measure(decision, box, members, {"stay": stay, "candidate 1": first}, stay, {}, {})
 
     light = members[:, 1] == 0
     assert matters_most(box, members, np.where(light, -1.0, 1.0).tolist())[0] == ""
@@ -496,3 +507,20 @@ def test_what_alone_parts_a_few_grounds_is_named() -> None:
     other = told(np.arange(8) == 4)
     assert other.startswith("no single measurement is seen to tell: on the 8 grounds looked at ")
     assert other.endswith("; on as many as the usual 64 members it may be")
+
+
+def test_nothing_to_measure_is_said_of_the_places_that_may_be_sent_to() -> None:
+    """Where all of these break something, too, they break the least."""
+    box = UncertaintyBox(flexopt.load("excavator"), (Uncertainty(of="payload.mass", value=(250.0, 1050.0)),), 0.0)
+    decays = {"stay": np.ones(4), "candidate 1": -np.ones(4)}
+    bands: Any = {name: SimpleNamespace(decay=SimpleNamespace(nominal=own[0])) for name, own in decays.items()}
+    known, stands = {"candidate 1": place("candidate 1", decays["candidate 1"])}, Breaks(standing="breaks clearance")
+
+    def told(first: Breaks) -> str:
+        breaks = {"stay": stands, "candidate 1": first}
+        decision = Decision("cannot tell", "", "")
+        return verdict._measure(decision, box, np.linspace(250, 1050, 4)[:, None], known, None, bands, breaks)
+
+    grows = "nothing to measure: with the present gains every place that breaks {} grows on all 4 grounds looked at"
+    assert told(Breaks()) == grows.format("nothing")
+    assert told(Breaks(by_loop="breaks decay")) == grows.format("the least")

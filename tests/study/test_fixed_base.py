@@ -57,6 +57,7 @@ def test_reports(machine: Any, loop: Any) -> None:
     assert "<h2>The closed loop</h2>" in report_html(report)
 
 
+@pytest.mark.long
 def test_several_targets_regions_and_loops_at_many_points(machine: Any, placed: Any) -> None:
     stand = flexopt.select_stand(machine, [TARGET, OTHER], objective="decay", loop=LOOP, starts=2)
     assert stand.base.size == 0

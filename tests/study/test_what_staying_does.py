@@ -51,6 +51,7 @@ def heavy() -> flexopt.Verdict:
     return flexopt.verdict(chosen, loop="default", ranges={"payload.mass": (500.0, 2000.0)}, members=6, runs=0)
 
 
+@pytest.mark.long
 def test_where_the_numbers_of_the_file_decay_measuring_tells(heavy: flexopt.Verdict) -> None:
     """On all members it grows, and a narrow range about the file's number gives the answer that is promised."""
     assert heavy.word == "cannot tell"

@@ -158,7 +158,8 @@ class GainChange:
             return _Tried(there, loop, member[None])
 
         def told(tried: _Tried) -> ChangedGains:
-            at_end = at_ends(tried.loop.settings, self.asked, self.loops[name].settings) or one_factor(self.asked)
+            ends = at_ends(tried.loop.settings, self.asked, self.loops[name].settings)
+            at_end = "; ".join(filter(None, (ends, one_factor(self.asked))))
             breaks = self.breaks(name, tried.loop)
             return ChangedGains(tried.place, tried.loop, self.runs_of(tried.loop), at_end=at_end, breaks=breaks)
 

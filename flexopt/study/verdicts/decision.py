@@ -52,16 +52,16 @@ RULE = (
     "of them. CANNOT TELL: all else. A present place that breaks constraints that were asked for is none to stay at, "
     "unless it is what the loop does in no place found, and is not among those compared, nor is one from which the "
     "arm does not reach a target within its limits; nor is one that breaks constraints at a corner of what is "
-    "uncertain, where another place keeps them, or there at rest beside its target, where another does not. Where no "
-    "nonlinear runs were asked for, they need not confirm. Of several places to move to it is that with the least "
-    f"drive among those whose slowest decay is within {100 * FASTER:.0f} % of the best, and of drives within "
-    f"{100 * FASTER:.0f} % and {1e3 * LEAST_TOLD:.0f} mm of the least, and turns of the base on its way within "
-    f"{100 * FASTER:.0f} % and {1e3 * LEAST_TOLD:.0f} mrad of the least of these, the fastest."
+    "uncertain, where another place keeps them, or there at rest beside its target, where another that is stable on "
+    "every ground does not. Where no nonlinear runs were asked for, they need not confirm. Of several places to move "
+    f"to it is that with the least drive among those whose slowest decay is within {100 * FASTER:.0f} % of the best, "
+    f"and of drives within {100 * FASTER:.0f} % and {1e3 * LEAST_TOLD:.0f} mm of the least, and turns of the base on "
+    f"its way within {100 * FASTER:.0f} % and {1e3 * LEAST_TOLD:.0f} mrad of the least of these, the fastest."
 )  # fmt: skip
 
 
 # Those found, where others are none to move to.
-KEEPING = " that keeps the constraints on every ground"
+KEEPING = " that keeps the constraints"
 # Why there is no staying, usually.
 UNREACHED = "from the present placement the arm does not reach {} within its limits"
 
@@ -136,7 +136,7 @@ def decide(
         gains: these other gains, in words.
         absent: why there is no staying.
         most: share of the members on which a place is better than staying, of all that were judged.
-        barred: whether some that were found are not among these, for they break constraints on some ground.
+        barred: whether some that were found are not among these, for they break constraints.
         sought: by what places were sought, in words; empty: that is not told.
     """
     found = f"no place found{sought and f' by {sought}'}{KEEPING * barred}"
@@ -256,7 +256,8 @@ def _of_all(whys: Sequence[str]) -> str:
     differ = [k for k, numbers in enumerate(zip(*each, strict=True)) if len(set(numbers)) > 1]
     if len(differ) > 1:
         return ""
-    told = [listed(dict.fromkeys(numbers)) if k in differ else numbers[0]
+    # One for each, in their order, though some may be the same.
+    told = [listed(numbers) if k in differ else numbers[0]
             for k, numbers in enumerate(zip(*each, strict=True))]  # fmt: skip
     texts = NUMBER.split(whys[0])
     return "".join(text + number for text, number in zip(texts, [*told, ""], strict=True))

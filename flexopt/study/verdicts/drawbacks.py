@@ -83,12 +83,16 @@ def _worse(verdict: Verdict, there: PlaceVerdict, stay: PlaceVerdict) -> list[st
 
 def _no_better(verdict: Verdict, there: PlaceVerdict) -> str:
     """What the place of the word breaks, as all others do with the present gains; empty where nothing."""
+    name, by_gains, breaks = spoken(there.name), "", there.breaks
     if verdict.with_gains:
-        return there.breaks and f"with the new gains {spoken(there.name)} {there.breaks}"
-    breaks = there.breaks or (verdict.present_breaks if there.name == STAY else "")
+        # What is broken on some ground whatever the gains is another matter.
+        by_gains, breaks = there.breaking.by_loop, there.breaking.somewhere
+    elif there.name == STAY:
+        breaks = breaks or verdict.present_breaks
     # Else another place would keep them, and this one would be none to move to.
     where = " on some ground" if WHERE in breaks else " with the present gains"
-    return breaks and f"every place found breaks constraints{where}: {spoken(there.name)} {breaks}"
+    every = breaks and f"every place found breaks constraints{where}: {name} {breaks}"
+    return "; ".join(filter(None, (by_gains and f"with the new gains {name} {by_gains}", every)))
 
 
 def _first(kp: Sequence[float]) -> float:

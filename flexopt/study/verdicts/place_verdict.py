@@ -10,6 +10,7 @@ from flexopt.foundation.plain import listed
 from flexopt.foundation.results import Result
 from flexopt.selection.constraint_values import resting_told
 from flexopt.selection.constraints.corners import WHERE
+from flexopt.study.verdicts.broken_places import Breaks
 from flexopt.study.verdicts.confirmation import Runs
 
 # How names of a variable's ends end.
@@ -59,7 +60,7 @@ class PlaceVerdict(Result):
             as with other gains than a candidate was chosen with (of staying see `present_breaks`), and what is broken
             at corners of what is uncertain, and where; empty where nothing.
         breaks_at_rest: the same where feedback without an integral part holds the end-point beside its target
-            (`rests_off`), at the corners.
+            (`rests_off`), at the corners;  breaking: all of it, kind by kind.
         cornerless: of names in `rests_on` that end with a corner of `constraints.within`, those without it.
     """
 
@@ -89,8 +90,7 @@ class PlaceVerdict(Result):
     swing_unit: str
     runs: Runs | None
     rests_on: tuple[tuple[str, ...], ...]
-    breaks: str
-    breaks_at_rest: str = ""
+    breaking: Breaks = field(repr=False)
     cornerless: Mapping[str, str] = field(default_factory=dict[str, str], repr=False)
 
     DOCUMENT = """
@@ -98,6 +98,16 @@ class PlaceVerdict(Result):
     drift[1/s] drift_at unheld unheld_at rests_off[m] rests_off_at better allowed_gain delay_margin[s] settling[s]
     swing swing_unit runs rests_on breaks breaks_at_rest
     """
+
+    @property
+    def breaks(self) -> str:
+        """See the class."""
+        return "; ".join(filter(None, (self.breaking.by_loop, self.breaking.somewhere)))
+
+    @property
+    def breaks_at_rest(self) -> str:
+        """See the class."""
+        return self.breaking.at_rest
 
     @property
     def stands(self) -> list[tuple[Vector, Vector]]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from flexopt.loop.outcome import LOW
+
 # Where the machine stands now, and the best of the selection.
 STAY, FIRST = "stay", "candidate 1"
 # How many of the places judged are told of, besides these two.
@@ -13,6 +15,11 @@ TOLD = 3
 MOVE = 0.1
 # Of an allowed gain that there is not, whose number is 0.
 NO_GAIN = "none"
+# And what that says, of a loop.
+NO_GAIN_LOOKED_AT = (
+    f"decays with no gains that were looked at, from {10**LOW:g} of these up to these, in their ratio; lower or higher "
+    "ones may do"
+)
 
 
 def candidate_number(place: str) -> int | None:

@@ -19,7 +19,7 @@ from flexopt.foundation.printing import Printed
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import unseen_told
-from flexopt.loop.outcome import FALLS_AT, LOW
+from flexopt.loop.outcome import FALLS_AT
 from flexopt.loop.settings import CHOSEN, LoopSettings
 from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion
 from flexopt.loop.standard_move import SETTLED
@@ -36,7 +36,17 @@ from flexopt.study.verdicts.decision import BETWEEN, LEAST_TOLD, RULE, Word, spo
 from flexopt.study.verdicts.drawbacks import NOT_WHERE_IT_GROWS, drawbacks_of
 from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of, repeated
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
-from flexopt.study.verdicts.places import FIRST, MOVE, STAY, TOLD, allowed, gains_in_words, told
+from flexopt.study.verdicts.places import (
+    FIRST,
+    MOVE,
+    NO_GAIN,
+    NO_GAIN_LOOKED_AT,
+    STAY,
+    TOLD,
+    allowed,
+    gains_in_words,
+    told,
+)
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
@@ -83,8 +93,9 @@ class Verdict(Pictured, Printed, Result):
             is more than a centimetre off is told in words, too, and the numbers of staying are those beside the target.
         present_breaks: which constraints that were asked for staying does not keep, "breaks …"; empty where it keeps
             them.
-        exclusions: by name of candidates to which the word does not send, for they break constraints on some ground
-            and another place does not: what each of them breaks, at the worst of the corners looked at, "breaks …".
+        exclusions: by name of candidates to which the word does not send, for they break constraints, by what their
+            loops do, on some ground or at rest beside their targets, and another place does not: what each of them
+            breaks, at the worst of the corners looked at, "breaks …".
         assumes_ground: whether nobody said what is uncertain, so that `uncertainty` is the usual one of springs.
         name: of the problem's file, or empty.
 
@@ -235,7 +246,7 @@ class Verdict(Pictured, Printed, Result):
         of_all = f" of {found}" if found > self.judged else ""
         shown = f"the {TOLD} that are stable on the most grounds and, of these, decay fastest in the worst case found"
         if self.excluded and kept:
-            keep = "those that keep the constraints on every ground"
+            keep = "those that keep the constraints"
             shown = keep if kept <= TOLD else f"of {keep} {shown}"
         breaks = [f"{name} {self.exclusions[name]}" for name in self.excluded if name not in names]
         told = "".join(f"; {each}" for each in breaks[:TOLD])
@@ -395,10 +406,7 @@ class Verdict(Pictured, Printed, Result):
         """What an allowed gain that is none says, a sentence; empty where every row has one."""
         if all(place.allowed_gain.least != 0 for place in self.rows):
             return ""
-        looked = f"from {10**LOW:g} of these up to these, in their ratio"
-        return (
-            f"none: on some ground it decays with no gains that were looked at, {looked}; lower or higher ones may do"
-        )
+        return f"{NO_GAIN}: on some ground it {NO_GAIN_LOOKED_AT}"
 
     @property
     def unseen(self) -> str:

@@ -15,16 +15,18 @@ from flexopt.study.verdicts.decision import MOST, faster
 from flexopt.study.verdicts.places import STAY, TOLD
 
 
-def fit_places(breaks: Mapping[str, Breaks]) -> list[str]:
+def fit_places(breaks: Mapping[str, Breaks], holds: Callable[[str], bool]) -> list[str]:
     """To which one may move, or stay at: those that break nothing, where there is one.
 
     None that breaks something as it stands. Of the others those whose loops do what they must, where there is one; of
-    these those that break nothing on any ground; of these those that break nothing beside their targets.
+    these those that break nothing on any ground; of these those that break nothing beside their targets, where one of
+    them `holds`, which is to say whether it is stable wherever that was looked at: what grows is nowhere at rest.
     """
     places = [name for name, each in breaks.items() if not each.standing]
-    for kind in ("by_loop", "somewhere", "at_rest"):
+    for kind in ("by_loop", "somewhere"):
         places = [name for name in places if not getattr(breaks[name], kind)] or places
-    return places
+    keeping = [name for name in places if not breaks[name].at_rest]
+    return keeping if len(keeping) < len(places) and any(map(holds, keeping)) else places
 
 
 def shares_better(decays: Mapping[str, Vector]) -> dict[str, float]:

@@ -178,12 +178,12 @@ def verdict(
     others = [name for name in ranked(decays) if name != STAY]
     held = {name: [(each.base, each.posture) for each in stand] for name, stand in stands.items()}
     breaks = {name: breaks_of(chosen, loops[name], at) for name, at in held.items()}
-    fit = fit_places(breaks)
 
     @cache
     def search(name: str) -> Slowest:
         return loops[name].slowest(points, each[name])
 
+    fit = fit_places(breaks, lambda name: decays[name].min() > 0 and search(name).decay > 0)
     first_ones = first_places(
         [name for name in others if name in fit] or others, decays, lambda name: search(name).decay
     )
@@ -250,7 +250,9 @@ def verdict(
         place=decision.place,
         reason=decision.reason,
         passed_over=decision.passed_over,
-        measure=_measure(decision, box, points, known, stay, bands) if decision.word == "cannot tell" and known else "",
+        measure=_measure(decision, box, points, known, stay, bands, breaks)
+        if decision.word == "cannot tell" and known
+        else "",
         gains=new.gains if new else {},
         with_gains=bands.pop(NEW_GAINS, None),
         places=tuple(bands.values()),
@@ -507,8 +509,7 @@ def _place(
         runs=runs,
         unseen=_is_unseen(place.loops[slowest.target], slowest),
         rests_on=tuple(resting_at(chosen, place.settings, held)),
-        breaks="; ".join(filter(None, (breaks.by_loop, breaks.somewhere))),
-        breaks_at_rest=breaks.at_rest,
+        breaking=breaks,
         cornerless=cornerless(problems_of(chosen)[0]),
     )
 
@@ -526,11 +527,12 @@ def _rows(each: Sequence[Vector]) -> Vector:
 
 def _measure(
     decision: Decision, box: UncertaintyBox, points: Vector, known: Mapping[str, Place], stay: Place | None,
-    bands: Mapping[str, PlaceVerdict],
+    bands: Mapping[str, PlaceVerdict], breaks: Mapping[str, Breaks],
 ) -> str:  # fmt: skip
     """Which uncertain number decides."""
     if not decision.place and all((place.decays <= 0).all() for place in known.values()):
-        others = " that breaks nothing" * (len(bands) > len(known))
+        what = "the least" if any(breaks[name].told for name in known) else "nothing"
+        others = f" that breaks {what}" * (len(bands) > len(known))
         grows = f"every place{others} grows on all {len(points)} grounds looked at"
         name = max(known, key=lambda name: bands[name].decay.nominal)
         if box.holds_nominal and (nominal := bands[name].decay.nominal) > 0:

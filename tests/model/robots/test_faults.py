@@ -324,7 +324,7 @@ WORDS = [
 
 
 @pytest.mark.long
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.sampled_from(["urdf", "xml"]), st.integers(0, 10**6), st.sampled_from(WORDS), st.booleans())
 def test_any_changed_attribute_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, kind: str, index: int, word: str, twice: bool
@@ -341,7 +341,7 @@ def test_any_changed_attribute_is_read_or_refused(
     assert result
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.sampled_from([URDF, MJCF]), st.integers(0, 10**6), st.integers(0, 10**6))
 def test_any_removed_element_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, text: str, first: int, second: int

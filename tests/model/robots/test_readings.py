@@ -333,7 +333,7 @@ def words(values: Any) -> str:
 
 
 @given(st.lists(bodies(), min_size=2, max_size=8), st.integers(0, 10**6))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_random_urdfs_are_pinocchios(
     tmp_path_factory: pytest.TempPathFactory, links: list[dict[str, Any]], seed: int
 ) -> None:
@@ -367,7 +367,7 @@ def test_random_urdfs_are_pinocchios(
 
 @pytest.mark.long
 @given(st.lists(bodies(), min_size=1, max_size=6), st.integers(0, 10**6))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_random_mjcfs_are_mujocos(
     tmp_path_factory: pytest.TempPathFactory, links: list[dict[str, Any]], seed: int
 ) -> None:

@@ -112,6 +112,7 @@ def test_what_does_not_go_together_is_told(within: Any, sentence: str) -> None:
     assert "constraints" in str(caught.value)
 
 
+@pytest.mark.long
 def test_a_choice_keeps_what_the_heaviest_load_needs() -> None:
     """Where the best with the file's payload cannot hold it; by `evaluate` of a machine whose file has it."""
     machine, target, heaviest = flexopt.load("boom-stick-bucket"), (5.0, -1.0), 2500.0

@@ -88,7 +88,7 @@ def test_derivatives(index):
                 assert np.linalg.norm(function(at)[1].full()) == pytest.approx(1.0, abs=1e-9)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     st.integers(0, len(POLYGONS) - 1),
     st.tuples(*[st.one_of(st.integers(-3, 6).map(float), st.floats(-6, 6), st.floats(-1e6, 1e6))] * 2),

@@ -59,7 +59,7 @@ def test_the_lesser_is_the_distance_from_a_box(d: int) -> None:
 
 @pytest.mark.parametrize("d", [2, 3])
 def test_no_place_beside_a_box_gives_nan(d: int) -> None:
-    @settings(max_examples=200, deadline=None)
+    @settings(max_examples=200)
     @given(st.lists(numbers, min_size=d, max_size=d), st.lists(numbers, min_size=d, max_size=d))
     @example([0.0, 1.0, 1.0][:d], [2.0] + [0.0] * (d - 1))  # along an edge of the box
     @example([1.0, 1.0, 1.0][:d], [1.0, -1.0, 0.0][:d])  # through a corner

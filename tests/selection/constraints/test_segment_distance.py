@@ -197,7 +197,7 @@ numbers = st.one_of(
 def test_no_place_gives_nan(d):
     """Parallel, touching, through corners and edges, centred: value, gradient and Hessian are finite."""
 
-    @settings(max_examples=300, deadline=None)
+    @settings(max_examples=300)
     @given(st.lists(numbers, min_size=d, max_size=d), st.lists(numbers, min_size=d, max_size=d))
     @example([0.0] * d, [1.0] + [0.0] * (d - 1))
     @example([0.0, 1.0, 1.0][:d], [2.0] + [0.0] * (d - 1))  # along an edge of the box
