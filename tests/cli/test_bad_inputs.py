@@ -322,6 +322,9 @@ OPTION_ROWS = [
     call(
         "control-pid", f"{EVALUATE_EXCAVATOR} --control pid", "control = 'pid'", "inverse, transpose or damped:LAMBDA"
     ),
+    call(
+        "loop-control", "evaluate excavator --end-point 0,1.6 --loop control=5", "--loop control = 5.0: must be inverse"
+    ),
     call("select-control-pid", f"{SELECT} --control PID", "control = 'PID'", "inverse, transpose or damped:LAMBDA"),
     call("gain-zero", f"{EVALUATE_EXCAVATOR} --gain 0", "gain = 0.0", "greater than 0"),
     call("gain-negative", f"{EVALUATE_EXCAVATOR} --gain -5e5", "gain = -500000.0", "greater than 0"),
