@@ -140,6 +140,11 @@ class LoopSettings(Result):
         each = {name: np.full(self.kp.size, gain) for name, gain in gains.items()}
         return replace(self, **each, sources={**self.sources, **dict.fromkeys(gains, CHOSEN)}) if gains else self
 
+    def with_rows(self, gains: Mapping[str, Sequence[float]]) -> LoopSettings:
+        """The same with gains that are given, of each row."""
+        sources = {name: why for name, why in self.sources.items() if name not in gains}
+        return replace(self, **{name: np.array(each) for name, each in gains.items()}, sources=sources)
+
     def motions(self, machine: AnyMachine, *, gravity: bool, own_model: bool = False) -> SmallMotions:
         """The Functions of this loop; `own_model` says something under gravity alone."""
         return small_motions(

@@ -278,7 +278,7 @@ def test_where_every_place_grows_on_every_ground_nothing_is_to_be_measured(tmp_p
 
 
 @pytest.mark.long
-def test_where_no_gains_are_found_it_says_which_were_tried_and_how_others_are() -> None:
+def test_where_no_gains_are_found_it_says_which_were_tried_and_how_others_are(tmp_path: Path) -> None:
     """With so little Kv for its Kp no multiple of the gains is stable; ranges, which are named, have some that are."""
     loop = {"kp": 1e7, "kv": 1e2, "dead_time": 0.02}
     found = judged("article", loop=loop, runs=0, members=4)
@@ -297,6 +297,16 @@ def test_where_no_gains_are_found_it_says_which_were_tried_and_how_others_are() 
     for measure in ("decay", "allowed_gain", "delay_margin"):
         assert getattr(new, measure).least == pytest.approx(getattr(asked, measure).least, rel=1e-4)
     assert f"{1e3 * new.delay_margin.least:.4g} ms" in next(x for x in str(other).splitlines() if "new gains  " in x)
+    # And it is asked for as the verdict writes it, not with the gains to change away from.
+    words = re.search(r"the loop with the new gains: loop=(.*), in the shell (.*)", repr(other))
+    assert words
+    given = json.loads(words[1])
+    there = flexopt.outcome(other.problems[0].machine, new.posture, base=new.base, loop=given)
+    assert there.decay == pytest.approx(new.decay.nominal, rel=1e-6)
+    assert words[2] == " ".join(f"--loop {name}={number}" for name, number in given.items())
+    assert other.to_dict()["new_settings"]["kp"] == other.gains["kp"]
+    other.to_html(tmp_path / "verdict.html")
+    assert words[2] in (tmp_path / "verdict.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.long
@@ -430,7 +440,7 @@ def test_gains_that_were_chosen_are_handed_on_with_their_digits(loop: dict[str, 
     machine = flexopt.load("excavator")
     few: dict[str, Any] = {"base": 0.0, "objective": "decay", "starts": 2, "members": 2, "runs": 0}
     found = flexopt.verdict(machine, (0.0, 1.6), loop=loop, **few)
-    words = re.search(rf"{told}: loop=(.*), in the shell (.*)", repr(found))
+    words = re.search(rf"{told}(?: as now)?: loop=(.*), in the shell (.*)", repr(found))
     assert words
     assert found.handed_on.count("in the shell") == 1
     place = next(each for each in found.places if each.name == "candidate 1")

@@ -121,6 +121,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         ],
         "loop": with_minus(verdict.controller),
         "handed_on": sentence(verdict.handed_on),
+        "to_change": sentence(verdict.to_change),
         "hardly_served": sentence(verdict.settings.hardly_served),
         "sources": (("number", "where it is from"), list(verdict.settings.sources.items())),
         "over": sentence(verdict.over),

@@ -78,7 +78,7 @@ class Verdict(Pictured, Printed, Result):
             some grounds, or where there is no staying of any, why it does not send it there; else empty.
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
         gains: those to change to;  with_gains: `place` with these, judged as the places are with the present ones; None
-            where none are to be changed.
+            where none are to be changed;  new_settings: `settings` with these gains, or None.
         rule: by which the word was found.
         places: the present one first, then the best of the candidates, candidate 1 where it is none of these, and where
             none of all these is better than staying on more than 5 % of the grounds, one that is, if there is any;
@@ -124,8 +124,8 @@ class Verdict(Pictured, Printed, Result):
     with_gains: PlaceVerdict | None = None
 
     DOCUMENT = """
-    word sentence place reason drawbacks passed_over measure gains rule targets[m] present_end_point[m] present_off[m]
-    present_breaks places with_gains assumed
+    word sentence place reason drawbacks passed_over measure gains new_settings rule targets[m] present_end_point[m]
+    present_off[m] present_breaks places with_gains assumed
     settings uncertainty=_uncertainty members judged excluded exclusions proven provenance
     """
 
@@ -291,8 +291,19 @@ class Verdict(Pictured, Printed, Result):
             follow, others = ("follow", "others") if len(of_posture) > 1 else ("follows", "another")
             told.append(f"{_gains(of_posture)} {follow} from the posture of {where} and would be {others} elsewhere")
         if kept := [*chosen, *of_posture]:
-            told.append(f"to keep {'them' if len(kept) > 1 else 'it'}: {settings.in_calls}")
+            present = " as now" * bool(self.gains)
+            told.append(f"to keep {'them' if len(kept) > 1 else 'it'}{present}: {settings.in_calls}")
         return "; ".join(told)
+
+    @property
+    def new_settings(self) -> LoopSettings | None:
+        """See the class."""
+        return self.settings.with_rows(self.gains) if self.gains else None
+
+    @property
+    def to_change(self) -> str:
+        """How other calls are given the loop with the new gains; empty where none are to be changed."""
+        return "" if self.new_settings is None else f"the loop with the new gains: {self.new_settings.in_calls}"
 
     @property
     def proven(self) -> bool:
@@ -536,7 +547,7 @@ class Verdict(Pictured, Printed, Result):
         lines += [f"  {sentence}" for sentence in (*whole, self.unseen, self.weightless) if sentence]
         lines += [f"  {sentence}" for sentence in self.assumed]
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
-        return "\n".join([*lines, *filter(None, (self.drawbacks, self.passed_over, self.measure))])
+        return "\n".join([*lines, *filter(None, (self.drawbacks, self.passed_over, self.measure, self.to_change))])
 
 
 def _gains(names: Sequence[str]) -> str:
