@@ -18,6 +18,8 @@ from flexopt.model.file_model import BuiltByCall
 Drive = Literal["torque", "velocity"]
 DELAY_MAX = 100  # samples
 DECADES = 6.0  # of a range of gains from 0
+# By which share a gain may be off an end of what is tried and lie there: searches by logarithms end with steps of 1e-4.
+AT_END = 1e-3
 # In place of a table: everything follows from the machine.
 DEFAULT_LOOP = "default"
 # Where none is given: the article's, and that of teleoperated excavators.
@@ -55,8 +57,9 @@ class Loop(BuiltByCall):
             N m s, N m/s for the inverse of hinges (of an arm with both, the inverse's number is N m at its hinges and
             N/m at its slides). Of velocity-served joints 1/s, 1 and 1/s², from the end-point's error to the rate
             asked for.
-        kp_range, kv_range: (lower, upper) between which all entries of a gain may be chosen. A gain given beside its
-            range is that of today: the present configuration has it, and a verdict's places, but for its new gains.
+        kp_range, kv_range: (lower, upper) between which all entries of a gain may be chosen. It is sought by its
+            logarithm: a range from 0 is gone through from 1e-6 of its upper end. A gain given beside its range is
+            that of today: the present configuration has it, and a verdict's places, but for its new gains.
         rate: of the samples, Hz.
         dead_time: from the end-point's measurement to command, s; any time of up to 100 samples, not only whole ones.
             Joints, which the Jacobian and the damper of the self-motion need, are measured without.
@@ -129,6 +132,14 @@ def logarithms(ends: tuple[float, float]) -> tuple[float, float]:
     """Ends of a range of gains as logarithms; one that begins at 0 is gone through over six powers of ten."""
     low, high = ends
     return math.log(low if low > 0 else high * 10**-DECADES), math.log(high)
+
+
+def least_tried(name: str, gain: float, ends: tuple[float, float]) -> str:
+    """That a gain is the least that is tried of a range from 0, in words; empty where it is not."""
+    least = math.exp(logarithms(ends)[0])
+    if ends[0] > 0 or not math.isclose(gain, least, rel_tol=AT_END):
+        return ""
+    return f"{name} is the least of its range that is tried, {least:.3g}, for 0 has no logarithm"
 
 
 def loop_faults(loop: Loop, machine: Any, prefix: str = "") -> list[Fault]:

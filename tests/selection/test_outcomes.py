@@ -416,3 +416,17 @@ def test_what_the_loop_must_do_at_least_loses_no_optimum_that_does_it(tmp_path: 
     # Where it does not do it, the optimum is none.
     other = flexopt.select(machine, (4.2, 0.0), constraints=margin | {"outcome": {"decay": 0.7}}, loop=loop, **few)
     assert np.abs(other.best.z - free.best.z).max() > 1e-2
+
+
+@pytest.mark.long
+def test_a_gain_at_the_foot_of_a_range_from_nothing_is_told_as_the_least_that_is_tried() -> None:
+    """It is sought by its logarithm, and so slow a loop with so much dead time is best with none."""
+    loop = {"kp": 1.0, "kv_range": (0.0, 1.0), "dead_time": 0.1, "drive": "velocity", "servo_gain": 2e4}
+    asked: dict[str, Any] = {"base": 0.0, "base_range": (-0.2, 0.2), "objective": "decay", "starts": 1}
+    found = flexopt.select(EXCAVATOR, TARGET, loop=loop, **asked)
+    assert isinstance(found, OutcomeSelection)
+    assert found.gains[0]["kv"] == pytest.approx(1e-6)
+    assert "loop.kv lower bound" in found.candidates[0].active
+    assert "loop.kv is the least of its range that is tried, 1e-06, for 0 has no logarithm" in repr(found)
+    higher = {**loop, "kv_range": (1e-6, 1.0)}
+    assert "that is tried" not in repr(flexopt.select(EXCAVATOR, TARGET, loop=higher, **asked))

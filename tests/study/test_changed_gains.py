@@ -124,8 +124,15 @@ def gains(kp: float, kv: float) -> Any:
         ((123100.0, 120900.0), {}, "no higher ones were tried than 10 times the present ones"),
         ((200.0, 196.4), {}, ""),
         ((50.0, 5.0), {"kp_range": (10.0, 100.0), "kv_range": (5.0, 50.0)}, "kv is the lower end of its range"),
-        ((100.0, 5.0), {"kp_range": (10.0, 100.0), "kv_range": (5.0, 50.0)}, "kp is the upper end of its range and kv"),
+        ((99.99, 5.0), {"kp_range": (10.0, 100.0), "kv_range": (5.0, 50.0)}, "kp is the upper end of its range and kv"),
         ((50.0, 7.0), {"kp_range": (10.0, 100.0), "kv_range": (7.0, 7.0)}, ""),
+        ((50.0, 5.1), {"kp_range": (10.0, 100.0), "kv_range": (5.0, 50.0)}, ""),
+        (
+            (50.0, 1e-6),
+            {"kp_range": (10.0, 100.0), "kv_range": (0.0, 1.0)},
+            "kv is the least of its range that is tried, 1e-06",
+        ),
+        ((50.0, 1.0), {"kp_range": (10.0, 100.0), "kv_range": (0.0, 1.0)}, "kv is the upper end of its range"),
     ],
 )
 def test_gains_at_an_end_of_what_was_tried_are_told(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from flexopt.foundation.turns import available_cores
 from flexopt.loop.certified.region import LARGEST
 from flexopt.loop.evaluation import Outcome, unseen_told
 from flexopt.loop.settings import LoopSettings
-from flexopt.model.loop import Loop, gain_ranges
+from flexopt.model.loop import Loop, gain_ranges, least_tried
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.robustness import Evaluation
 from flexopt.selection.broken import cornerless
@@ -86,6 +86,12 @@ class ChosenByLoop(ABC):
         found = stand.outcome
         assert isinstance(found, Outcome)
         return (unseen_told("the best"),) if self.measure == "decay" and found.unseen else ()
+
+    def _least_told(self, chosen: Sequence[Mapping[str, float]]) -> tuple[str, ...]:
+        """Which gains of those chosen are the least that are tried of ranges from 0."""
+        ranges = gain_ranges(self.loop).items()
+        told = (least_tried(f"loop.{name}", each[name], ends) for each in chosen for name, ends in ranges)
+        return tuple(dict.fromkeys(filter(None, told)))
 
     def loops_break(self, settings: LoopSettings, stand: Sequence[tuple[Vector, Vector]]) -> list[str]:
         """At each target what a loop does not do of what it must at least, base and posture there: "breaks …"."""
@@ -226,7 +232,7 @@ class OutcomeSelection(ChosenByLoop, Selection):
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the choice, those of the loop's measure."""
         unverified = unverified_told(self.measure, self.unverified)
-        own = (*self._unseen_told(self.best.evaluation), self.best.evaluation.sag_told)
+        own = (*self._unseen_told(self.best.evaluation), self.best.evaluation.sag_told, *self._least_told(self.gains))
         return tuple(sentence for sentence in (unverified, self.nothing_to_gain, *own) if sentence)
 
     def __repr__(self) -> str:

@@ -66,7 +66,8 @@ class ByLoop(ChosenByLoop, ConfigurationSet):
     @property
     def remarks(self) -> tuple[str, ...]:
         """As of `ConfigurationSet`, and what no loop changes at the worst target."""
-        return (*super().remarks, *self._unseen_told(self.places[self.worst].evaluation))
+        unseen = self._unseen_told(self.places[self.worst].evaluation)
+        return (*super().remarks, *unseen, *self._least_told([self.gains]))
 
     @property
     def _judged(self) -> Sequence[SelectionProblem]:

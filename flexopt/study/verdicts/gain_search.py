@@ -15,7 +15,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.settings import LoopSettings
-from flexopt.model.loop import Loop, gain_ranges, logarithms
+from flexopt.model.loop import AT_END, Loop, gain_ranges, least_tried, logarithms
 from flexopt.study.verdicts.place_loops import PlaceLoops
 
 # Gains tried along each range at first, evaluations of the search that follows, and by how much all gains together
@@ -25,8 +25,6 @@ GRID, EVALUATIONS, LEAST, MOST = 9, 80, 1e-2, 10.0
 # halved where it is too much.
 ROOM, LOWER, HALVINGS = 2.0, 0.5**0.25, 6
 OTHERS = "kp_range and kv_range of the loop have others tried"
-# By which share a gain may be off an end of what is looked at and lie there.
-AT_END = 1e-6
 
 
 def best_gains(loop: PlaceLoops, asked: Loop, members: Vector, does: Callable[[PlaceLoops], bool]) -> PlaceLoops:
@@ -125,8 +123,9 @@ def at_ends(found: LoopSettings, asked: Loop, now: LoopSettings) -> str:
     ranges, told = gain_ranges(asked), list[str]()
     for name, ends in ranges.items():
         for side, end in zip(("lower", "upper"), map(math.exp, logarithms(ends)), strict=True):
-            if math.isclose(getattr(found, name).max(), end, rel_tol=AT_END) and ends[0] < ends[1]:
-                told.append(f"{name} is the {side} end of its range")
+            gain = float(getattr(found, name).max())
+            if math.isclose(gain, end, rel_tol=AT_END) and ends[0] < ends[1]:
+                told.append(least_tried(name, gain, ends) or f"{name} is the {side} end of its range")
     if ranges:
         return " and ".join(told)
     factor = found.kp.max() / now.kp.max() if now.kp.any() else found.kv.max() / now.kv.max() if now.kv.any() else 1.0
