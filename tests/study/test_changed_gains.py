@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,10 @@ GROUNDS = np.linspace(1.0, 1.2, 40)
 
 
 class Case(NamedTuple):
-    """Slowest decays by place, with the present gains and others; drives; what runs of the others refute; what is told."""
+    """Slowest decays by place, with the present gains and others; drives; what runs of the others refute; what is told.
+
+    `shared`: slowest decays with the gains that runs confirm in another place;  refuted_too: what they refute of these.
+    """
 
     now: dict[str, float]
     then: dict[str, float]
@@ -29,6 +33,9 @@ class Case(NamedTuple):
     refuted: tuple[str, ...]
     place: str
     staying: bool
+    shared: Mapping[str, float] = MappingProxyType({})
+    refuted_too: tuple[str, ...] = ()
+    passed: str = ""
 
 
 @pytest.mark.parametrize(
@@ -47,13 +54,46 @@ class Case(NamedTuple):
         ),
         Case({"stay": -1.0, "near": -1.0}, {"stay": 1.0, "near": 2.0}, {"near": 3.0}, ("near",), "stay", staying=False),
         Case({"near": -1.0, "far": -1.0}, {"near": 1.0, "far": 0.95}, {"near": 3.0, "far": 4.0}, (), "near", staying=False),
+        Case(
+            {"near": -1.0, "far": -1.0}, {"near": 1.0, "far": 2.0}, {"near": 3.0, "far": 4.0}, (), "far", staying=False,
+            passed="near is nearer, 3 m away, but, with other gains, its slowest decay is 1/s only",
+        ),
+        # Gains that runs confirm far away do as well nearer, where they refute those that are faster.
+        Case(
+            {"near": -1.0, "far": -1.0}, {"near": 2.0, "far": 1.9}, {"near": 3.0, "far": 4.0}, ("near",), "near",
+            staying=False, shared={"near": 1.75},
+        ),
+        Case(
+            {"near": -1.0, "far": -1.0}, {"near": 2.0, "far": 1.9}, {"near": 3.0, "far": 4.0}, ("near",), "far",
+            staying=False, shared={"near": 1.5},
+            passed="near is nearer, 3 m away, but, with other gains, nonlinear runs do not confirm it (far off; with the "
+            "gains of far its slowest decay is 1.5/s only)",
+        ),
+        Case(
+            {"near": -1.0, "far": -1.0}, {"near": 2.0, "far": 1.9}, {"near": 3.0, "far": 4.0}, ("near",), "far",
+            staying=False, shared={"near": 1.8}, refuted_too=("near",),
+            passed="near is nearer, 3 m away, but, with other gains, nonlinear runs do not confirm it (far off; with the "
+            "gains of far far off)",
+        ),
+        Case(
+            {"stay": -1.0, "near": -1.0}, {"stay": 1.9, "near": 1.5}, {"near": 3.0}, ("stay",), "stay", staying=False,
+            shared={"stay": 1.4},
+        ),
+        Case(
+            {"stay": -1.0, "near": -1.0, "far": -1.0}, {"stay": 1.7, "near": 2.0, "far": 1.95}, {"near": 3.0, "far": 4.0},
+            ("near",), "far", staying=True, shared={"near": 1.8},
+        ),
+        Case(
+            {"stay": -1.0, "near": -1.0, "far": -1.0}, {"stay": 1.0, "near": 2.0, "far": 1.9}, {"near": 3.0, "far": 4.0},
+            ("near",), "near", staying=True, shared={"near": 1.9},
+        ),
     ],
 )  # fmt: skip
 def test_where_gains_are_changed(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     settings = SimpleNamespace(
         feedback="pd", kp=np.array([2.0]), kv=np.array([1.0]), gain_units=("N m", "N m s", "N m/s")
     )
-    loop: Any = SimpleNamespace(settings=settings)
+    loop: Any = SimpleNamespace(settings=settings, with_settings=lambda _: loop)
 
     def places(slowest: dict[str, float]) -> dict[str, Place]:
         return {name: Place(name, each * GROUNDS, each, case.drives.get(name, 0.0)) for name, each in slowest.items()}
@@ -61,14 +101,21 @@ def test_where_gains_are_changed(case: Case, monkeypatch: pytest.MonkeyPatch) ->
     def fastest(_: GainChange, name: str) -> Any:
         return SimpleNamespace(place=places(case.then)[name])
 
-    def lowest(_: GainChange, tried: Any) -> ChangedGains:
-        confirming = 0.0 if tried.place.name in case.refuted else 1.0
+    def ran(tried: Any, refuted: tuple[str, ...]) -> ChangedGains:
+        confirming = 0.0 if tried.place.name in refuted else 1.0
         return ChangedGains(tried.place, loop, SimpleNamespace(confirming=confirming, reasons=("far off",)))  # type: ignore[arg-type]
 
+    def shared(_: GainChange, name: str, __: Any) -> tuple[Place, Vector]:
+        return places({name: case.shared.get(name, -1.0)})[name], np.zeros(1)
+
     monkeypatch.setattr(changed_gains.GainChange, "_fastest", fastest)
-    monkeypatch.setattr(changed_gains.GainChange, "_lowest", lowest)
-    found = GainChange(Loop(), places(case.now), {}, {}, {}, np.zeros((1, 1)), lambda _: None).best()
+    monkeypatch.setattr(changed_gains.GainChange, "_lowest", lambda _, tried: ran(tried, case.refuted))
+    monkeypatch.setattr(changed_gains.GainChange, "_with", shared)
+    monkeypatch.setattr(changed_gains.GainChange, "_told", lambda _, tried: ran(tried, case.refuted_too))
+    loops = dict.fromkeys(case.now, loop)
+    found = GainChange(Loop(), places(case.now), loops, {}, {}, np.zeros((1, 1)), lambda _: None).best()
     assert found.place.name == case.place
+    assert case.passed in ("", found.passed_over)
     told = f"staying with kp 2 N m, kv 1 N m s is stable on every ground, too: slowest decay {case.then.get('stay')}/s"
     assert (found.staying == told.replace(".0/s", "/s")) == case.staying
 
@@ -111,6 +158,59 @@ def test_twice_the_gains_hold_on_every_member(border: float) -> None:
     gain = float(change._lowest(fastest).loop.settings.kp[0])
     assert 2 * gain < border
     assert gain == 1.0 or 2 * gain > 0.8 * border  # Steps of 2^(1/4).
+
+
+@dataclass(frozen=True)
+class Hill:
+    """A loop that decays fastest at one gain, and 0.03/s more slowly where that is e times as high."""
+
+    settings: Gains
+    top: float
+    best: float
+
+    @property
+    def box(self) -> SimpleNamespace:
+        return SimpleNamespace(corners=lambda _: np.ones((2, 1)))
+
+    def with_settings(self, settings: Gains) -> Hill:
+        return Hill(settings, self.top, self.best)
+
+    def decays(self, members: Vector) -> Vector:
+        off = float(np.log(self.settings.kp[0] / self.best))
+        return (self.top - 0.03 * off**2) * members[:, 0][None]
+
+    def slowest(self, members: Vector, decays: Vector) -> SimpleNamespace:
+        return SimpleNamespace(decay=float(decays.min()), member=members[int(decays.min(axis=0).argmin())])
+
+
+@pytest.mark.parametrize(("top", "place"), [(2.0, "near"), (1.75, "far")])
+def test_gains_that_runs_confirm_in_one_place_are_tried_in_a_nearer_one(top: float, place: str) -> None:
+    """Runs refute low gains, with which the nearer place is at its fastest: with those of the other it does as well."""
+    low = Gains(np.array([1.0]), np.array([1.0]), np.zeros(1))
+    hills: Any = {"near": Hill(low, top, 1.0), "far": Hill(low, 1.9, 10.0)}
+    points = np.linspace(1.0, 1.1, 20)[:, None]
+    slow = {name: hill.decays(points)[0] - 5.0 for name, hill in hills.items()}
+    drives = {"near": 1.0, "far": 2.0}
+    known = {name: Place(name, each, float(each.min()), drives[name]) for name, each in slow.items()}
+
+    def runs(loop: Any) -> Any:
+        confirmed = loop.settings.kp[0] > 5.0
+        return SimpleNamespace(confirming=float(confirmed), reasons=("" if confirmed else "far off",))
+
+    slowest: Any = dict.fromkeys(hills, SimpleNamespace(member=points[0]))
+    asked = Loop(kp_range=(0.1, 100.0))
+    found = GainChange(asked, known, hills, slowest, {}, points, runs).best()
+    kp = float(found.loop.settings.kp[0])
+    assert (found.place.name, found.doubt) == (place, None)
+    assert kp == pytest.approx(10.0, rel=0.05)
+    # Of the nearer place with these gains, by its own formula.
+    there = top - 0.03 * np.log(kp) ** 2
+    assert (there >= 0.9 * 1.9) == (place == "near")
+    told = (
+        "near is nearer, 1 m away, but, with other gains, nonlinear runs do not confirm it (far off; with the gains of "
+    )
+    told += f"far its slowest decay is {there:.3g}/s only)"
+    assert found.passed_over == ("" if place == "near" else told)
 
 
 def gains(kp: float, kv: float) -> Any:

@@ -17,7 +17,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.loop.uncertain import FEW
 from flexopt.model.loop import Loop
 from flexopt.study.verdicts.confirmation import Runs
-from flexopt.study.verdicts.decision import FASTER, MOST, Place, decide, pays
+from flexopt.study.verdicts.decision import BETWEEN, BREAKS, FASTER, MOST, Place, decide, nearer, passed_over, pays
 from flexopt.study.verdicts.gain_search import at_ends, best_gains, lowered, most_room, one_factor
 from flexopt.study.verdicts.place_loops import PlaceLoops, Slowest
 from flexopt.study.verdicts.places import STAY, gains_in_words
@@ -34,8 +34,8 @@ class ChangedGains(NamedTuple):
     """A place with other gains: its loop with these, nonlinear runs if any were asked for.
 
     `staying`: of another place than the present one, what staying with other gains does, in words; empty where that is
-    stable nowhere, or runs refute it. `at_end`: see `at_ends`, `one_factor`. `breaks`: what it does not do of
-    what it must at least.
+    stable nowhere, or runs refute it; `passed_over`: why it is no place with less to drive. `at_end`: see `at_ends`,
+    `one_factor`. `breaks`: what it does not do of what it must at least.
     """
 
     place: Place
@@ -44,6 +44,7 @@ class ChangedGains(NamedTuple):
     staying: str = ""
     at_end: str = ""
     breaks: str = ""
+    passed_over: str = ""
 
     @property
     def gains(self) -> dict[str, list[float]]:
@@ -100,18 +101,29 @@ class GainChange:
     def best(self) -> ChangedGains:
         """The place to be in, each with the lowest gains that do as well as its fastest.
 
-        The present one, unless a move from it pays, as by `RULE`, or runs refute it and confirm another.
+        The present one, unless a move from it pays, as by `RULE`, or runs refute it and confirm another. Of places with
+        less to drive that runs refute so, one that does as well with the gains that they confirm.
         """
         fastest = {name: self._fastest(name) for name in self.known}
         stay = self._lowest(fastest.pop(STAY)) if STAY in fastest and fastest[STAY].place.holds else None
         refuted = stay is not None and stay.doubt is not None
         places = [each.place for each in fastest.values()]
         others = places if stay is None or refuted else [place for place in places if pays(place, stay.place)]
+        doubts = {STAY: stay.doubt} if stay is not None and stay.doubt is not None else dict[str, str]()
         other, tried = None, 0
         while others and tried < PLACES and (other is None or other.doubt is not None):
             found, tried = self._lowest(fastest[_nearest(others)]), tried + 1
             other = found if other is None or found.doubt is None else other
             others = [place for place in others if place.name != found.place.name]
+            if found.doubt is not None:
+                doubts[found.place.name] = found.doubt
+        if other is not None and other.doubt is None:
+            held = None if refuted else stay
+            other = self._spared(other, _alike(fastest[other.place.name].place.slowest), held, doubts)
+            if other.place.name == STAY:
+                return other
+            told = passed_over(other.place, held and held.place, places, doubts, "with other gains")
+            other = other._replace(passed_over=told)
         if stay is None or other is None:
             return cast(ChangedGains, stay or other)
         serves = self._changes(other.place) or not self._changes(stay.place)
@@ -119,6 +131,29 @@ class GainChange:
             return stay
         told = f"staying with {stay.in_words} is stable on every ground, too: slowest decay {stay.place.slowest:.3g}/s"
         return other._replace(staying="" if refuted else told)
+
+    def _spared(
+        self, other: ChangedGains, least: float, stay: ChangedGains | None, doubts: dict[str, str]
+    ) -> ChangedGains:
+        """Its gains where that takes the least drive, of places that runs refute with their own; else itself.
+
+        Args:
+            other: a place whose gains runs confirm;  least: decay that does as well, 1/s.
+            stay: the present place, where runs do not refute it.
+            doubts: why they refute a place with its own gains; that it does not do with these joins it.
+        """
+        near = [place for name, place in self.known.items() if name in doubts and nearer(place, other.place)]
+        for place in sorted(near, key=lambda each: each.drive):
+            loop = self.loops[place.name].with_settings(other.loop.settings)
+            there, member = self._with(place.name, loop)
+            why = f"its slowest decay is {there.slowest:.3g}/s only"
+            if there.slowest >= least and self._changes(there) and (stay is None or pays(there, stay.place)):
+                found = self._told(_Tried(there, loop, member[None]))
+                if found.doubt is None:
+                    return found
+                why = f"{'it ' * found.doubt.startswith(BREAKS)}{found.doubt.split(BETWEEN)[0]}"
+            doubts[place.name] += f"{BETWEEN}with the gains of {other.place.name} {why}"
+        return other
 
     def _changes(self, place: Place) -> bool:
         """Whether the word is to change gains, of a place with other gains."""
@@ -145,6 +180,13 @@ class GainChange:
             few = np.concatenate([few, member[None]])
         return max(tried, key=lambda each: each.place.slowest)._replace(few=few)
 
+    def _told(self, tried: _Tried) -> ChangedGains:
+        """What runs say of it."""
+        name, loop = tried.place.name, tried.loop
+        ends = at_ends(loop.settings, self.asked, self.loops[name].settings)
+        at_end = "; ".join(filter(None, (ends, one_factor(self.asked))))
+        return ChangedGains(tried.place, loop, self.runs_of(loop), at_end=at_end, breaks=self.breaks(name, loop))
+
     def _lowest(self, fastest: _Tried) -> ChangedGains:
         """The lowest gains with which a place is nearly as good as with its fastest, worth it, and confirmed."""
         (place, best, few), name = fastest, fastest.place.name
@@ -157,12 +199,6 @@ class GainChange:
             there, member = self._with(name, loop)
             return _Tried(there, loop, member[None])
 
-        def told(tried: _Tried) -> ChangedGains:
-            ends = at_ends(tried.loop.settings, self.asked, self.loops[name].settings)
-            at_end = "; ".join(filter(None, (ends, one_factor(self.asked))))
-            breaks = self.breaks(name, tried.loop)
-            return ChangedGains(tried.place, tried.loop, self.runs_of(tried.loop), at_end=at_end, breaks=breaks)
-
         lowest, least = None, 1.0
         # What makes twice as high gains grow need not be among the few that these were sought for.
         members = np.concatenate([few, self.points])
@@ -173,16 +209,16 @@ class GainChange:
                 break
             tried = at(least)
             if keeps(tried.place.slowest):
-                lowest = told(tried)
+                lowest = self._told(tried)
                 break
             members = np.concatenate([members, tried.few])
         if lowest is not None and lowest.doubt is None:
             return lowest
-        kept, high = told(fastest), 1.0
+        kept, high = self._told(fastest), 1.0
         for _ in range(HALVED if lowest is not None and kept.doubt is None else 0):
             middle = math.sqrt(least * high)
             tried = at(middle)
-            if keeps(tried.place.slowest) and (higher := told(tried)).doubt is None:
+            if keeps(tried.place.slowest) and (higher := self._told(tried)).doubt is None:
                 kept, high = higher, middle
             else:
                 least = middle

@@ -45,7 +45,8 @@ RULE = (
     "gains that were tried do in a place what no move does with the present gains, or no place is stable on every "
     "ground and other gains make one so; runs confirm it; they are tried where the loop has ranges for them, or "
     "where the present place is not stable on every ground, or not confirmed, and there is none to move to. The "
-    "place is the present one, unless another, each with its own other gains, is better by the rule of MOVE. The "
+    "place is the present one, unless another, each with its own other gains, is better by the rule of MOVE; where "
+    "runs refute a place with its own, those that they confirm in another are tried in it, too. The "
     "fastest that are found are lowered together until it does not grow with twice as high ones, while the slowest "
     f"decay is within {100 * FASTER:.0f} % of the best, worth the change, and runs confirm it. STAY: the present "
     f"place is stable on every ground, runs confirm it, and no other is better on more than {100 * (1 - MOST):.0f} % "
@@ -156,7 +157,7 @@ def decide(
                 reason = "stable on every ground, which the present place is not"
             reason += f"; slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
         takes = ", ".join(filter(None, [f"a drive of {way(best.drive):.3g} m", best.otherwise]))
-        return Decision("move", best.name, f"{reason}, for {takes}", _passed_over(best, stay, others, unconfirmed))
+        return Decision("move", best.name, f"{reason}, for {takes}", passed_over(best, stay, others, unconfirmed))
     if staying is not None:
         share, rival = _rival(staying, others)
         if share <= 1 - MOST:
@@ -273,9 +274,14 @@ def _why_not(rival: Place, share: float, unconfirmed: Mapping[str, str]) -> str:
     return f"{reason}, but not in its worst case" if share >= MOST else f"{reason} only"
 
 
-def _passed_over(best: Place, stay: Place | None, others: Sequence[Place], unconfirmed: Mapping[str, str]) -> str:
-    """Of the nearest place with less to drive that is better than staying on some grounds, why it is not moved to."""
-    near = [place for place in others if _nearer(place, best)]
+def passed_over(
+    best: Place, stay: Place | None, others: Sequence[Place], unconfirmed: Mapping[str, str], gains: str = ""
+) -> str:
+    """Of the nearest place with less to drive that is better than staying on some grounds, why it is not moved to.
+
+    `gains`: with which all these are, in words; empty for the present ones.
+    """
+    near = [place for place in others if nearer(place, best)]
     some = [place for place in near if stay is None or place.better_than(stay) > 1 - MOST]
     place = min(some, key=attrgetter("drive"), default=None)
     if place is None:
@@ -285,12 +291,13 @@ def _passed_over(best: Place, stay: Place | None, others: Sequence[Place], uncon
     elif stay is not None and place.better_than(stay) < MOST:
         why = f"{BETTER} on {percent(place.better_than(stay))} of the grounds only"
     elif place.name in unconfirmed:
-        why = f"nonlinear runs do not confirm it{_because(unconfirmed[place.name])}"
+        doubt = unconfirmed[place.name]
+        why = f"it {doubt}" if doubt.startswith(BREAKS) else f"nonlinear runs do not confirm it{_because(doubt)}"
     elif stay is not None and not pays(place, stay):
         why = "not in its worst case"
     else:
         why = f"its slowest decay is {place.slowest:.3g}/s only"
-    return f"{place.name} is nearer, {way(place.drive):.3g} m away, but {why}"
+    return f"{place.name} is nearer, {way(place.drive):.3g} m away, but{gains and f', {gains},'} {why}"
 
 
 def percent(share: float) -> str:
@@ -334,7 +341,7 @@ def _near(places: Sequence[Place]) -> Place:
     return min(_slowest_alike(places), key=lambda place: (len(place.name), place.name))
 
 
-def _nearer(place: Place, other: Place) -> bool:
+def nearer(place: Place, other: Place) -> bool:
     """Whether it has less to drive, by more than what is one."""
     return place.drive < (1 - FASTER) * other.drive - LEAST_TOLD
 
@@ -355,7 +362,7 @@ def may_stay(stay: Place | None, unconfirmed: Mapping[str, str]) -> Place | None
 def _spares(changed: Place, staying: Place | None, best: Place | None, sound: Sequence[Place]) -> bool:
     """Whether other gains are worth more than what can be had with these, in any place that runs confirm."""
     if best is not None:
-        return changed.slowest >= best.slowest and _nearer(changed, best)
+        return changed.slowest >= best.slowest and nearer(changed, best)
     had = [place.slowest for place in (*sound, *([] if staying is None else [staying]))]
     return not had or bool(faster(np.array(changed.slowest), np.array(max(had))))
 

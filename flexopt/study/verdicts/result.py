@@ -75,7 +75,8 @@ class Verdict(Pictured, Printed, Result):
             where it stands with the present ones, in the worst case, what it breaks as every place found does, and what
             the way of a plan does between its targets, in words; empty where nothing is.
         passed_over: where it sends the machine: of the nearest place with less to drive that is better than staying on
-            some grounds, or where there is no staying of any, why it does not send it there; else empty.
+            some grounds, or where there is no staying of any, why it does not send it there, where gains are to be
+            changed why not with others, either; else empty.
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
         gains: those to change to;  with_gains: `place` with these, judged as the places are with the present ones; None
             where none are to be changed;  new_settings: `settings` with these gains, or None.

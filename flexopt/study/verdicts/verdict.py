@@ -310,7 +310,8 @@ def _of_gains(decision: Decision, confirmed: ChangedGains | None) -> Decision:
     """The decision to change gains, with what else is to be known of these."""
     if confirmed is None or decision.word != "change gains":
         return decision
-    return replace(decision, reason="; ".join(filter(None, (decision.reason, confirmed.at_end, confirmed.staying))))
+    reason = "; ".join(filter(None, (decision.reason, confirmed.at_end, confirmed.staying)))
+    return replace(decision, reason=reason, passed_over=confirmed.passed_over)
 
 
 def _with_present(
