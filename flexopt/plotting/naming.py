@@ -15,8 +15,10 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backend_bases import RendererBase
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.path import Path
+from matplotlib.patheffects import withStroke
 from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox, BboxBase
 from numpy.typing import NDArray
@@ -31,6 +33,10 @@ ROUNDS, SLACK = 200, 0.5
 CROSS, BORDER, BESIDE, CLEAR = 5.0, 8.0, 2.0, 1.0
 # Places looked at: on what is named in each direction, and along each of its edges.
 ON, EDGE = 21, 41
+# Half of a cross; how near crosses are one to the eye; about a number its halo; steps away from its cross, points. So
+# many steps are looked at, and from more than so many a line leads to the cross.
+ARM, ONE, HALO, STEP = 6.0, 3.0, 1.25, 4.0
+STEPS, LED = 24, 2
 # Heights of a name that its place may lie farther from the middle before it changes from on to beside.
 CHANGE = 12.0
 
@@ -134,6 +140,67 @@ class Names(Artist):
         for text, anchor, center, move in zip(own, anchors, centers, moves, strict=True):
             text.xy = tuple(axes.transData.inverted().transform(anchor).tolist())
             text.xyann = tuple(((center + move - anchor) / point).tolist())
+
+
+class TargetNumbers(Artist):
+    """Puts numbers beside the crosses that they name when they are drawn, on no cross and on no other number.
+
+    Each stands as near to its cross as there is room, and no nearer to another one; far from it, a line leads to it.
+    Crosses that are one to the eye have their numbers in one text.
+    """
+
+    def __init__(self, axes: Axes, marks: Points, numbered: Sequence[int], ink: str, halo: str) -> None:
+        """`marks`: points (2, K) that are marked;  numbered: which of these are named, by their number from 1 on."""
+        super().__init__()
+        # Below other names, which give way to what is written.
+        self.set(zorder=6.4, in_layout=False)
+        self._marks, self._ink = marks, ink
+        self._texts = {
+            k: axes.annotate(
+                str(k + 1), (float(marks[0, k]), float(marks[1, k])), xytext=(0.0, 0.0), textcoords="offset points",
+                ha="center", va="center", zorder=7, path_effects=[withStroke(linewidth=2 * HALO, foreground=halo)],
+            )
+            for k in numbered
+        }  # fmt: skip
+
+    def draw(self, renderer: RendererBase) -> None:
+        """Place them."""
+        axes = self.axes
+        if axes is None:
+            return
+        point = float(cast(Any, renderer).points_to_pixels(1.0))
+        marks = axes.transData.transform(self._marks.T)
+        taken = [Bbox([mark - ARM * point, mark + ARM * point]) for mark in marks]
+        alike = dict[int, list[int]]()
+        for k, text in self._texts.items():
+            first = next((i for i in alike if np.abs(marks[i] - marks[k]).max() < ONE * point), k)
+            alike.setdefault(first, []).append(k)
+            text.set_text("")
+        for first, numbers in alike.items():
+            text, mark = self._texts[first], marks[first]
+            text.set_text(", ".join(str(k + 1) for k in numbers))
+            half = np.array(Text.get_window_extent(text, renderer).size) / 2 + HALO * point
+            centers, steps = _around(mark, half, point)
+            away = np.abs(centers - np.mean(axes.bbox.get_points(), axis=0)) + half > np.array(axes.bbox.size) / 2
+            met = _meeting(centers - half, centers + half, taken).sum(axis=1) + len(taken) * away.any(axis=1)
+            distances = np.hypot(*(centers[:, None] - marks).transpose(2, 0, 1))
+            others = np.abs(marks - mark).max(axis=1) >= ONE * point
+            misread = distances[:, first] > distances[:, others].min(axis=1, initial=np.inf)
+            k = int(np.lexsort((steps, misread, met))[0])
+            text.xyann = tuple(((centers[k] - mark) / point).tolist())
+            taken.append(Bbox([centers[k] - half, centers[k] + half]))
+            if steps[k] > LED:
+                toward = (mark - centers[k]) / distances[k, first]
+                start = centers[k] + toward * float((half / np.maximum(np.abs(toward), 1e-9)).min())
+                Line2D(*np.transpose([start, mark]), color=self._ink, linewidth=0.7).draw(renderer)
+
+
+def _around(mark: Points, half: Points, point: float) -> tuple[Points, NDArray[np.int64]]:
+    """Middles (n, 2) of a number around a cross, and how many steps away from it each is; `half`: its size, px."""
+    sides = np.array([[1, 1], [-1, 1], [1, -1], [-1, -1], [0, 1], [1, 0], [-1, 0], [0, -1]], dtype=np.float64)
+    steps = np.repeat(np.arange(STEPS), len(sides))
+    away = half + (ARM + STEP * steps[:, None]) * point + SLACK
+    return mark + np.tile(sides, (STEPS, 1)) * away, steps
 
 
 def _about(shown: Points, half: Points, gap: float) -> Points:

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from flexopt.foundation.boundary import instance
 from flexopt.foundation.escapes import mathtext
 from flexopt.foundation.palette import colors
+from flexopt.plotting.naming import TargetNumbers
 from flexopt.plotting.panels import NamedLine, Panel, draw_panel
 from flexopt.plotting.scene import Actor, draw_scene, draw_views, legend_above, target_point
 from flexopt.plotting.shape import Points, Shape, View, shape_of, views
@@ -175,23 +175,10 @@ def _some(count: int, most: int) -> list[int]:
 
 
 def _number(axes: Axes, marks: Points) -> None:
-    """Numbers of targets beside them, but for those that others hide; of many the first and the last."""
-    size = max(float(np.ptp(marks)), 1e-9)
-    chosen = range(marks.shape[1]) if marks.shape[1] <= GHOSTS else (0, marks.shape[1] - 1)
-    told: list[tuple[Points, list[str]]] = []
-    for k in chosen:
-        near = next((names for point, names in told if np.abs(point - marks[:, k]).max() < 0.06 * size), None)
-        if near is None:
-            told.append((marks[:, k], [str(k + 1)]))
-        else:
-            near.append(str(k + 1))
-    # Some lie on an arm.
-    halo = withStroke(linewidth=2.5, foreground=colors().halo)
-    for point, names in told:
-        axes.annotate(
-            ", ".join(names), (float(point[0]), float(point[1])), xytext=(4, 5), textcoords="offset points", zorder=7,
-            path_effects=[halo],
-        )  # fmt: skip
+    """Numbers of targets beside them; of many the first and the last."""
+    count = marks.shape[1]
+    numbered = range(count) if count <= GHOSTS else (0, count - 1)
+    axes.add_artist(TargetNumbers(axes, marks, numbered, colors().target, colors().halo))
 
 
 def _target_points(places: Sequence[TargetConfiguration], rows: tuple[str, ...]) -> Points:

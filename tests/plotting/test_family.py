@@ -17,6 +17,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.transforms import Bbox
 from PIL import Image
 
 import flexopt
@@ -24,10 +25,11 @@ from flexopt.foundation.palette import DARK, LIGHT, PALETTES
 from flexopt.foundation.pictures import Pictured, drawers
 from flexopt.plotting import several
 from flexopt.plotting.ensemble import ABOVE
+from flexopt.plotting.machine import draw_target
 from flexopt.plotting.sheet import DOTS_OTHERWISE, PAGE, SLIDE, styled
 from flexopt.study import page
 from flexopt.study.maps.workspace_map import WorkspaceMap
-from tests.plotting.looking import faults, without_units
+from tests.plotting.looking import drawn, faults, without_units
 from tests.plotting.specimens import SPECIMENS
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
@@ -277,6 +279,31 @@ def test_numbers_of_targets_are_read_on_an_arm(theme):
     halo = np.array(to_rgb(inks.halo)) * 255
     seen = np.asarray(Image.open(picture).convert("RGB"), dtype=float)
     assert (np.abs(seen - halo).max(axis=2) < 3).sum() > 40
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_numbers_of_targets_lie_on_no_cross_and_on_no_other_number(seed):
+    """Wherever targets are, on top of each other, in a row or alone."""
+    random = np.random.default_rng(seed)
+    count, spread = int(random.integers(2, 13)), float(random.choice([0.02, 0.1, 0.4, 1.0]))
+    marks = 0.5 + spread * (random.random((2, count)) - 0.5) * np.array([[1.0], [random.choice([0.0, 1.0])]])
+    figure = Figure(figsize=(3.5, 3.0))
+    axes = figure.add_subplot(xlim=(0, 1), ylim=(0, 1))
+    draw_target(axes, marks)
+    several._number(axes, marks)
+    renderer = drawn(figure)
+    point = figure.dpi / 72
+    (crosses,) = [line for line in axes.lines if line.get_marker() == "+"]
+    arm = crosses.get_markersize() / 2 * point
+    at = axes.transData.transform(marks.T)
+    boxes = {text.get_text(): text.get_window_extent(renderer) for text in axes.texts if text.get_text()}
+    told = sorted(int(number) for text in boxes for number in text.split(", "))
+    assert told == (list(range(1, count + 1)) if count <= several.GHOSTS else [1, count])
+    for text, box in boxes.items():
+        assert axes.bbox.contains(*box.min)
+        assert axes.bbox.contains(*box.max)
+        others = [other for name, other in boxes.items() if name != text]
+        assert not any(box.overlaps(each) for each in [*others, *(Bbox([mark - arm, mark + arm]) for mark in at)])
 
 
 def test_a_plan_is_a_film_strip():
