@@ -1738,3 +1738,40 @@ def test_other_gains_do_what_the_loop_must_do_at_least() -> None:
     at = flexopt.outcome(machine, new.posture, base=new.base, loop=loop)
     assert at.delay_margin >= (1 - 1e-6) * least
     assert at.decay > 1.1 * flexopt.outcome(machine, held, base=base, loop=now).decay
+
+
+def test_why_what_decays_fast_does_not_settle_is_told(tmp_path: Path) -> None:
+    """A load that is not there draws the arm to where its self-motion is a saddle: one way grows, the other is slow."""
+    machine, loop = flexopt.load("slewing-excavator"), {"kp": 4.5e5, "kv": 2.5e5, "drive": "torque", "dead_time": 0.005}
+    base, posture = np.array([4.0117, 2.6077, 0.0754]), np.array([-1.0949, -0.03, -2.618, -0.6301])
+    here = flexopt.evaluate(machine, posture, base=base, gravity=True)
+    settings = loop_settings(machine, Loop(**loop), here, gravity=True)
+    box = UncertaintyBox(machine, (Uncertainty(of="payload.mass", value=(0.0, 1500.0)),), settings.dead_time)
+    empty = UncertainLoop(settings, base, posture, True, box).outcome(np.zeros(1))
+    move = empty.move
+    assert move is not None
+    assert empty.decay().value > 1.0
+    assert math.isnan(empty.settling().value)
+    # What is left of the move goes as the slowest of what decays, by NumPy's eigenvalues alone.
+    rates = np.log(np.abs(np.linalg.eigvals(move.sample.matrix))) / move.sample.period
+    slow = float(rates[rates < 0].max())
+    assert -slow < 0.1
+    sizes = [
+        np.linalg.norm(np.linalg.matrix_power(move.matrix, round(t / move.sample.period)) @ move.start)
+        for t in (20.0, 60.0)
+    ]
+    assert math.log(sizes[1] / sizes[0]) / 40.0 == pytest.approx(slow, rel=1e-3)
+    digger, stiff = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
+    found = flexopt.verdict(digger, (0.0, 1.6), base=0.0, loop=stiff, starts=1, members=2, runs=0)
+    assert found.lingers == ""
+    first, *others = found.places
+    late = replace(first.settling, greatest=math.nan)
+    changed = replace(first, settling=late, decay=replace(first.decay, least=1.0), drift=0.03)
+    told = replace(found, places=(changed, *others))
+    assert told.lingers.startswith("the present place decays fast and yet does not settle in a minute on some ground: ")
+    assert told.lingers in repr(told)
+    told.to_html(tmp_path / "verdict.html")
+    assert "dies away slowly there and takes the end-point with it" in (tmp_path / "verdict.html").read_text("utf-8")
+    # Of a decay that is slow itself there is nothing to say.
+    slower = replace(changed, decay=replace(first.decay, least=0.05))
+    assert replace(found, places=(slower, *others)).lingers == ""

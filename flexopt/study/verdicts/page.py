@@ -103,6 +103,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "unverified": "",
         "servo_proposed": sentence(verdict.servo_proposed),
         "drifts": sentence(verdict.drifts),
+        "lingers": sentence(verdict.lingers),
         "driven": sentence(verdict.driven),
         "rests_beside": sentence(verdict.rests_beside),
         "falls": sentence(verdict.falls),

@@ -22,7 +22,7 @@ from flexopt.loop.evaluation import unseen_told
 from flexopt.loop.outcome import FALLS_AT
 from flexopt.loop.settings import CHOSEN, LoopSettings
 from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion
-from flexopt.loop.standard_move import SETTLED
+from flexopt.loop.standard_move import LONGEST, SETTLED
 from flexopt.loop.uncertain import member_in_words
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
@@ -56,6 +56,8 @@ GROUND_ASSUMED = (
     "assumed (uncertainty): all springs may be half or twice as stiff, and all else is as the machine's file has it, "
     "for no [[uncertainty]] is given"
 )
+# What has decayed by so many e-folds has settled, whatever the transient: to 2 % of a two thousandth part.
+DECAYED = 11.5
 # A self-motion that takes longer than this to e-fold, s, stays where it is while a machine works.
 STAYS = 3600.0
 # The place of a verdict with other gains, in a row of places.
@@ -496,6 +498,17 @@ class Verdict(Pictured, Printed, Result):
         return "; ".join(filter(None, (brakes, told)))
 
     @property
+    def lingers(self) -> str:
+        """That a self-motion which dies away slowly keeps the end-point from settling, a sentence; empty where none."""
+        fast = DECAYED / LONGEST
+        late = [place.name for place in self.rows if math.isnan(place.settling.greatest) and place.decay.least > fast]
+        if not late or all(math.isnan(place.drift) for place in self.rows if place.name in late):
+            return ""
+        does = "decay fast and yet do" if len(late) > 1 else "decays fast and yet does"
+        why = "the arm's self-motion, which is no part of the decay, dies away slowly there and takes the end-point with it"
+        return f"{listed(map(spoken, late))} {does} not settle in a minute on some ground: {why}"
+
+    @property
     def assumed(self) -> list[str]:
         """See the class."""
         return [*map(str, self.problems[0].assumed), *filter(None, [self.assumed_ground])]
@@ -544,7 +557,7 @@ class Verdict(Pictured, Printed, Result):
             for each in (place.broken, place.broken_at_rest, doubts.get(place.name))
             if each
         ]
-        whole = (self.servo_proposed, self.drifts, self.driven, self.rests_beside, self.falls)
+        whole = (self.servo_proposed, self.drifts, self.lingers, self.driven, self.rests_beside, self.falls)
         lines += [f"  {sentence}" for sentence in (*whole, self.unseen, self.weightless) if sentence]
         lines += [f"  {sentence}" for sentence in self.assumed]
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
