@@ -80,6 +80,9 @@ FALLS = np.array([complex(np.finfo(np.float64).max)])
 FALLS_AT = 0.999 * math.log(np.finfo(np.float64).max)
 # Share of what a joint carries below which friction holds what drives a self-motion.
 FELT = 0.01
+# Share of what a joint can carry at most below which that is rounding, of a slew that carries nothing, too: that leaves
+# some 1e-15, times the condition of Jv squared.
+CANCELLED = 1e-6
 # Share of the energy of an oscillation that a mode's springs have at least where the mode has become it: a third to a
 # half of its own, some 1e-4 of another's.
 STRAINS = 0.01
@@ -147,12 +150,13 @@ class LoopPoint:
     def unheld(self) -> Vector:
         """What drives a redundant arm's self-motion (n,), N m or N: of a weight that the controller does not know.
 
-        No feedback of the end-point holds it. 0 of joints at which it is below `FELT` of what they carry.
+        No feedback of the end-point holds it. 0 of joints at which it is below `FELT` of what they carry, or
+        below `CANCELLED` of what they can carry at most.
         """
         found = np.zeros(self.motions.plant.n_actuated)
         if self._excess and self.motions.own_model and self.rests:
-            _, unheld, carried = self._at_rest
-            felt = np.abs(unheld) > FELT * np.abs(carried)
+            _, unheld, carried, most = self._at_rest
+            felt = np.abs(unheld) > np.maximum(FELT * np.abs(carried), CANCELLED * most)
             found[felt] = unheld[felt]
         return found
 

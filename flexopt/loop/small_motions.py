@@ -272,12 +272,12 @@ class SmallMotions:
 
     @cached_property
     def configuration(self) -> ca.Function:
-        """(`AT_REST`, held) -> all coordinates at rest (n_q,), what is unheld and what joints carry there (n,)."""
+        """(`AT_REST`, held) -> coordinates at rest (n_q,), what is unheld, carried and carried at most there (n,)."""
         s, names, plant = self.symbols, [*AT_REST, "held"], self.plant
         rest = self._rest(s, s["p"])
-        carried = plant.gravity(rest.q, s["base"], s["p"])[plant.n_passive :]
-        found = [ca.densify(each) for each in (rest.q, rest.unheld, carried)]
-        given, told = [s[name] for name in names], ["q", "unheld", "carried"]
+        carried, most = (of(rest.q, s["base"], s["p"])[plant.n_passive :] for of in (plant.gravity, plant.most_weight))
+        found = [ca.densify(each) for each in (rest.q, rest.unheld, carried, most)]
+        given, told = [s[name] for name in names], ["q", "unheld", "carried", "most"]
         return ca.Function("configuration", given, found, names, told, {"cse": True})
 
     @cached_property

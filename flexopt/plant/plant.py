@@ -17,7 +17,7 @@ from flexopt.plant.closed_form import InverseKinematicsGraph, build_inverse_kine
 from flexopt.plant.control import task_to_joints
 from flexopt.plant.frames import Frames, build_frames
 from flexopt.plant.graph import MachineGraph, build_graph
-from flexopt.plant.mass_centre import centre_of_mass
+from flexopt.plant.mass_centre import centre_of_mass, most_weight
 
 # Newton iterations for the static deflection; it converges quadratically from rest, in 4 or 5 for real machines.
 STATIC_ITERATIONS = 12
@@ -183,6 +183,12 @@ class Plant:
     def gravity(self) -> ca.Function:
         """g(q), (n_q,): generalised gravity force, the gradient of the potential. Inputs q, base, p."""
         return self._of_configuration("gravity", self.graph.gravity, "g")
+
+    @cached_property
+    def most_weight(self) -> ca.Function:
+        """The bound g √(m M_ii) ≥ |g_i|, (n_q,), N m or N, m of the whole machine. Inputs q, base, p."""
+        most = most_weight(self.machine, self.graph.p, self.graph.mass)
+        return self._of_configuration("most_weight", ca.densify(most), "most")
 
     @cached_property
     def stiffness(self) -> ca.Function:

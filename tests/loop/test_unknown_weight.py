@@ -17,6 +17,7 @@ from flexopt.loop.many import decays
 from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
+from flexopt.plant import build_plant
 from tests.oracles.lagrange import lagrange
 
 EXCAVATOR = flexopt.load("excavator")
@@ -260,3 +261,42 @@ def test_what_drives_a_self_motion_under_an_unknown_weight() -> None:
     assert "drives the arm's self-motion, by up to 370 N m of bucket, at bucket.mass 1260" in repr(region)
     loaded = flexopt.stable_region(BUCKET, posture, ranges={"payload.mass": (1000.0, 2000.0)}, **asked)
     assert loaded.unheld == {}
+
+
+@pytest.mark.parametrize("name", ["slewing-excavator", "truck-crane"])
+def test_no_weight_turns_a_slew_along_the_machine_whatever_its_heading(name: str) -> None:
+    """By mirror symmetry: a machine whose arm lies in its plane sags in it, so that its slew carries nothing at all."""
+    machine, rng = flexopt.load(name), np.random.default_rng(7)
+    own, told = np.array([each.value for each in machine.parameters]), list[float]()
+    springs = np.array(["stiffness" in each.name for each in machine.parameters])
+    for _ in range(6):
+        low, high = np.clip(np.array(machine.limits), -1.5, 1.5).T
+        posture = np.append(0.0, rng.uniform(low, high)[1:])
+        base = rng.uniform(-3.0, 3.0, len(machine.base_coordinates))
+        settings = settings_at(machine, posture, base, None, None, gravity=True, call="test")[0]
+        for factor in (0.5, 1.6):
+            p = np.where(springs, factor * own, own)
+            point = settings.outcome(machine, base, posture, gravity=True, parameters=p, own_model=True)
+            told.append(float(point.unheld[0]))
+    assert told == [0.0] * 12
+
+
+@pytest.mark.parametrize("name", ["excavator", "boom-stick-bucket", "slewing-excavator", "mobile-manipulator"])
+def test_no_joint_carries_more_than_the_bound_by_the_machines_mass(name: str) -> None:
+    """Of a potential differentiated numerically: m g times the height of the centre of mass."""
+    plant, rng = build_plant(flexopt.load(name)), np.random.default_rng(8)
+    own = plant.parameter_values.full().ravel()
+    value = dict(zip(plant.parameter_names, own.tolist(), strict=True))
+    entries = plant.machine.kinematic_tree.entries
+    masses = {named for entry, named in entries.items() if entry.startswith("mass")} | {entries["payload"]}
+    weight = value[entries["gravity"]] * sum(value[name] for name in masses)
+    base = np.zeros(plant.n_base)
+    for _ in range(20):
+        q, step = rng.uniform(-1.5, 1.5, plant.n_coordinates), 1e-6 * np.eye(plant.n_coordinates)
+        high, low = (
+            [float(plant.centre_of_mass(q + sign * each, base, own).full()[-1, 0]) for each in step] for sign in (1, -1)
+        )
+        carried = weight * (np.array(high) - low) / 2e-6
+        most = plant.most_weight(q, base, own).full().ravel()
+        # Of central differences some 1e-9 of weight times arm is rounding.
+        assert np.all(np.abs(carried) <= most + 1e-8 * most.max())
