@@ -21,6 +21,7 @@ from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Result, Tabled
 from flexopt.foundation.rounding import way, without_rounding
 from flexopt.foundation.turns import TURN
+from flexopt.model.beyond_limits import beyond_limits_told
 from flexopt.robustness.evaluation import Evaluation, unreached
 from flexopt.robustness.residues import residue_unit, unit_in_words
 from flexopt.selection.broken import beyond_bounds, beyond_own, broken, cornerless
@@ -198,8 +199,8 @@ class Selection(Pictured, Result):
     """
 
     DOCUMENT = (
-        "status converged best edges decided_by nothing_to_gain left_out candidates initial attempts missed_chance "
-        "missed_chance_at_most unverified kept objective_unit problem provenance"
+        "status converged best edges decided_by nothing_to_gain left_out beyond_limits candidates initial attempts "
+        "missed_chance missed_chance_at_most unverified kept objective_unit problem provenance"
     )
 
     best: Candidate
@@ -398,11 +399,19 @@ class Selection(Pictured, Result):
         return (told,) if told else ()
 
     @property
+    def beyond_limits(self) -> tuple[str, ...]:
+        """A sentence for each candidate that holds joints beyond the limits of the machine's file, left out here."""
+        each = ((f"candidate {k}", [own.evaluation.posture]) for k, own in enumerate(self.candidates, start=1))
+        told = (beyond_limits_told(self.problem.machine, where, postures) for where, postures in each)
+        return tuple(filter(None, told))
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the choice: what it leaves out, by what it was decided, what it gains."""
         unverified = unverified_told(self.problem.objective.name, self.unverified)
         sag = self.best.evaluation.sag_told
         said = (unverified, *self.edges, self.decided_by, self.left_out, self.unmoved, self.nothing_to_gain, sag)
+        said = (*said, *self.beyond_limits[:SHOWN])
         return tuple(sentence for sentence in said if sentence)
 
     @property

@@ -26,7 +26,7 @@ from flexopt.selection.outcomes.asked import Asked, broken_told, documents_of
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.program import OutcomeProgram, with_slowest
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import Selection, units_of_columns, unverified_told
+from flexopt.selection.result import SHOWN, Selection, units_of_columns, unverified_told
 
 # Points along the redundancy whose worst members are sought.
 ALONG = 24
@@ -232,7 +232,8 @@ class OutcomeSelection(ChosenByLoop, Selection):
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the choice, those of the loop's measure."""
         unverified = unverified_told(self.measure, self.unverified)
-        own = (*self._unseen_told(self.best.evaluation), self.best.evaluation.sag_told, *self._least_told(self.gains))
+        first = self.best.evaluation
+        own = (*self._unseen_told(first), first.sag_told, *self._least_told(self.gains), *self.beyond_limits[:SHOWN])
         return tuple(sentence for sentence in (unverified, self.nothing_to_gain, *own) if sentence)
 
     def __repr__(self) -> str:

@@ -16,6 +16,7 @@ from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.plain import counted, listed
 from flexopt.foundation.results import Tabled
+from flexopt.model.beyond_limits import beyond_limits_told
 from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import EXCITES, Evaluation, excites_rigid
 from flexopt.robustness.residues import residue_unit, unit_in_words
@@ -157,11 +158,18 @@ class ConfigurationSet(Tabled):
         return ""
 
     @property
+    def beyond_limits(self) -> str:
+        """Which joints are held beyond the limits of the machine's file, left out here, a sentence; empty of none."""
+        postures = [place.evaluation.posture for place in self.places]
+        return beyond_limits_told(self.problems[0].machine, "the choice", postures)
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the choice: what it leaves open and out, what is as good."""
         unverified = unverified_told(self.objective, self.unverified)
         sag = self.places[self.worst].evaluation.sag_told
         said = (unverified, self.left_open, self.as_good, self.not_passive, self.left_out, self.unweighted, sag)
+        said = (*said, self.beyond_limits)
         return tuple(sentence for sentence in said if sentence)
 
     @property
@@ -185,7 +193,7 @@ class ConfigurationSet(Tabled):
         document |= own | {"worst": self.worst, "places": [place.to_dict() for place in self.places]}
         document |= {"base_coordinates": self.places[0].evaluation.base_coordinates}
         document |= {"stationarity": self.stationarity, "kinks": self.kinks, "unverified": self.unverified}
-        document |= {"provenance": self.provenance}
+        document |= {"beyond_limits": self.beyond_limits, "provenance": self.provenance}
         problem = self.problems[0].to_dict() | {targets: [place.target for place in self.places]}
         return json_ready(document | {"problem": problem})
 

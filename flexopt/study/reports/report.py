@@ -19,6 +19,7 @@ from flexopt.foundation.plain import shown
 from flexopt.foundation.stages import Stages
 from flexopt.loop.settings import loop_settings
 from flexopt.model import AnyMachine, Problem
+from flexopt.model.beyond_limits import holding
 from flexopt.model.loop import Loop, LoopLike, under_control
 from flexopt.model.problem import judged_by
 from flexopt.model.simulation import Experiment, SimulationOptions
@@ -256,7 +257,7 @@ def _with_gains(machine: AnyMachine, stand: Evaluation, given: dict[str, Any]) -
     if {"kp", "kv"} & given.keys() or given.get("feedback", "pd") not in ("pd", "pid"):
         return given
     rate = given.get("rate", SimulationOptions.model_fields["rate"].default)
-    return default_gains(machine, stand, rate, given) | given
+    return default_gains(holding(machine, stand.posture), stand, rate, given) | given
 
 
 def _inside(low: float, high: float) -> float:
@@ -270,11 +271,12 @@ def _undecided(name: str, run: Trajectory) -> list[str]:
 
 
 def _run(machine: AnyMachine, stand: Evaluation, given: Mapping[str, Any], real: Loop | None) -> Trajectory:
-    return simulate(machine, stand.posture, base=stand.base, loop=real, **given)
+    return simulate(holding(machine, stand.posture), stand.posture, base=stand.base, loop=real, **given)
 
 
 def _borders(machine: AnyMachine, name: str, stand: Evaluation, given: dict[str, Any]) -> list[BorderRow]:
     """Stable Kp with Kv held, and with the ratio held, of a loop with these two gains alone, the same in all rows."""
+    machine = holding(machine, stand.posture)
     options = checked_options("report", machine, given | {"posture": stand.posture})
     if options.feedback != "pd" or len(set(options.kp)) > 1 or len(set(options.kv)) > 1:
         return []

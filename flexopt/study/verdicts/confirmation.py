@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexopt.errors import FlexoptWarning, NoSolutionFound
+from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.results import Result
 from flexopt.loop.levers import full_rates
 from flexopt.loop.uncertain import UncertainLoop
+from flexopt.model.beyond_limits import holding
 from flexopt.model.simulation import on_their_way
 from flexopt.plant import build_plant
 from flexopt.simulation import simulate_ensemble
@@ -131,6 +132,8 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
     verdicts = ["grows" if decay < 0 else "undecided" for decay in decays.tolist()]
     least = float(np.min(decays, initial=np.inf, where=decays > 0))
     found, nearer, reasons = np.full((3, len(members)), np.nan), [False] * len(members), [UNFINISHED] * len(members)
+    if unheld := _unheld(loop):
+        waits, reasons = [], [unheld] * len(members)
     for wait in sorted(set(waits)):
         rows = [k for k, each in enumerate(waits) if each == wait]
         for some, ensemble in _ensembles(loop, members, decays, rows, duration):
@@ -157,6 +160,15 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                     whys.append(f"{OFF} {end:.3g} m off{sags if sags.startswith(',') else short + sags}")
                 reasons[row] = "; ".join(whys)
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
+
+
+def _unheld(loop: UncertainLoop) -> str:
+    """Why no run holds the arm in a posture beyond its limits; empty where one does."""
+    try:
+        holding(loop.box.machine, loop.posture)
+    except InputError as error:
+        return f"no run holds the arm beyond its limits: {error}"
+    return ""
 
 
 def _short(over: float, needed: float) -> str:
@@ -261,6 +273,6 @@ def _ensemble(loop: UncertainLoop, members: Vector, duration: float, substeps: i
         # Here that is a verdict as others are.
         warnings.filterwarnings("ignore", f".*{OUTGREW}", FlexoptWarning)
         return simulate_ensemble(
-            braked(machine, brakes), loop.posture, base=loop.base, vary=vary,
+            braked(holding(machine, loop.posture), brakes), loop.posture, base=loop.base, vary=vary,
             gravity=loop.gravity, substeps=substeps, duration=duration, **run_options(machine, s),
         )  # fmt: skip

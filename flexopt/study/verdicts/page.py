@@ -117,7 +117,13 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "rests": [
             sentence(each)
             for place in verdict.places
-            for each in (place.rest, place.broken, place.broken_at_rest, verdict.doubts.get(place.name))
+            for each in (
+                place.rest,
+                place.beyond_limits,
+                place.broken,
+                place.broken_at_rest,
+                verdict.doubts.get(place.name),
+            )
             if each
         ],
         "loop": with_minus(verdict.controller),

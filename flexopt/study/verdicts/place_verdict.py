@@ -61,6 +61,8 @@ class PlaceVerdict(Result):
             at corners of what is uncertain, and where; empty where nothing.
         breaks_at_rest: the same where feedback without an integral part holds the end-point beside its target
             (`rests_off`), at the corners;  breaking: all of it, kind by kind.
+        beyond_limits: which joints it holds beyond the limits of the machine's file, a sentence, of a choice that left
+            these out; empty where none.
         cornerless: of names in `rests_on` that end with a corner of `constraints.within`, those without it.
     """
 
@@ -91,12 +93,14 @@ class PlaceVerdict(Result):
     runs: Runs | None
     rests_on: tuple[tuple[str, ...], ...]
     breaking: Breaks = field(repr=False)
+    beyond_limits: str = ""
     cornerless: Mapping[str, str] = field(default_factory=dict[str, str], repr=False)
 
     DOCUMENT = """
     name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target unseen
     drift[1/s] drift_at unheld unheld_at rests_off[m] rests_off_at better allowed_gain delay_margin[s] settling[s]
     swing swing_unit runs rests_on breaks breaks_at_rest
+    beyond_limits
     """
 
     @property

@@ -505,7 +505,7 @@ class Verdict(Pictured, Printed, Result):
         if not late or all(math.isnan(place.drift) for place in self.rows if place.name in late):
             return ""
         does = "decay fast and yet do" if len(late) > 1 else "decays fast and yet does"
-        why = "the arm's self-motion, which is no part of the decay, dies away slowly there and takes the end-point with it"
+        why = "the arm's self-motion, no part of the decay, dies away slowly there and takes the end-point with it"
         return f"{listed(map(spoken, late))} {does} not settle in a minute on some ground: {why}"
 
     @property
@@ -554,7 +554,7 @@ class Verdict(Pictured, Printed, Result):
         lines += [
             f"  {each}"
             for place in self.places
-            for each in (place.broken, place.broken_at_rest, doubts.get(place.name))
+            for each in (place.beyond_limits, place.broken, place.broken_at_rest, doubts.get(place.name))
             if each
         ]
         whole = (self.servo_proposed, self.drifts, self.lingers, self.driven, self.rests_beside, self.falls)

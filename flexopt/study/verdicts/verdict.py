@@ -28,6 +28,7 @@ from flexopt.loop.settings import loop_settings
 from flexopt.loop.spectrum import from_sample_to_sample
 from flexopt.loop.uncertain import FEW, SENSES, UncertainLoop, UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
+from flexopt.model.beyond_limits import beyond_limits_told
 from flexopt.model.choices import ALLOWED_GAIN, DELAY_MARGIN, SETTLING, SWING, asks_for_loop
 from flexopt.model.constraints import AnyConstraints
 from flexopt.model.loop import Loop, LoopLike, control_of, gain_ranges, under_control
@@ -194,8 +195,11 @@ def verdict(
     slowest = _each(told, search, lambda done, of: stages.within(of + done, 2 * of))
     drives = {name: drive_to(stands[name], cast(Vector, now)) for name in told}
     stages.next()
-    first_runs = partial(_first_runs, loops, each, points[:runs], duration)
-    shown = _each(told if runs else [], first_runs, stages.within)
+    shown = _each(
+        told if runs else [],
+        lambda name: loops[name].runs(points[:runs], each[name][:, :runs], duration),
+        stages.within,
+    )
     stages.next()
     absent = _breaking(chosen, breaks[STAY], held[STAY]) if STAY in stands else unreached(chosen)
     known = {
@@ -348,19 +352,6 @@ def _runs_of(members: Vector, duration: float | None, loop: PlaceLoops) -> Runs 
     return loop.runs(members, loop.decays(members), duration) if len(members) else None
 
 
-def _first_runs(
-    loops: Mapping[str, PlaceLoops], decays: Mapping[str, Vector], members: Vector, duration: float | None, name: str
-) -> Runs:
-    """Nonlinear runs of the first members in one place."""
-    try:
-        return loops[name].runs(members, decays[name][:, : len(members)], duration)
-    except InputError as error:
-        # As where the arm is held beyond its limits, which `assume` may leave out.
-        sentence = f"in {spoken(name)}: {error}; `flexopt verdict --runs 0`, or runs = 0, leaves them out"
-        raise_if_any(InputError, "verdict", [Fault("runs", sentence, f"{len(members)}")])
-        raise
-
-
 def _chosen(problem: Any, asked: dict[str, Any], loop: Any, ranges: Any, progress: Progress) -> Chosen:
     """The problem's answer, or that of a machine with a target; what is sought of the loop is sought of the one judged.
 
@@ -511,6 +502,7 @@ def _place(
         unseen=_is_unseen(place.loops[slowest.target], slowest),
         rests_on=tuple(resting_at(chosen, place.settings, held)),
         breaking=breaks,
+        beyond_limits=beyond_limits_told(place.box.machine, spoken(name), [posture for _, posture in held]),
         cornerless=cornerless(problems_of(chosen)[0]),
     )
 

@@ -1,0 +1,74 @@
+"""Postures beyond the limits of a machine's file: which joints they are of, and the machine with limits that hold them.
+
+In: a machine and postures. Out: sentences; a machine. Choices that leave limits out find such postures; calls with a
+posture of the user's own refuse them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.plain import listed
+from flexopt.model.machine import AnyMachine
+
+# Less beyond an end, rad or m, is what climbs leave.
+AT_END = 1e-6
+
+
+def beyond_limits(machine: AnyMachine, posture: Vector) -> list[str]:
+    """Each joint that a posture (n,) holds beyond its limits or its cylinder's stroke, with what these allow."""
+    each = zip(machine.joints, machine.joint_units, posture.tolist(), machine.limits, strict=True)
+    return [
+        f"{name} at {q:.4g} {unit} ({low:.4g} to {high:.4g} {unit})"
+        for name, unit, q, (low, high) in each
+        if max(low - q, q - high) > AT_END
+    ]
+
+
+def beyond_limits_told(machine: AnyMachine, where: str, postures: Sequence[Vector]) -> str:
+    """That a place, `where`, holds joints so at its targets, a sentence; empty where none is."""
+    found = [beyond_limits(machine, posture) for posture in postures]
+    each = [
+        f"{listed(joints)}{f' at target {k}' if len(found) > 1 else ''}"
+        for k, joints in enumerate(found, start=1)
+        if joints
+    ]
+    beyond = "beyond the limits of the machine's file, which are left out (assume)"
+    return f"{where} holds {'; '.join(each)}, {beyond}" if each else ""
+
+
+def holding(machine: AnyMachine, posture: Vector) -> AnyMachine:
+    """The machine with limits and strokes as far as a posture (n,) is beyond them; itself where it is within.
+
+    Raises:
+        InputError: a linkage does not close there, or leaves its joint no lever arm before.
+    """
+    ends = np.array(machine.limits)
+    outside = {
+        name: q
+        for name, q, (low, high) in zip(machine.joints, posture.tolist(), ends.tolist(), strict=True)
+        if not low <= q <= high
+    }
+    if not outside:
+        return machine
+    told = machine.model_dump(by_alias=True)
+    for table in _joint_tables(told):
+        if table.get("limits") and table["name"] in outside:
+            table["limits"] = _wider(table["limits"], outside[table["name"]])
+    for table, cylinder in zip(told["cylinders"], machine.cylinders, strict=True):
+        if cylinder.joint in outside:
+            table["length"] = _wider(table["length"], machine.travel(cylinder).length(outside[cylinder.joint]))
+    return type(machine)(**told)
+
+
+def _joint_tables(told: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Where a description holds its joints."""
+    return told["links"] if "links" in told else [body["joint"] for body in told["bodies"]]
+
+
+def _wider(ends: Sequence[float], value: float) -> list[float]:
+    return [min(ends[0], value), max(ends[1], value)]

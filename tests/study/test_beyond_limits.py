@@ -1,0 +1,91 @@
+"""Choices that leave a file's limits out: verdicts run there as if the file had wider ones, and say so."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+import flexopt
+from flexopt.loop.evaluation import settings_at
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.model.beyond_limits import holding
+from flexopt.model.uncertainty import GROUND
+from flexopt.study.verdicts.confirmation import nonlinear_runs
+
+BUCKET = flexopt.load("boom-stick-bucket")
+
+
+def limited(boom: tuple[float, float], stick: tuple[float, float]) -> Any:
+    data = flexopt.load("excavator").to_dict()
+    links = zip(data["links"], (boom, stick), strict=True)
+    return flexopt.machine_from_dict(data | {"links": [link | {"limits": list(ends)} for link, ends in links]})
+
+
+@pytest.mark.long
+def test_a_verdict_beyond_left_out_limits_is_that_of_a_machine_with_wider_ones() -> None:
+    """No equation knows limits: a file with wider ones, which are kept, has the same runs, and nothing to tell."""
+    narrow, wide = limited((0.9, 1.1), (-2.7, -2.5)), limited((-6.0, 6.0), (-6.0, 6.0))
+    asked: dict[str, Any] = {"base": 0.0, "starts": 4, "seed": 1, "assume": "nothing"}
+    chosen, other = (flexopt.select(each, (0.0, 1.6), **asked) for each in (narrow, wide))
+    runs: dict[str, Any] = {"loop": {"kp": 1e4, "kv": 1e3}, "members": 4, "runs": 1, "duration": 5.0}
+    found, same = flexopt.verdict(chosen, **runs), flexopt.verdict(other, **runs)
+    assert found.sentence == same.sentence
+    assert found.judged == same.judged
+    for place, twin in zip(found.places, same.places, strict=True):
+        assert place.runs is not None
+        assert twin.runs is not None
+        assert place.runs.verdicts == twin.runs.verdicts
+        # The same loop, compiled again: rounding alone.
+        np.testing.assert_allclose(place.runs.turn, twin.runs.turn, rtol=1e-6)
+        assert not twin.beyond_limits
+        boom, stick = place.posture.tolist()
+        outside = [name for name, q, (low, high) in (("boom", boom, (0.9, 1.1)), ("stick", stick, (-2.7, -2.5)))
+                   if not low <= q <= high]  # fmt: skip
+        assert bool(outside) == bool(place.beyond_limits)
+        assert all(f"{name} at " in place.beyond_limits for name in outside)
+        assert place.beyond_limits in repr(found)
+    there = next(place for place in found.places if place.name == found.place)
+    assert "beyond the limits of the machine's file, which are left out (assume)" in there.beyond_limits
+    document = json.loads(json.dumps(found.to_dict()))
+    assert [place["beyond_limits"] for place in document["places"]] == [each.beyond_limits for each in found.places]
+    assert "beyond the limits of the machine" in found._html()
+    # The choice itself tells it of its candidates.
+    told = chosen.beyond_limits
+    assert told
+    assert all(sentence in repr(chosen) for sentence in told)
+    assert chosen.to_dict()["beyond_limits"] == list(told)
+    assert not other.beyond_limits
+    # What a user asks for keeps the limits.
+    with pytest.raises(flexopt.InputError, match="must lie between"):
+        flexopt.simulate_ensemble(narrow, there.posture, base=there.base, vary={"kp": [1e4]})
+
+
+def test_limits_that_hold_a_posture_are_those_of_a_file_beside() -> None:
+    """Both of a joint without and of one with a cylinder; where the linkage does not close nothing does."""
+    within = np.array([-1.0, -1.2, -0.7])
+    assert holding(BUCKET, within) is BUCKET
+    (low, high), *_ = BUCKET.limits
+    beyond = np.array([high + 0.01, -1.2, -0.7])
+    wider = holding(BUCKET, beyond)
+    assert wider.limits[0] == pytest.approx((low, high + 0.01))
+    assert wider.limits[1:] == BUCKET.limits[1:]
+    assert wider.parameters == BUCKET.parameters
+    crane = flexopt.load("slewing-excavator")
+    turned = np.array([0.0, crane.limits[1][1] + 0.2, -1.2, -0.5])
+    assert holding(crane, turned).limits[1] == pytest.approx((crane.limits[1][0], turned[1]))
+
+
+def test_where_a_linkage_does_not_close_runs_say_so() -> None:
+    """With its bucket at 1.5 rad the stroke would have a dead centre within: a place there is undecided, and no error."""
+    posture, base = np.array([-1.0, -1.2, 1.5]), np.zeros(1)
+    with pytest.raises(flexopt.InputError):
+        holding(BUCKET, posture)
+    loop = flexopt.Loop(drive="torque", kp=1e4, kv=1e4)
+    settings, _ = settings_at(BUCKET, np.array([-1.0, -1.2, -0.7]), base, None, loop, gravity=False, call="test")
+    box = UncertaintyBox(BUCKET, GROUND, settings.dead_time)
+    runs = nonlinear_runs(UncertainLoop(settings, base, posture, False, box), np.ones((1, 1)), np.array([0.1]), 1.0)
+    assert runs.verdicts == ("undecided",)
+    assert cast(str, runs.reasons[0]).startswith("no run holds the arm beyond its limits: ")
