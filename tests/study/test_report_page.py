@@ -607,3 +607,19 @@ def test_rounding_of_a_constraint_is_no_number_of_the_page() -> None:
     assert report.selection.to_dict()["candidates"][0]["constraints"]["distance from keep_out[0]"]["value"] == -(
         2.0**-52
     )
+
+
+def test_the_caption_says_where_the_drawn_present_one_is() -> None:
+    """A present posture beside the target is drawn with the others, and none where there is none."""
+    machine, posture = flexopt.load("excavator"), (0.9, -2.4)
+    off = float(np.linalg.norm(flexopt.evaluate(machine, posture, base=0.0).end_point - np.array([0.0, 1.6])))
+    held = flexopt.select(machine, (0.0, 1.6), base=0.0, posture=posture, starts=2, seed=1)
+    reached = dataclasses.replace(held, initial=held.best.evaluation)
+    captions = [
+        report_page._caption(SimpleNamespace(about=about))
+        for about in (held, reached, dataclasses.replace(held, initial=None))
+    ]
+    assert "configuration and in the present one (holds the end-point at " in captions[0]
+    assert f"not at the target but {off:.3g} m away), and its measures" in captions[0]
+    assert "configuration and in the present one, and its measures" in captions[1]
+    assert "configuration, and its measures" in captions[2]

@@ -15,6 +15,7 @@ from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.foundation.rounding import without_rounding
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection
+from flexopt.selection.problem import elsewhere
 from flexopt.selection.result import shown_measures
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.page import (
@@ -46,10 +47,7 @@ if TYPE_CHECKING:
     from flexopt.study.reports.result import Report
 
 CAPTIONS = {
-    "selection": (
-        "The machine in the chosen configuration, in the present one where that reaches the target, and its measures; "
-        "of w_i 0 is best."
-    ),
+    "selection": ("The machine in the chosen configuration{present}, and its measures; of w_i 0 is best."),
     "several": "The machine at its targets, and its measures; of w_i 0 is best.",
     "loops": "Nonlinear closed loops with the same gains and the joints displaced alike at the start.",
 }
@@ -82,7 +80,7 @@ def report_html(report: Report) -> str:
         pictures={
             "selection": picture(
                 lambda theme: report.about.plot(theme=theme),
-                f"{CAPTIONS['several' if several else 'selection']} {_shown(report)}",
+                f"{_caption(report)} {_shown(report)}",
             )
         },
         notes=[with_minus(note) for note in report.notes],
@@ -107,6 +105,17 @@ def report_html(report: Report) -> str:
         masses=parameters(report, ("kg",), "mass"),
         springs=parameters(report, ("N/m", "N m/rad", "N"), "spring"),
     )
+
+
+def _caption(report: Report) -> str:
+    """What the picture of the choice shows."""
+    about = report.about
+    if not isinstance(about, Selection):
+        return CAPTIONS["several"]
+    now = about.initial
+    off = "" if now is None else elsewhere(about.problem, now.z)
+    present = "" if now is None else f" and in the present one{f' ({off})' if off else ''}"
+    return CAPTIONS["selection"].format(present=present)
 
 
 def _map_caption(report: Report) -> str:
