@@ -70,7 +70,8 @@ def _deepest(problem: SelectionProblem, way: Way, row: str, span: tuple[float, f
 
     def off(share: float) -> tuple[float, Vector]:
         z, there = way(np.array([share]))
-        return _by_how_much(problem, z[:, 0], asked=False, p=None)[row] if there[0] else 0.0, z[:, 0]
+        # Where a machine does not fall over there is no row of it.
+        return _by_how_much(problem, z[:, 0], asked=False, p=None).get(row, 0.0) if there[0] else 0.0, z[:, 0]
 
     def finite(share: float) -> float:
         # Rising with how much, infinite where a value is no number.
