@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import casadi as ca
+import numpy as np
 
 from flexopt.algebra import apply_pseudo_inverse, solve_spd
 from flexopt.errors import Fault, InputError
@@ -21,8 +22,8 @@ from flexopt.plant.mass_centre import centre_of_mass, most_weight
 
 # Newton iterations for the static deflection; it converges quadratically from rest, in 4 or 5 for real machines.
 STATIC_ITERATIONS = 12
-# Steps before, rounds in which, and steps of each in which, a posture is turned until the end-point is held on target.
-SETTLES, HELD, STEPS = 2, 3, 2
+# Shares in which the weight comes on, and last steps under all of it, as an arm is turned to be held on its target.
+SHARES, STEPS = 2, 4
 # Parameters that a message names.
 NAMED = 4
 
@@ -303,31 +304,48 @@ class Plant:
     def held(self) -> ca.Function:
         """The posture (n,), turned by Jv⁺ so that the end-point of the machine as it sags is on a target (n_task,).
 
-        Feedback holds the arm so. `HELD` rounds of Newton's method along Jv⁺, each of `STEPS` steps with the slope
-        where it begins. Inputs base, posture, p, target.
+        Feedback holds the arm so. Newton's method for posture and passive coordinates q_p (m,) at once, from springs at
+        rest: steps along Jv⁺ of the posture given, one at each of `SHARES` of the weight, up to which the end-point has
+        come as large a share of the way, and one more; then `STEPS`, each along Jv⁺ where it begins. Check where it
+        ends before use: it may miss a posture that holds. Inputs base, posture, p, target; outputs held (n,) and q_p.
         """
-        g, target = self.graph, ca.SX.sym("target", self.n_task)
-        q_p, posture = self.rest(g.base, g.posture, g.p)[: self.n_passive], g.posture
-        for _ in range(SETTLES):
-            q_p = self._newton_step(q_p, g.base, posture, g.p)
-        for _ in range(HELD):
-            inverse = self._turn_to_move(ca.vertcat(q_p, posture))
-            for _ in range(STEPS):
-                q_p = self._newton_step(q_p, g.base, posture, g.p)
-                posture = posture + inverse @ (target - self.end_point(ca.vertcat(q_p, posture), g.base, g.p))
+        g, m, target = self.graph, self.n_passive, ca.SX.sym("target", self.n_task)
+        q = self.rest(g.base, g.posture, g.p)
+        at_rest, toward = self.end_point(q, g.base, g.p), self._toward(q)
+        for share in [*np.linspace(0.0, 1.0, SHARES + 1)[1:].tolist(), 1.0]:
+            q = self._held_step(q, toward, at_rest + share * (target - at_rest), share)
+        for _ in range(STEPS):
+            q = self._held_step(q, self._toward(q), target)
         inputs = {"base": g.base, "posture": g.posture, "p": g.p, "target": target}
-        return self._function("held", inputs, [ca.densify(posture)], ["held"])
+        return self._function("held", inputs, [ca.densify(q[m:]), ca.densify(q[:m])], ["held", "q_p"])
 
-    def _turn_to_move(self, q: ca.SX) -> ca.SX:
-        """Jv⁺ (dr/dq Jv⁺)⁻¹, (n, n_task): how the joints turn for the end-point of the machine as it sags to move.
+    @cached_property
+    def held_step(self) -> ca.Function:
+        """One more step of `held`, by Jv⁺ where it begins: from q (n_q,) to the next. Inputs q, base, p, target."""
+        g, target = self.graph, ca.SX.sym("target", self.n_task)
+        stepped = self._held_step(g.q, self._toward(g.q), target)
+        inputs = {"q": g.q, "base": g.base, "p": g.p, "target": target}
+        return self._function("held_step", inputs, [ca.densify(stepped)], ["next"])
 
-        dr/dq Jv⁺ = I − J_p K_t⁻¹ (∂g_p/∂q) Jv⁺, where K_t = K_p + ∂g_p/∂q_p holds the passive coordinates.
+    def _toward(self, q: ca.SX) -> ca.SX:
+        """Jv⁺, (n, n_task)."""
+        jv = self.rigid_jacobian(q, self.graph.base, self.graph.p)
+        return apply_pseudo_inverse(jv, ca.SX.eye(self.n_task))
+
+    def _held_step(self, q: ca.SX, toward: ca.SX, target: ca.SX, share: float = 1.0) -> ca.SX:
+        """A step of Newton's method, (n_q,), to where springs hold a share λ of the weight, the end-point on a target.
+
+        K_t δq_p + λ (∂g_p/∂q) T δs = −f and (∂r/∂q) [δq_p; T δs] = r_target − r, where K_t = K_p + λ ∂g_p/∂q_p holds
+        the passive coordinates, f is what springs and weight leave over, and the arm turns by T δs, T = `toward`.
         """
         g, m = self.graph, self.n_passive
-        toward = apply_pseudo_inverse(self.rigid_jacobian(q, g.base, g.p), ca.SX.eye(self.n_task))
-        pulled = self._gravity_coupling(q, g.base, g.p) @ toward
-        sagging = self.jacobian(q, g.base, g.p)[:, :m] @ ca.solve(self._tangent(q, g.base, g.p), pulled)
-        return toward @ ca.inv(ca.SX.eye(self.n_task) - sagging)
+        left = self._static_force(q[:m], g.base, q[m:], g.p, share)
+        pulled = share * self._gravity_coupling(q, g.base, g.p) @ toward
+        sags = ca.solve(self._tangent(q, g.base, g.p, share), ca.horzcat(left, pulled))
+        jacobian, off = self.jacobian(q, g.base, g.p), target - self.end_point(q, g.base, g.p)
+        moves = jacobian[:, m:] @ toward - jacobian[:, :m] @ sags[:, 1:]
+        turn = ca.solve(moves, off + jacobian[:, :m] @ sags[:, 0])
+        return q + ca.vertcat(-sags[:, 0] - sags[:, 1:] @ turn, toward @ turn)
 
     @public(base=_SX, posture=_SX, p=_SX, deflection=_SX)
     def operating_point(self, base: ca.SX, posture: ca.SX, p: ca.SX, deflection: ca.SX | None = None) -> OperatingPoint:
@@ -394,19 +412,20 @@ class Plant:
         c = ca.horzcat(ca.SX.zeros(self.n_task, n), at.jacobian)
         return self._of_posture(f"linearisation_{control_method(control)}", [a, b, c], ["A", "B", "C"])
 
-    def _static_force(self, q_p: ca.SX, base: ca.SX, posture: ca.SX, p: ca.SX) -> ca.SX:
+    def _static_force(self, q_p: ca.SX, base: ca.SX, posture: ca.SX, p: ca.SX, share: float = 1.0) -> ca.SX:
+        """K_p (q_p − q_p,rest) + λ g_p(q), (m,), of a share λ of the weight."""
         m = self.n_passive
         rest = self.rest(base, posture, p)[:m]
-        return self.stiffness(p)[:m, :m] @ (q_p - rest) + self.gravity(ca.vertcat(q_p, posture), base, p)[:m]
+        return self.stiffness(p)[:m, :m] @ (q_p - rest) + share * self.gravity(ca.vertcat(q_p, posture), base, p)[:m]
 
     def _newton_step(self, q_p: ca.SX, base: ca.SX, posture: ca.SX, p: ca.SX) -> ca.SX:
         tangent = self._tangent(ca.vertcat(q_p, posture), base, p)
         return q_p - ca.solve(tangent, self._static_force(q_p, base, posture, p))
 
-    def _tangent(self, q: ca.SX, base: ca.SX, p: ca.SX) -> ca.SX:
-        """K_t = K_p + ∂g_p/∂q_p, (m, m)."""
+    def _tangent(self, q: ca.SX, base: ca.SX, p: ca.SX, share: float = 1.0) -> ca.SX:
+        """K_t = K_p + λ ∂g_p/∂q_p, (m, m), of a share λ of the weight."""
         m = self.n_passive
-        return self.stiffness(p)[:m, :m] + self.gravity_stiffness(q, base, p)
+        return self.stiffness(p)[:m, :m] + share * self.gravity_stiffness(q, base, p)
 
     def _of_configuration(self, name: str, expression: ca.SX, output: str) -> ca.Function:
         g = self.graph

@@ -10,13 +10,12 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.plant import Plant
 from flexopt.plant.statics import unsettled
-from flexopt.selection.constraints.kind import SAGS
 from flexopt.selection.objective import Quantities
 
 # That the machine stands with other numbers, and that its end-point is held then: to so many m.
 EQUILIBRIUM, ON_TARGET, HELD_OFF = "static equilibrium", "hold of the target", 1e-5
-# So often the rounds of `Plant.held` are made again until it is; not from farther off, m: constraints are asked where
-# the first end.
+# So many more steps than of `Plant.held` lead there, where these miss both by no more: constraints are asked where they
+# end.
 AGAIN, NEARLY = 5, 1e-3
 
 
@@ -41,25 +40,24 @@ def not_standing(quantities: Quantities, z: Vector, p: Vector) -> dict[str, floa
     if not quantities.measures.gravity:
         return {}
     plant, target = quantities.measures.plant, _held_point(quantities, z)
-    base, posture = held_with(quantities, z, p)
-    q, away = _sagged(plant, base, posture, p, target)
-    # Each round leaves a share of what is off: on soft springs under a heavy load they need more than others.
-    for _ in range(AGAIN if away <= NEARLY else 0):
-        if away <= HELD_OFF:
+    base, posture = quantities.at(z)[:2]
+    turned, passive = plant.held.call([base, posture, p, target])
+    q = np.append(passive.full(), turned.full())
+    missed = _missed(plant, q, base, p, target)
+    # On soft springs under a heavy load the last steps leave more than on others.
+    for _ in range(AGAIN if max(missed.values(), default=0.0) <= NEARLY else 0):
+        if not missed:
             break
-        posture = plant.held.call([base, posture, p, target])[0].full().ravel()
-        q, away = _sagged(plant, base, posture, p, target)
+        q = plant.held_step.call([q, base, p, target])[0].full().ravel()
+        missed = _missed(plant, q, base, p, target)
+    return missed
+
+
+def _missed(plant: Plant, q: Vector, base: Vector, p: Vector, target: Vector) -> dict[str, float]:
+    """By name what all coordinates (n_q,) miss, and by how much."""
+    away = float(np.abs(plant.end_point.call([q, base, p])[0].full().ravel() - target).max())
     found = {EQUILIBRIUM: unsettled(plant, q, base, p), ON_TARGET: away if not away <= HELD_OFF else 0.0}
     return {name: off for name, off in found.items() if off != 0}
-
-
-def _sagged(plant: Plant, base: Vector, posture: Vector, p: Vector, target: Vector) -> tuple[Vector, float]:
-    """All coordinates (n_q,) of the machine as it sags, and how far its end-point is from the target, m."""
-    passive = plant.rest(base, posture, p)[: plant.n_passive]
-    for _ in range(SAGS):
-        passive = plant.static_step(passive, base, posture, p)
-    q = np.append(passive.full().ravel(), posture)
-    return q, float(np.abs(plant.end_point.call([q, base, p])[0].full().ravel() - target).max())
 
 
 def _held_point(quantities: Quantities, z: Vector) -> Vector:

@@ -65,6 +65,7 @@ class Scene:
         plant: the machine's plant.
         base, posture, p: the symbols that all is a graph of.
         gravity: whether it sags under its weight.
+        hangs: the passive coordinates where it does, (m,), where they are known.
     """
 
     plant: Plant
@@ -72,6 +73,7 @@ class Scene:
     posture: ca.SX
     p: ca.SX
     gravity: bool = False
+    hangs: ca.SX | None = None
 
     @cached_property
     def q(self) -> ca.SX:
@@ -80,6 +82,8 @@ class Scene:
         q = self.plant.rest(*at)
         if not self.gravity:
             return q
+        if self.hangs is not None:
+            return ca.vertcat(self.hangs, self.posture)
         passive = q[: self.plant.n_passive]
         for _ in range(SAGS):
             passive = self.plant.static_step(passive, *at)
@@ -90,7 +94,8 @@ class Scene:
         if not self.gravity:
             return replace(self, p=p)
         there = self.plant.end_point(self.q, self.base, self.p)
-        return replace(self, p=p, posture=self.plant.held(self.base, self.posture, p, there))
+        posture, hangs = self.plant.held.call([self.base, self.posture, p, there])
+        return replace(self, p=p, posture=posture, hangs=hangs)
 
     @property
     def dimension(self) -> int:
