@@ -23,11 +23,7 @@ def held_with(quantities: Quantities, z: Vector, p: Any) -> tuple[Vector, Vector
     """Base and posture of z; of a machine that sags with other numbers than the file's, the posture that holds it."""
     base, posture = quantities.at(z)[:2]
     plant = quantities.measures.plant
-    if (
-        p is None
-        or not quantities.measures.gravity
-        or ca.DM(p).full().tolist() == plant.parameter_values.full().tolist()
-    ):
+    if p is None or not quantities.measures.gravity or _own(plant, p):
         return base, posture
     return base, plant.held.call([base, posture, p, _held_point(quantities, z)])[0].full().ravel()
 
@@ -41,6 +37,10 @@ def not_standing(quantities: Quantities, z: Vector, p: Vector) -> dict[str, floa
         return {}
     plant, target = quantities.measures.plant, _held_point(quantities, z)
     base, posture = quantities.at(z)[:2]
+    if _own(plant, p):
+        # Where it hangs is where it is held.
+        q = np.append(plant.deflected.call([base, posture, p])[0].full(), posture)
+        return _missed(plant, q, base, p, target)
     turned, passive = plant.held.call([base, posture, p, target])
     q = np.append(passive.full(), turned.full())
     missed = _missed(plant, q, base, p, target)
@@ -51,6 +51,11 @@ def not_standing(quantities: Quantities, z: Vector, p: Vector) -> dict[str, floa
         q = plant.held_step.call([q, base, p, target])[0].full().ravel()
         missed = _missed(plant, q, base, p, target)
     return missed
+
+
+def _own(plant: Plant, p: Any) -> bool:
+    """Whether these are the file's numbers."""
+    return ca.DM(p).full().tolist() == plant.parameter_values.full().tolist()
 
 
 def _missed(plant: Plant, q: Vector, base: Vector, p: Vector, target: Vector) -> dict[str, float]:
