@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import casadi as ca
-import numpy as np
 
 from flexopt.algebra import apply_pseudo_inverse, solve_spd
 from flexopt.errors import Fault, InputError
@@ -22,8 +21,8 @@ from flexopt.plant.mass_centre import centre_of_mass, most_weight
 
 # Newton iterations for the static deflection; it converges quadratically from rest, in 4 or 5 for real machines.
 STATIC_ITERATIONS = 12
-# Shares in which the weight comes on, and last steps under all of it, as an arm is turned to be held on its target.
-SHARES, STEPS = 2, 4
+# Steps along Jv⁺ where the first begins, and along that where each begins, by which an arm is held on its target.
+STRAIGHT, BENT = 2, 5
 # Parameters that a message names.
 NAMED = 4
 
@@ -305,16 +304,16 @@ class Plant:
         """The posture (n,), turned by Jv⁺ so that the end-point of the machine as it sags is on a target (n_task,).
 
         Feedback holds the arm so. Newton's method for posture and passive coordinates q_p (m,) at once, from springs at
-        rest: steps along Jv⁺ of the posture given, one at each of `SHARES` of the weight, up to which the end-point has
-        come as large a share of the way, and one more; then `STEPS`, each along Jv⁺ where it begins. Check where it
-        ends before use: it may miss a posture that holds. Inputs base, posture, p, target; outputs held (n,) and q_p.
+        rest: `STRAIGHT` steps along Jv⁺ of the posture given, then `BENT`, each along Jv⁺ where it begins.
+        Check where it ends before use: it may miss a posture that holds.
+        Inputs base, posture, p, target; outputs held (n,) and q_p.
         """
         g, m, target = self.graph, self.n_passive, ca.SX.sym("target", self.n_task)
         q = self.rest(g.base, g.posture, g.p)
-        at_rest, toward = self.end_point(q, g.base, g.p), self._toward(q)
-        for share in [*np.linspace(0.0, 1.0, SHARES + 1)[1:].tolist(), 1.0]:
-            q = self._held_step(q, toward, at_rest + share * (target - at_rest), share)
-        for _ in range(STEPS):
+        toward = self._toward(q)
+        for _ in range(STRAIGHT):
+            q = self._held_step(q, toward, target)
+        for _ in range(BENT):
             q = self._held_step(q, self._toward(q), target)
         inputs = {"base": g.base, "posture": g.posture, "p": g.p, "target": target}
         return self._function("held", inputs, [ca.densify(q[m:]), ca.densify(q[:m])], ["held", "q_p"])
@@ -332,16 +331,16 @@ class Plant:
         jv = self.rigid_jacobian(q, self.graph.base, self.graph.p)
         return apply_pseudo_inverse(jv, ca.SX.eye(self.n_task))
 
-    def _held_step(self, q: ca.SX, toward: ca.SX, target: ca.SX, share: float = 1.0) -> ca.SX:
-        """A step of Newton's method, (n_q,), to where springs hold a share λ of the weight, the end-point on a target.
+    def _held_step(self, q: ca.SX, toward: ca.SX, target: ca.SX) -> ca.SX:
+        """A step of Newton's method, (n_q,), to where springs hold the weight, the end-point on a target.
 
-        K_t δq_p + λ (∂g_p/∂q) T δs = −f and (∂r/∂q) [δq_p; T δs] = r_target − r, where K_t = K_p + λ ∂g_p/∂q_p holds
-        the passive coordinates, f is what springs and weight leave over, and the arm turns by T δs, T = `toward`.
+        K_t δq_p + (∂g_p/∂q) T δs = −f and (∂r/∂q) [δq_p; T δs] = r_target − r, where K_t = K_p + ∂g_p/∂q_p holds the
+        passive coordinates, f is what springs and weight leave over, and the arm turns by T δs, T = `toward`.
         """
         g, m = self.graph, self.n_passive
-        left = self._static_force(q[:m], g.base, q[m:], g.p, share)
-        pulled = share * self._gravity_coupling(q, g.base, g.p) @ toward
-        sags = ca.solve(self._tangent(q, g.base, g.p, share), ca.horzcat(left, pulled))
+        left = self._static_force(q[:m], g.base, q[m:], g.p)
+        pulled = self._gravity_coupling(q, g.base, g.p) @ toward
+        sags = ca.solve(self._tangent(q, g.base, g.p), ca.horzcat(left, pulled))
         jacobian, off = self.jacobian(q, g.base, g.p), target - self.end_point(q, g.base, g.p)
         moves = jacobian[:, m:] @ toward - jacobian[:, :m] @ sags[:, 1:]
         turn = ca.solve(moves, off + jacobian[:, :m] @ sags[:, 0])
@@ -412,20 +411,19 @@ class Plant:
         c = ca.horzcat(ca.SX.zeros(self.n_task, n), at.jacobian)
         return self._of_posture(f"linearisation_{control_method(control)}", [a, b, c], ["A", "B", "C"])
 
-    def _static_force(self, q_p: ca.SX, base: ca.SX, posture: ca.SX, p: ca.SX, share: float = 1.0) -> ca.SX:
-        """K_p (q_p − q_p,rest) + λ g_p(q), (m,), of a share λ of the weight."""
+    def _static_force(self, q_p: ca.SX, base: ca.SX, posture: ca.SX, p: ca.SX) -> ca.SX:
         m = self.n_passive
         rest = self.rest(base, posture, p)[:m]
-        return self.stiffness(p)[:m, :m] @ (q_p - rest) + share * self.gravity(ca.vertcat(q_p, posture), base, p)[:m]
+        return self.stiffness(p)[:m, :m] @ (q_p - rest) + self.gravity(ca.vertcat(q_p, posture), base, p)[:m]
 
     def _newton_step(self, q_p: ca.SX, base: ca.SX, posture: ca.SX, p: ca.SX) -> ca.SX:
         tangent = self._tangent(ca.vertcat(q_p, posture), base, p)
         return q_p - ca.solve(tangent, self._static_force(q_p, base, posture, p))
 
-    def _tangent(self, q: ca.SX, base: ca.SX, p: ca.SX, share: float = 1.0) -> ca.SX:
-        """K_t = K_p + λ ∂g_p/∂q_p, (m, m), of a share λ of the weight."""
+    def _tangent(self, q: ca.SX, base: ca.SX, p: ca.SX) -> ca.SX:
+        """K_t = K_p + ∂g_p/∂q_p, (m, m)."""
         m = self.n_passive
-        return self.stiffness(p)[:m, :m] + share * self.gravity_stiffness(q, base, p)
+        return self.stiffness(p)[:m, :m] + self.gravity_stiffness(q, base, p)
 
     def _of_configuration(self, name: str, expression: ca.SX, output: str) -> ca.Function:
         g = self.graph

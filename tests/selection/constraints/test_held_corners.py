@@ -151,11 +151,13 @@ def test_a_way_on_which_the_machine_falls_over_at_one_share_alone_is_told_of() -
     assert "where payload.mass is 1.2e+04 kg" in broken_on(problem, way, shares)
 
 
-def test_with_its_own_numbers_a_machine_is_held_where_it_hangs() -> None:
-    """Near a singular posture, where the springs at rest have the end-point far from there."""
+@pytest.mark.parametrize("load", [0.0, 100.0, 500.0])
+def test_near_a_singular_posture_a_machine_on_soft_springs_is_held_as_scipy_holds_it(load: float) -> None:
     machine = excavator_on(7e4)
     plant, posture = flexopt.build_plant(machine), np.array([-0.18940939, -2.91976889])
-    own = plant.parameter_values.full().ravel()
-    assert continued(plant, posture, own, own) is not None
+    nominal = plant.parameter_values.full().ravel()
+    p = nominal.copy()
+    p[plant.parameter_names.index("payload.mass")] = load
+    assert continued(plant, posture, nominal, p) is not None
     quantities = flexopt.build_selection(machine, (1.0, 1.6), gravity=True, base=0.0, starts=1).quantities
-    assert not_standing(quantities, np.append(0.0, posture), own) == {}
+    assert not_standing(quantities, np.append(0.0, posture), p) == {}
