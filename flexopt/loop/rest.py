@@ -20,7 +20,8 @@ from flexopt.plant.motion import Motion
 
 T = TypeVar("T")
 # Stages from the design's parameters to those of the machine, along which the rest is followed; Newton steps in each
-# and in the last one; how far a step goes at most, and how far the last one may go, m or rad.
+# and in the last one; how far a step goes at most, and how far the last one may go, rad, or of lengths in those of the
+# arm: a base that sinks by metres bends nothing, one that turns by as many rad does.
 STAGES, STEPS, LAST, FARTHEST, ARRIVED = 8, 2, 5, 0.3, 1e-6
 
 

@@ -38,6 +38,7 @@ from flexopt.loop.tangent import graphs_about_rest
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.machine_motion import constants_at, full_structure, motion_of
+from flexopt.plant.reach import arm_length
 
 # What the matrices depend on, and are differentiated by; `held` is the static deflection.
 INPUTS = (
@@ -185,11 +186,13 @@ class SmallMotions:
         design = of_file.call([s["base"], s["posture"], sag])
         kp, ki = self._into_forces(s)
         v, size = ca.vertcat(sag, ca.MX.zeros(plant.n_task, 1)), ca.MX(0)
+        units, length = plant.graph.coordinate_units[: plant.n_passive], arm_length(plant)
+        scale = ca.DM([*(1.0 if unit == "rad" else length for unit in units), *[length] * plant.n_task])
         for stage in range(1, STAGES + 1):
             p = of_own + (s["p"] - of_own) * (stage / STAGES)
             for _ in range(LAST if stage == STAGES else STEPS):
                 change = self._held_step.call([v, *design, p, kp, ki])[0]
-                size = ca.norm_inf(change)
+                size = ca.norm_inf(change / scale)
                 v += change * (FARTHEST / ca.fmax(size, FARTHEST))
         found = ca.vertcat(sag, ca.if_else(size <= ARRIVED, v, math.nan))
         return ca.Function("hold", [*s.values()], [found], [*s], ["held"], options)

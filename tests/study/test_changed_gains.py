@@ -87,6 +87,13 @@ class Case(NamedTuple):
             {"stay": -1.0, "near": -1.0, "far": -1.0}, {"stay": 1.0, "near": 2.0, "far": 1.9}, {"near": 3.0, "far": 4.0},
             ("near",), "near", staying=True, shared={"near": 1.9},
         ),
+        # Other gains are not worth a change where it stands, and are elsewhere, by less than that over both.
+        Case({"stay": 1.0, "near": 0.6}, {"stay": 1.08, "near": 1.15}, {"near": 3.0}, (), "near", staying=True),
+        # What a nearer place does with the present gains, too, is no merit of others.
+        Case(
+            {"stay": 1.0, "near": 1.09, "far": 0.6}, {"stay": 1.05, "near": 1.19, "far": 1.25}, {"near": 3.0, "far": 4.0},
+            (), "far", staying=True,
+        ),
     ],
 )  # fmt: skip
 def test_where_gains_are_changed(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:

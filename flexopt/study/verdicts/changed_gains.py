@@ -17,7 +17,18 @@ from flexopt.foundation.arrays import Vector
 from flexopt.loop.uncertain import FEW
 from flexopt.model.loop import Loop
 from flexopt.study.verdicts.confirmation import Runs
-from flexopt.study.verdicts.decision import BETWEEN, BREAKS, FASTER, MOST, Place, decide, nearer, passed_over, pays
+from flexopt.study.verdicts.decision import (
+    BETWEEN,
+    BREAKS,
+    FASTER,
+    MOST,
+    Place,
+    decide,
+    may_stay,
+    nearer,
+    passed_over,
+    pays,
+)  # fmt: skip
 from flexopt.study.verdicts.gain_search import at_ends, best_gains, lowered, most_room, one_factor
 from flexopt.study.verdicts.place_loops import PlaceLoops, Slowest
 from flexopt.study.verdicts.places import STAY, gains_in_words
@@ -108,7 +119,10 @@ class GainChange:
         stay = self._lowest(fastest.pop(STAY)) if STAY in fastest and fastest[STAY].place.holds else None
         refuted = stay is not None and stay.doubt is not None
         places = [each.place for each in fastest.values()]
-        others = places if stay is None or refuted else [place for place in places if pays(place, stay.place)]
+        standing = None if stay is None or refuted else self._standing(stay.place)
+        others = places if standing is None else [place for place in places if pays(place, standing)]
+        # What a move does with the present gains is no merit of others.
+        others = [place for place in others if self._changes(place)] or others
         doubts = {STAY: stay.doubt} if stay is not None and stay.doubt is not None else dict[str, str]()
         other, tried = None, 0
         while others and tried < PLACES and (other is None or other.doubt is not None):
@@ -118,28 +132,32 @@ class GainChange:
             if found.doubt is not None:
                 doubts[found.place.name] = found.doubt
         if other is not None and other.doubt is None:
-            held = None if refuted else stay
-            other = self._spared(other, _alike(fastest[other.place.name].place.slowest), held, doubts)
+            other = self._spared(other, _alike(fastest[other.place.name].place.slowest), standing, doubts)
             if other.place.name == STAY:
                 return other
-            told = passed_over(other.place, held and held.place, places, doubts, "with other gains")
+            told = passed_over(other.place, standing, places, doubts, "with other gains")
             other = other._replace(passed_over=told)
         if stay is None or other is None:
             return cast(ChangedGains, stay or other)
         serves = self._changes(other.place) or not self._changes(stay.place)
-        if other.doubt is not None or not (refuted or (serves and pays(other.place, stay.place))):
+        if other.doubt is not None or not (standing is None or (serves and pays(other.place, standing))):
             return stay
         told = f"staying with {stay.in_words} is stable on every ground, too: slowest decay {stay.place.slowest:.3g}/s"
         return other._replace(staying="" if refuted else told)
 
+    def _standing(self, changed: Place) -> Place:
+        """The present place as one would stay there: with other gains where these are worth a change, else as it is."""
+        now = may_stay(self.known.get(STAY), self.doubts)
+        return changed if now is None or self._changes(changed) else now
+
     def _spared(
-        self, other: ChangedGains, least: float, stay: ChangedGains | None, doubts: dict[str, str]
+        self, other: ChangedGains, least: float, standing: Place | None, doubts: dict[str, str]
     ) -> ChangedGains:
         """Its gains where that takes the least drive, of places that runs refute with their own; else itself.
 
         Args:
             other: a place whose gains runs confirm;  least: decay that does as well, 1/s.
-            stay: the present place, where runs do not refute it.
+            standing: as one would stay, where runs do not refute that.
             doubts: why they refute a place with its own gains; that it does not do with these joins it.
         """
         near = [place for name, place in self.known.items() if name in doubts and nearer(place, other.place)]
@@ -147,7 +165,7 @@ class GainChange:
             loop = self.loops[place.name].with_settings(other.loop.settings)
             there, member = self._with(place.name, loop)
             why = f"its slowest decay is {there.slowest:.3g}/s only"
-            if there.slowest >= least and self._changes(there) and (stay is None or pays(there, stay.place)):
+            if there.slowest >= least and self._changes(there) and (standing is None or pays(there, standing)):
                 found = self._told(_Tried(there, loop, member[None]))
                 if found.doubt is None:
                     return found
