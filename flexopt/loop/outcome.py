@@ -78,6 +78,8 @@ UNDEFINED = Measured(math.nan)
 FALLS = np.array([complex(np.finfo(np.float64).max)])
 # That in growth within a sample, less than by rounding.
 FALLS_AT = 0.999 * math.log(np.finfo(np.float64).max)
+# And what that says.
+NOWHERE_HELD = "the feedback is not found to hold the weight, which the controller does not know, anywhere near"
 # Share of what a joint carries below which friction holds what drives a self-motion.
 FELT = 0.01
 # Share of what a joint can carry at most below which that is rounding, of a slew that carries nothing, too: that leaves

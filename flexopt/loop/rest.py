@@ -116,6 +116,19 @@ def held_step(plant: Plant, control: Control) -> ca.Function:
     return ca.Function("held_step", list(inputs.values()), [change], list(inputs), ["change"], {"cse": True})
 
 
+def softest_spring(plant: Plant, p: ca.DM, other: ca.MX) -> ca.MX:
+    """By which factor the spring of a passive coordinate that softens most from p to other parameters does; 1 of none.
+
+    No less than 10⁻⁶, as of a spring that is gone.
+    """
+    m = plant.n_passive
+    own = plant.stiffness.call([p])[0].full().diagonal()[:m]
+    now: ca.MX = ca.diag(plant.stiffness(other))
+    factors: list[ca.MX] = [now[k] / own[k] for k in range(m) if own[k] > 0]
+    softest: ca.MX = ca.mmin(ca.vertcat(1.0, *factors))
+    return ca.fmax(softest, 1e-6)
+
+
 def state_at_rest(
     loop: ClosedLoop, plant: Plant, motion: Motion, q: ca.SX, base: ca.SX, p: ca.SX, law: ca.SX | None = None
 ) -> ca.SX:

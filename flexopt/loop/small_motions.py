@@ -31,6 +31,7 @@ from flexopt.loop.rest import (
     held_at,
     held_step,
     placed,
+    softest_spring,
     state_at_rest,
 )
 from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
@@ -188,8 +189,11 @@ class SmallMotions:
         v, size = ca.vertcat(sag, ca.MX.zeros(plant.n_task, 1)), ca.MX(0)
         units, length = plant.graph.coordinate_units[: plant.n_passive], arm_length(plant)
         scale = ca.DM([*(1.0 if unit == "rad" else length for unit in units), *[length] * plant.n_task])
+        softest = softest_spring(plant, of_own, s["p"])
         for stage in range(1, STAGES + 1):
-            p = of_own + (s["p"] - of_own) * (stage / STAGES)
+            # So that the softest spring, not its stiffness, gives way by as much at each stage.
+            share = stage / (softest * (STAGES - stage) + stage)
+            p = of_own + (s["p"] - of_own) * share
             for _ in range(LAST if stage == STAGES else STEPS):
                 change = self._held_step.call([v, *design, p, kp, ki])[0]
                 size = ca.norm_inf(change / scale)

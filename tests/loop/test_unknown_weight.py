@@ -15,8 +15,11 @@ from flexopt.foundation.arrays import Vector
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.many import decays
 from flexopt.loop.outcome import LoopPoint
-from flexopt.loop.settings import LoopSettings
+from flexopt.loop.settings import LoopSettings, loop_settings
+from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model import AnyMachine
+from flexopt.model.loop import Loop
+from flexopt.model.uncertainty import Uncertainty
 from flexopt.plant import build_plant
 from tests.oracles.lagrange import lagrange
 
@@ -300,3 +303,36 @@ def test_no_joint_carries_more_than_the_bound_by_the_machines_mass(name: str) ->
         most = plant.most_weight(q, base, own).full().ravel()
         # Of central differences some 1e-9 of weight times arm is rounding.
         assert np.all(np.abs(carried) <= most + 1e-8 * most.max())
+
+
+@pytest.mark.parametrize("posture", [(1.9, -2.0), (-0.6, -1.0), (-1.5, -0.6)])
+def test_a_base_that_sinks_by_metres_is_held_as_far_as_the_arm_reaches(posture: tuple[float, float]) -> None:
+    """A soft spring below it gives way by weight through stiffness; where the arm then reaches its target it rests."""
+    here = flexopt.evaluate(EXCAVATOR, posture, gravity=True)
+    stiff = next(each.value for each in EXCAVATOR.parameters if each.name == "base.stiffness.y")
+    weight, settings = -stiff * here.static_deflection[1], loop_settings(EXCAVATOR, Loop(**TORQUE), here, gravity=True)
+    rested = 0
+    for sunk in (0.1, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0):
+        box = UncertaintyBox(
+            EXCAVATOR, (Uncertainty(of="base.stiffness.y", value=(weight / sunk, stiff)),), settings.dead_time
+        )
+        loop = UncertainLoop(settings, here.base, here.posture, True, box)
+        point = loop.outcome(np.zeros(1))
+        try:
+            flexopt.inverse_kinematics(EXCAVATOR, here.end_point + np.array([0.0, sunk]), gravity=True)
+        except flexopt.UnreachableTarget:
+            assert not point.rests
+            continue
+        assert point.rests
+        rested += 1
+        assert point.configuration[1] == pytest.approx(-sunk, rel=1e-9)
+    assert rested
+
+
+def test_what_the_rate_of_a_region_stands_for_where_the_arm_falls_is_told() -> None:
+    soft = {"base.stiffness.y": (2e3, 3e3)}
+    found = flexopt.stable_region(EXCAVATOR, POSTURE, gravity=True, loop=TORQUE, ranges=soft, points=2, boxes=0)
+    assert found.stable is False
+    assert "that rate stands for an arm that falls: there the feedback is not found to hold the weight" in repr(found)
+    stands = flexopt.stable_region(EXCAVATOR, POSTURE, gravity=True, loop=TORQUE, points=2, boxes=0)
+    assert "falls" not in repr(stands)

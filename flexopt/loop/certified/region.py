@@ -22,6 +22,7 @@ from flexopt.foundation.stages import Stages
 from flexopt.loop.beside_decay import BesideDecay
 from flexopt.loop.certified.certificate import BOXES, DECAY, RegionProof, certified_radius, certify
 from flexopt.loop.evaluation import settings_at
+from flexopt.loop.outcome import FALLS_AT, NOWHERE_HELD
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.spectrum import OWN, UNBRAKED, drifting_self_motion, driven_self_motion, slow_self_motion
 from flexopt.loop.uncertain import MEMBERS, UncertainLoop, UncertaintyBox, member_in_words
@@ -109,6 +110,8 @@ class Region(Result):
         lines = [f"{word}, {'guaranteed' if self.guaranteed else 'not guaranteed'}: {self.rests_on}"]
         where = member_in_words(self.critical) + _own(self.self_motion)
         lines.append(f"  slowest found: {how}, {self.frequency_hz:.4g} Hz, at {where}")
+        if -self.decay >= FALLS_AT * self.settings.rate:
+            lines.append(f"  that rate stands for an arm that falls: there {NOWHERE_HELD}")
         if self.stable is None:
             lines.append("  more `boxes` than it was allowed let the proof go on, in the shell --boxes")
         if not math.isnan(self.radius):

@@ -19,7 +19,7 @@ from flexopt.foundation.printing import Printed
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.evaluation import unseen_told
-from flexopt.loop.outcome import FALLS_AT
+from flexopt.loop.outcome import FALLS_AT, NOWHERE_HELD
 from flexopt.loop.settings import CHOSEN, LoopSettings
 from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion
 from flexopt.loop.standard_move import LONGEST, SETTLED
@@ -439,8 +439,7 @@ class Verdict(Pictured, Printed, Result):
         if not names:
             return ""
         which = "of every place" if len(names) == len(self.places) else f"of {', '.join(names)}"
-        told = f"the slowest decay {which} stands for an arm that falls: on some ground"
-        return f"{told} the feedback is not found to hold the weight, which the controller does not know, anywhere near"
+        return f"the slowest decay {which} stands for an arm that falls: on some ground {NOWHERE_HELD}"
 
     @property
     def driven(self) -> str:
