@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import FancyBboxPatch, Polygon, Rectangle
+from matplotlib.transforms import Affine2D, Bbox
 
 from flexopt.foundation.palette import colors
 from flexopt.plotting.shape import Points, Shape, View, capsule_outline, chain, links_of, spring_line, views
@@ -70,27 +71,35 @@ def draw_shape(axes: Axes, view: View, shape: Shape, color: str, *, ghost: bool 
     axes.plot([], [], color=color, linewidth=5, alpha=alpha, label=label)
 
 
-def _draw_undercarriage(axes: Axes, view: View, shape: Shape, alpha: float, order: float) -> None:
-    """What stands on the ground, as wide as its support where that is known, on springs where it gives."""
-    size, inks = shape.size, colors()
-    foot = view.of(shape.skeleton[:, 0])
+def undercarriage(view: View, shape: Shape) -> tuple[Bbox, Affine2D]:
+    """The box that a machine stands on, its springs unloaded, in an upright view; and how these have moved it, m.
+
+    It is as wide as the support where that is known, and stands on the ground, on springs where it gives.
+    """
+    size, foot = shape.size, view.of(shape.foot)
     wide = HALF_WIDTH * size * np.array([-1.0, 1.0]) + foot[0] if shape.support is None else view.of(shape.support)[0]
-    left, right = float(wide.min()), float(wide.max())
-    floor = float(foot[1])
-    spring, high = SPRING * size if shape.springs else 0.0, HEIGHT * size
-    round_by = min(0.45 * high, 0.25 * (right - left))
+    low = float(foot[1]) + (SPRING * size if shape.springs else 0.0)
+    turn, there = view.axes @ shape.motion[0] @ view.axes.T, view.of(shape.moved(shape.foot[:, None]))[:, 0]
+    moved = Affine2D(np.block([[turn, (there - turn @ foot)[:, None]], [np.eye(3)[2:]]]))
+    return Bbox([[float(wide.min()), low], [float(wide.max()), low + HEIGHT * size]]), moved
+
+
+def _draw_undercarriage(axes: Axes, view: View, shape: Shape, alpha: float, order: float) -> None:
+    """The box, and springs from the ground to it."""
+    inks, (box, moved) = colors(), undercarriage(view, shape)
+    round_by = min(0.45 * box.height, 0.25 * box.width)
     axes.add_patch(
         FancyBboxPatch(
-            (left + round_by, floor + spring + round_by), right - left - 2 * round_by, high - 2 * round_by,
+            (box.x0 + round_by, box.y0 + round_by), box.width - 2 * round_by, box.height - 2 * round_by,
             boxstyle=f"round,pad={round_by},rounding_size={round_by}", facecolor=inks.undercarriage,
-            edgecolor=inks.edge, linewidth=0.6, alpha=alpha, zorder=order,
+            edgecolor=inks.edge, linewidth=0.6, alpha=alpha, zorder=order, transform=moved + axes.transData,
         )
     )  # fmt: skip
-    if spring:
-        for share in (0.14, 0.86):
-            x = left + share * (right - left)
-            line = spring_line(np.array([x, floor]), np.array([x, floor + spring]), 0.3 * spring)
-            axes.plot(*line.T, color=inks.undercarriage, linewidth=0.9, alpha=alpha, zorder=order - 0.1)
+    floor = float(view.of(shape.foot)[1])
+    for share in (0.14, 0.86) if shape.springs else ():
+        x = box.x0 + share * box.width
+        line = spring_line(np.array([x, floor]), moved.transform((x, box.y0)), 0.3 * (box.y0 - floor))
+        axes.plot(*line.T, color=inks.undercarriage, linewidth=0.9, alpha=alpha, zorder=order - 0.1)
 
 
 def draw_ground(axes: Axes, height: float) -> None:

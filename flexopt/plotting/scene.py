@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 
 from flexopt.foundation.palette import colors
 from flexopt.model.constraints import Constraints
-from flexopt.plotting.machine import HEIGHT, SPRING, draw_ground, draw_shape, draw_target
+from flexopt.plotting.machine import draw_ground, draw_shape, draw_target, undercarriage
 from flexopt.plotting.scenery import draw_scenery, held, name_obstacles, named_points, scenery_points
 from flexopt.plotting.shape import Points, Shape, View, views
 
@@ -69,10 +69,12 @@ def draw_scene(
     if constraints is not None:
         points.append(scenery_points(view, constraints, np.hstack(points)))
     extent, room = np.hstack(points), ROOM * shape.size
-    ground = float(np.mean([view.of(actor.shape.skeleton)[1, 0] for actor in actors]))
+    ground = _ground(shape, constraints)
     if view.upright:
         draw_ground(axes, ground)
-        extent = np.hstack([extent, [[extent[0, 0]], [ground - room / 2]]])
+        # One far below is not in the picture.
+        low = max(ground - room / 2, float(extent[1].min() - np.ptp(extent, axis=1).max()))
+        extent = np.hstack([extent, [[extent[0, 0]], [low]]])
     limits = np.column_stack([extent.min(axis=1) - room, extent.max(axis=1) + room])
     whole = float(np.ptp(limits, axis=1).max())
     if constraints is not None:
@@ -156,10 +158,16 @@ def _free_side(mark: Points, whole: float, taken: Points) -> tuple[int, int]:
     return SIDES[int(np.argmax(clear))]
 
 
+def _ground(shape: Shape, constraints: Constraints | None) -> float:
+    """Height of the ground that clearances are kept from, or else of that on which the machine stands, m."""
+    asked = None if constraints is None or constraints.clearance is None else constraints.clearance.ground
+    return float(shape.foot[-1]) if asked is None else asked
+
+
 def _draw_anchors(axes: Axes, view: View, actors: Sequence[Actor]) -> None:
     """The points that the areas of the placement are meant for."""
     for actor in actors:
-        x, y = view.of(actor.shape.skeleton[:, 0])
+        x, y = view.of(actor.shape.foot)
         axes.plot(
             x, y, "o", markersize=10, markerfacecolor="none", markeredgecolor=colors().allowed, markeredgewidth=1.6,
             zorder=5,
@@ -174,7 +182,7 @@ def _outer(view: View, shape: Shape) -> Points:
         found += [ends - radius, ends + radius]
     if shape.support is not None:
         found.append(view.of(shape.support))
-    foot = view.of(shape.skeleton[:, :1])
     if view.upright:
-        found.append(foot + np.array([[0.0], [(HEIGHT + SPRING) * shape.size]]))
+        box, moved = undercarriage(view, shape)
+        found.append(moved.transform(box.corners()).T)
     return np.hstack(found)

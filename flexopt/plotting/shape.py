@@ -6,17 +6,22 @@ In: a machine, its coordinates and placement. Out: a `Shape`, the `View`s that s
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.model import AnyMachine
 from flexopt.model.kinematic_tree import KinematicTree
-from flexopt.plant import build_plant
+from flexopt.plant import Plant, build_plant
 from flexopt.robustness.evaluation import Evaluation
+from flexopt.selection.constraints.ground import standing_height
 
 Points = NDArray[np.float64]
+# q, base, p of a configuration.
+Inputs = Sequence[Any]
 ARC = 16
 # By how much of its thickness a link is deeper between its pins.
 DEEPER = 0.45
@@ -31,8 +36,11 @@ class Shape:
     """Points in m, inertial frame; d = 2 in the plane, 3 in space.
 
     Attributes:
-        skeleton: (d, K), as `Plant.skeleton`.
+        skeleton: (d, K), as `Plant.skeleton`; the anchor point, and frames between the springs of what stands on them,
+            lie where they are on this.
         segments: pairs of its columns that are joined, from the ground outwards.
+        foot: the point of the ground below, or above, the anchor point, (d,).
+        motion: (R, t), by which what stands on springs has moved since these were unloaded: from x to R x + t.
         capsules: (start (d,), end (d,), radius) each.
         support: what it stands on: corners (d, s), or none.
         base: the segments that no actuated joint moves.
@@ -41,11 +49,18 @@ class Shape:
 
     skeleton: Points
     segments: tuple[tuple[int, int], ...]
+    foot: Points
+    motion: tuple[Points, Points]
     capsules: tuple[tuple[Points, Points, float], ...] = ()
     support: Points | None = None
     base: frozenset[tuple[int, int]] = frozenset()
     springs: bool = False
     elastic: tuple[int, ...] = ()
+
+    def moved(self, points: Points) -> Points:
+        """Points (d, K) of what stands on springs, from where they are with these unloaded."""
+        turn, shift = self.motion
+        return turn @ points + shift[:, None]
 
     @property
     def size(self) -> float:
@@ -86,26 +101,58 @@ class View:
 def shape_at(machine: AnyMachine, q: Points, base: Points) -> Shape:
     """A machine at the coordinates q (n_q,) and the placement (n_b,)."""
     plant = build_plant(machine)
+    tree, segments, standing = machine.kinematic_tree, plant.graph.segments, _standing(plant)
     at = [q, base, plant.parameter_values]
-    skeleton, segments = plant.skeleton.call(at)[0].full(), plant.graph.segments
-    tree = machine.kinematic_tree
+    unloaded = [plant.rest(base, q[plant.n_passive :], plant.parameter_values), *at[1:]]
+    skeleton, stood = (plant.skeleton.call(x)[0].full() for x in (at, unloaded))
+    motion = _motion(plant, standing, at, unloaded)
     fixed = _fixed(tree)
     gives = {i for i, body in enumerate(tree.bodies) if body.joint.passive and i not in tree.held}
-    return Shape(
+    shape = Shape(
         skeleton,
         segments,
+        np.append(stood[:-1, 0], standing_height(machine)),
+        motion,
         _capsules(machine, q, base),
-        _support(machine, skeleton, base),
+        _support(machine, base),
         base=frozenset((i, j) for i, j in segments if tree.drawn[i] is None or tree.drawn[i] in fixed),
         springs=not gives.isdisjoint(fixed),
         elastic=tuple(k for k, body in enumerate(tree.drawn) if body in gives - fixed),
     )
+    stands = [k for k, body in enumerate(tree.drawn) if body is None or body in standing]
+    skeleton[:, stands] = shape.moved(stood[:, stands])
+    return shape
 
 
 def chain(skeleton: Points) -> Shape:
     """A planar machine of which no more is known than its skeleton: the first segment stands on springs."""
     segments = tuple((k, k + 1) for k in range(skeleton.shape[1] - 1))
-    return Shape(skeleton, segments, base=frozenset(segments[:1]), springs=True)
+    unmoved = np.eye(len(skeleton)), np.zeros(len(skeleton))
+    return Shape(skeleton, segments, skeleton[:, 0], unmoved, base=frozenset(segments[:1]), springs=True)
+
+
+def _standing(plant: Plant) -> list[int]:
+    """Bodies between the ground and what stands on its springs, the first with a mass, which is the last of them."""
+    tree, structure, found = plant.machine.kinematic_tree, plant.graph.at.skeleton, list[int]()
+    for i in structure.way_to(structure.tip):
+        if not tree.bodies[i].joint.passive or not all(tree.bodies[k].massless for k in found):
+            break
+        found.append(i)
+    return found
+
+
+def _motion(plant: Plant, standing: Sequence[int], at: Inputs, unloaded: Inputs) -> tuple[Points, Points]:
+    """See `Shape.motion`."""
+    d = len(plant.machine.kinematic_tree.axes)
+    if not standing:
+        return np.eye(d), np.zeros(d)
+    k = plant.machine.kinematic_tree.frames.index(standing[-1])
+    (here, turned), (there, straight) = (
+        (origins.full()[:, k], rotations.full()[:, d * k : d * (k + 1)])
+        for origins, rotations in (plant.body_frames.call(x) for x in (at, unloaded))
+    )
+    turn = turned @ straight.T
+    return turn, here - turn @ there
 
 
 def _fixed(tree: KinematicTree) -> set[int]:
@@ -141,8 +188,8 @@ def _capsules(machine: AnyMachine, q: Points, base: Points) -> tuple[tuple[Point
     return tuple(placed)
 
 
-def _support(machine: AnyMachine, skeleton: Points, base: Points) -> Points | None:
-    """Corners of the support where the anchor frame stands; at the height of the anchor point."""
+def _support(machine: AnyMachine, base: Points) -> Points | None:
+    """Corners of the support where the anchor frame stands."""
     if not machine.support_points:
         return None
     corners = np.array(machine.support_points, dtype=np.float64).T
@@ -151,8 +198,7 @@ def _support(machine: AnyMachine, skeleton: Points, base: Points) -> Points | No
     if corners.shape[0] == 2:
         yaw = coordinates.get("yaw", 0.0)
         corners = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]) @ corners
-    height = np.full(corners.shape[1], skeleton[-1, 0])
-    return np.vstack([corners + place[:, None], height])
+    return np.vstack([corners + place[:, None], np.full(corners.shape[1], standing_height(machine))])
 
 
 def views(shape: Shape, along: Points | None = None) -> tuple[View, ...]:

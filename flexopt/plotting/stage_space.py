@@ -87,8 +87,7 @@ class SpaceStage(Shots):
             low, high = np.minimum(low, both.min(axis=1) - radius), np.maximum(high, both.max(axis=1) + radius)
         low, high = low - 0.06 * size, high + np.array([0.06, 0.14 if view.upright else 0.06]) * size
         if view.upright:
-            ground = float(view.of(film.anchor[0])[1])
-            draw_ground(axes, ground)
+            draw_ground(axes, float(view.of(first.foot)[1]))
         caption = f"{view.name}; {film.caption}" if view.upright else view.name
         self._frame(axes, low, high, 0.5, *view.labels, caption)
 

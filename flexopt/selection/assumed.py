@@ -27,7 +27,7 @@ from flexopt.model.choices import assumes
 from flexopt.model.constraints import Clearance, Constraints
 from flexopt.plant import Plant
 from flexopt.plant.reach import outer_reach
-from flexopt.selection.constraints.ground import above_ground, kept_above, lowest
+from flexopt.selection.constraints.ground import kept_above, lowest, standing_height
 from flexopt.selection.constraints.holding import without_effort
 from flexopt.selection.constraints.self_clearance import meeting_pairs, overlapping_pairs, overlapping_told
 
@@ -182,7 +182,7 @@ def _ground(plant: Plant, targets: Vector) -> float | None:
     machine = plant.machine
     if not _on_ground(plant):
         return None
-    ground = 0.0 if machine.support_points else min(0.0, above_ground(plant))
+    ground = standing_height(machine)
     up = machine.kinematic_tree.axes[-1]
     heights = targets[:, machine.task_rows.index(up)] if up in machine.task_rows else np.array([math.inf])
     return None if heights.min() < ground else ground

@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch, Polygon
 from matplotlib.path import Path
@@ -16,6 +17,7 @@ from shapely import LineString, MultiPoint, Point, box
 from shapely import Polygon as Area
 
 import flexopt
+from flexopt.foundation.palette import colors
 from flexopt.model.constraints import Constraints, read_constraints
 from flexopt.model.tree import tree_from_dict
 from flexopt.plant import build_plant
@@ -126,6 +128,88 @@ def test_views_are_orthogonal_projections():
     np.testing.assert_allclose(
         side.depth(np.array([tip, foot, tip + 3 * away, tip - 2 * away]).T), [0, 0, 3, -2], atol=1e-14
     )
+
+
+def drawn_box(shape, view):
+    """Points (2, K) round the box that a machine stands on, m."""
+    axes = Figure().subplots()
+    draw_scene(axes, view, [Actor(shape, "C0")], shape.skeleton[:, -1])
+    (patch,) = (each for each in axes.patches if isinstance(each, FancyBboxPatch))
+    return (patch.get_transform() - axes.transData).transform_path(patch.get_path()).vertices.T
+
+
+def ground_line(axes):
+    """Height of the ground that is drawn, m."""
+    (line,) = (each for each in axes.lines if to_hex(each.get_color()) == colors().ground_line)
+    return line.get_ydata()[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_a_machine_stands_on_goes_with_its_springs(seed):
+    """Six springs given at random: the box against the chassis' frame in Pinocchio, and no link drawn out between them."""
+    rng = np.random.default_rng(seed)
+    data = grounded(3, seed) | {"placement": ["x", "y", "yaw"]}
+    machine = tree_from_dict(data)
+    plant = build_plant(machine)
+    base, posture = rng.uniform(-1, 1, 3), rng.uniform(-1, 1, 3)
+    rest = plant.rest(base, posture, plant.parameter_values).full().ravel()
+    sagged = rest + np.append(rng.uniform(-0.4, 0.4, 6), np.zeros(3))
+    unloaded, shape = shape_at(machine, rest, base), shape_at(machine, sagged, base)
+    data["end_point"] |= {"body": "chassis", "position": [0.0, 0.0, 0.0]}
+    chassis = pinocchio_tree(data)
+    (there, straight), (here, turned) = (chassis.frame(q, base) for q in (rest, sagged))
+    side = views(unloaded)[0]
+    before = drawn_box(unloaded, side)
+    points = side.axes.T @ before
+    away = np.cross(side.axes[0], side.axes[1])
+    points += away[:, None] * (away @ unloaded.foot)
+    moved = here[:, None] + turned @ straight.T @ (points - there[:, None])
+    # Rounding, of some metres.
+    np.testing.assert_allclose(drawn_box(shape, side), side.of(moved), atol=1e-9)
+    assert shape.size == pytest.approx(unloaded.size, rel=1e-12)
+
+
+def test_what_a_planar_machine_stands_on_goes_with_its_springs():
+    """By the planar rotation and shift that its three coordinates are; the ground stays."""
+    machine = flexopt.load("excavator")
+    plant = build_plant(machine)
+    base, sag = np.array([0.7]), np.array([0.1, -0.2, 0.15])
+    rest = plant.rest(base, np.array([0.9929, -2.6306]), plant.parameter_values).full().ravel()
+    unloaded, shape = shape_at(machine, rest, base), shape_at(machine, rest + np.append(sag, [0.0, 0.0]), base)
+    (view,) = views(unloaded)
+    turn = Affine2D().rotate_around(0.7, 0.0, sag[2]).translate(*sag[:2])
+    expected = turn.transform(drawn_box(unloaded, view).T).T
+    np.testing.assert_allclose(drawn_box(shape, view), expected, atol=1e-12)
+    axes = Figure().subplots()
+    draw_scene(axes, view, [Actor(shape, "C0")], shape.skeleton[:, -1])
+    assert ground_line(axes) == 0.0
+
+
+@pytest.mark.parametrize("word", ["assumed", "unknown", "asked", "supported"])
+def test_the_ground_is_drawn_where_clearances_are_kept_from_it(word):
+    """A hull that reaches 0.3 m below its frame, sagged by 0.5 m; where the target is below ground none is assumed."""
+    data = grounded(3, 0) | {"placement": ["x", "y", "yaw"]}
+    hull = {"body": "chassis", "start": [-1.0, 0.0, 0.2], "end": [1.0, 0.0, 0.2], "radius": 0.5}
+    data |= {"capsules": [hull, {"body": "arm1", "start": [0.0] * 3, "end": [1.9, 0.0, 0.0], "radius": 0.1}]}
+    if word == "supported":
+        data |= {"support": {"polygon": [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]}}
+    machine = tree_from_dict(data)
+    asked = {"clearance": {"distance": 0.0, "ground": -0.7}} if word == "asked" else {}
+    target = (3.0, 0.0, -1.0 if word == "unknown" else 1.0)
+    problem = flexopt.build_selection(
+        machine, target, base=(0.0, 0.0, 0.0), constraints=asked, singularity_margin_deg=0.1
+    )
+    told = [assumption.value for assumption in problem.assumed if assumption.name == "ground"]
+    expected = {"assumed": -0.3, "unknown": -0.3, "asked": -0.7, "supported": 0.0}[word]
+    np.testing.assert_allclose(told, [expected] if word in ("assumed", "supported") else [], atol=1e-12)
+    q = build_plant(machine).rest(np.zeros(3), np.array([0.1, 0.9, -1.4]), build_plant(machine).parameter_values)
+    q = q.full().ravel() - 0.5 * np.eye(9)[2]
+    shape = shape_at(machine, q, np.zeros(3))
+    panels = Figure().subplots(2)
+    draw_views(panels, [Actor(shape, "C0")], np.array(target), problem.asked)
+    assert ground_line(panels[0]) == pytest.approx(expected, abs=1e-12)
+    low, high = panels[0].get_ylim()
+    assert low < expected < high
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -512,7 +596,8 @@ def test_a_way_in_an_upright_plane_is_seen_from_across_it():
     upright = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 1.0, 2.0]])
 
     def at(x: float, y: float) -> Shape:
-        return Shape(upright + np.array([[x], [y], [0.0]]), ((0, 1), (1, 2)))
+        points = upright + np.array([[x], [y], [0.0]])
+        return Shape(points, ((0, 1), (1, 2)), points[:, 0], (np.eye(3), np.zeros(3)))
 
     for along in ((1.0, 0.0), (0.0, 1.0), (0.6, 0.8)):
         view = view_of_way([at(0.0, 0.0), at(*along)])

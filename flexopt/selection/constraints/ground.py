@@ -54,9 +54,12 @@ def _joints(plant: Plant, carried: Sequence[str]) -> list[str]:
     return [named[body] for body in carried]
 
 
-def above_ground(plant: Plant) -> float:
-    """How low the capsules of bodies that no actuated joint moves reach, m, the machine at rest; ∞ without any."""
-    return min((height for _, height in lowest(plant.machine)), default=math.inf)
+def standing_height(machine: AnyMachine) -> float:
+    """Height of the ground that a machine stands on, m: 0, that of the anchor frame, with a support or nothing lower.
+
+    Without a support it is as low as the capsules of bodies that no actuated joint moves, the machine at rest.
+    """
+    return 0.0 if machine.support_points else min([0.0, *(height for _, height in lowest(machine))])
 
 
 @lru_cache(maxsize=32)
