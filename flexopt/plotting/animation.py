@@ -114,12 +114,10 @@ def _film(t: Trajectory, alive: NDArray[np.int64], seconds: float, rate: float, 
     q[:, : t.n_passive] -= deflection
     anchor = t.skeletons(q, base)[:, 0]
     q[:, : t.n_passive] += factor * deflection
-    turning = "base.rotation" in t.coordinates[: t.n_passive]
-    turn = factor * deflection[:, t.coordinates.index("base.rotation")] if turning else np.zeros(len(rows))
     caption = f"speed × {rate:g}; deflections " + ("in true size" if factor == 1 else f"× {factor:g}")
     skeleton = t.skeletons(q, base)
     frames = np.searchsorted(kept, shots)
-    return Film(t, t.time[rows], q, base, skeleton, anchor, t.target[rows], turn, frames, delay, caption)
+    return Film(t, t.time[rows], q, base, skeleton, anchor, t.target[rows], frames, delay, caption)
 
 
 def _frames(film: Film, inks: Palette) -> Iterator[Image.Image]:

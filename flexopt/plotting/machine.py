@@ -138,5 +138,5 @@ def draw_target(
 def bars(skeleton: Points) -> list[Points]:
     """Outlines of the links of a planar machine, a body without a length as a point."""
     shape = chain(skeleton)
-    found = dict(links_of(shape, views(shape)[0], 0.0))
+    found = dict(links_of(shape, views(shape)[0]))
     return [found.get((k, k + 1), skeleton[:, [k, k]].T) for k in range(skeleton.shape[1] - 1)]

@@ -20,14 +20,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.transforms import Affine2D, Bbox
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.palette import colors
 from flexopt.plant import build_plant
-from flexopt.plotting.machine import bars, draw_ground
+from flexopt.plotting.machine import SPRING, bars, draw_ground, undercarriage
 from flexopt.plotting.panels import draw_panel
-from flexopt.plotting.shape import chain, spring_line
+from flexopt.plotting.shape import Shape, shape_at, spring_line, views
 from flexopt.plotting.trajectory import deflection_panel, error_panel, title
 from flexopt.simulation.trajectory import Trajectory
 
@@ -37,8 +38,8 @@ DPI, SIZE, SCENE = 100, (7.2, 4.6), (0.075, 0.11, 0.43, 0.77)
 PANELS = ((0.605, 0.56, 0.365, 0.32), (0.605, 0.11, 0.365, 0.32))
 # Share of the time for which each point of the machine is surely in the picture; a run that flies away leaves it.
 USUAL = 0.97
-# Shares of the machine's length: height of the undercarriage's half, of the springs; half its width.
-HALF_HEIGHT, SPRING, HALF_WIDTH = 0.035, 0.085, 0.16
+# How far beside the undercarriage the wall is that springs lead to, a share of the machine's length.
+WALL = 0.085
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,6 @@ class Film:
         skeleton: at these (K, points, d), d = 2 in the plane, 3 in space;  anchor: where the ground point is at
             equilibrium (K, d).
         target: of the end-point (K, n_task).
-        turn: rotation of the base from equilibrium, magnified (K,), rad.
     """
 
     trajectory: Trajectory
@@ -60,7 +60,6 @@ class Film:
     skeleton: Vector
     anchor: Vector
     target: Vector
-    turn: Vector
     frames: NDArray[np.int64]
     delay: int
     caption: str
@@ -151,9 +150,12 @@ class Stage(Shots):
 
     def __init__(self, film: Film) -> None:
         super().__init__(film, SIZE)
-        self.length = chain(film.skeleton[0].T).size
+        t = film.trajectory
+        self.shapes = {int(k): shape_at(t.model, film.q[k], film.base[k]) for k in np.unique(film.frames)}
+        first = self.shapes[int(film.frames[0])]
+        (self.view,), self.length = views(first), first.size
         self.scene = self.figure.add_axes(SCENE)
-        self._draw_scene(self.scene)
+        self._draw_scene(self.scene, first)
         bodies = film.skeleton.shape[1] - 1
         inks = colors()
         faces = [inks.undercarriage, inks.base, *[inks.present] * (bodies - 1)]
@@ -169,46 +171,49 @@ class Stage(Shots):
         moving: list[Artist] = [self.springs, self.bodies, self.joints, self.trace, self.target]
         self._finish(moving, clock, PANELS, 0.975)
 
-    def _draw_scene(self, axes: Axes) -> None:
+    def _draw_scene(self, axes: Axes, first: Shape) -> None:
         """Ground, limits and labels; limits hold the machine's usual motion, not a run that flies away."""
-        skeleton, anchor, length = self.film.skeleton, self.film.anchor, self.length
-        low, high = usual(skeleton, anchor, length)
-        floor = float(anchor[:, 1].min()) - (HALF_HEIGHT + SPRING) * length
-        low = np.minimum(low, [float(anchor[:, 0].min()) - 0.26 * length, floor]) - 0.06 * length
-        high = np.maximum(high, [float(anchor[:, 0].max()) + 0.26 * length, high[1]])
+        skeleton, anchor, length = self.film.skeleton, self.film.anchor[:, 0], self.length
+        low, high = usual(skeleton, self.film.anchor, length)
+        x, floor = first.foot
+        box, _ = undercarriage(self.view, first)
+        low = np.minimum(low, [float(anchor.min()) + box.x0 - x - WALL * length, floor]) - 0.06 * length
+        high = np.maximum(high, [float(anchor.max()) + box.x1 - x + WALL * length, high[1]])
         high += np.array([0.06, 0.2]) * length
-        draw_ground(axes, floor)
+        draw_ground(axes, float(floor))
         self._frame(axes, low, high, 1.0, "x, m (inertial frame)", "y, m", self.film.caption)
 
     def _move(self, k: int) -> None:
         film, length = self.film, self.length
-        # Farther away than this nothing is in sight.
-        skeleton = np.clip(film.skeleton[k], film.anchor[k] - 50 * length, film.anchor[k] + 50 * length)
-        along = np.array([math.cos(film.turn[k]), math.sin(film.turn[k])])
-        across = np.array([-along[1], along[0]])
-        wide, high = HALF_WIDTH * length * along, HALF_HEIGHT * length * across
-        ground = skeleton[0]
-        corners = np.array([ground - wide - high, ground + wide - high, ground + wide + high, ground - wide + high])
+
+        def near(points: Vector) -> Vector:
+            """Farther away than this nothing is in sight."""
+            return np.clip(points, film.anchor[k] - 50 * length, film.anchor[k] + 50 * length)
+
+        skeleton, points, (box, moved) = near(film.skeleton[k]), near(film.skeleton[: k + 1, -1]), self._stand(k)
+        corners = near(moved.transform(box.corners()[[0, 2, 3, 1]]))
         self.bodies.set_verts([corners, *bars(skeleton.T)])
         self.joints.set_data(skeleton[1:-1, 0], skeleton[1:-1, 1])
-        self.springs.set_data(*self._springs(k, ground, wide, high))
-        points = np.clip(film.skeleton[: k + 1, -1], film.anchor[k] - 50 * length, film.anchor[k] + 50 * length)
+        springs = near(self._springs(k))
+        self.springs.set_data(springs[:, 0], springs[:, 1])
         self.trace.set_data(points[:, 0], points[:, 1])
         self.target.set_data(film.target[k, :1], film.target[k, 1:2])
 
-    def _springs(self, k: int, ground: Vector, wide: Vector, high: Vector) -> tuple[Vector, Vector]:
+    def _stand(self, k: int) -> tuple[Bbox, Affine2D]:
+        return undercarriage(self.view, self.shapes[k])
+
+    def _springs(self, k: int) -> Vector:
         """Two from below and one from the side, straight where the base does not give; from plates that stay put."""
-        t, length, anchor = self.film.trajectory, self.length, self.film.anchor[k]
+        t, length, floor, (box, moved) = self.film.trajectory, self.length, self.shapes[k].foot[1], self._stand(k)
         free = t.coordinates[: t.n_passive]
-        plate = anchor - [0.0, (HALF_HEIGHT + SPRING) * length]
+        wide = 0.3 * SPRING * length
         upright = not {"base.y", "base.rotation"}.isdisjoint(free)
         gap = np.full((1, 2), np.nan)
         parts: list[Vector] = []
-        for side in (-0.7, 0.7):
-            foot = plate + np.array([side * HALF_WIDTH * length, 0.0])
-            parts += [spring_line(foot, ground + side * wide - high, 0.02 * length if upright else 0.0), gap]
-        wall = anchor - [(HALF_WIDTH + SPRING) * length, 0.0]
-        post = np.array([[wall[0], plate[1]], [wall[0], wall[1] + HALF_HEIGHT * length]])
-        parts += [post, gap, spring_line(wall, ground - wide, 0.02 * length if "base.x" in free else 0.0)]
-        points = np.concatenate(parts)
-        return points[:, 0], points[:, 1]
+        for x in box.x0 + np.array([0.15, 0.85]) * box.width:
+            parts += [spring_line(np.array([x, floor]), moved.transform((x, box.y0)), wide if upright else 0.0), gap]
+        middle = (box.y0 + box.y1) / 2
+        wall = np.array([box.x0 - WALL * length, middle])
+        post = np.array([[wall[0], floor], [wall[0], box.y1]])
+        parts += [post, gap, spring_line(wall, moved.transform((box.x0, middle)), wide if "base.x" in free else 0.0)]
+        return np.concatenate(parts)

@@ -10,12 +10,19 @@ import warnings
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
+from matplotlib.transforms import Affine2D
 from PIL import Image
 
 import flexopt
-from flexopt.foundation.palette import PALETTES
-from flexopt.plotting import animate_trajectory, plot_base_trajectory, plot_trajectories, plot_trajectory
+from flexopt.foundation.palette import PALETTES, colors
+from flexopt.model.tree import tree_from_dict
+from flexopt.plant import build_plant
+from flexopt.plotting import animate_trajectory, animation, plot_base_trajectory, plot_trajectories, plot_trajectory
 from flexopt.plotting.panels import BINS, thinned
+from flexopt.plotting.stage import Stage
+from flexopt.plotting.stage_space import SpaceStage
+from tests.oracles.spatial import grounded
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
 UNSTABLE, STABLE = [0.9929, -2.6306], [0.0448, -2.0499]
@@ -287,6 +294,51 @@ def test_frames_show_the_machine(grows, tmp_path):
         assert np.arctan(-np.polyfit(inner, edge, 1)[0]) == pytest.approx(rotation[frame], abs=0.02)
     assert rotation.max() > 0.2
     assert rotation.min() < -0.2
+
+
+def stage_of(run, magnify):
+    """The scene of a film, before anything is drawn in it, and the rows that it shows."""
+    film = animation._film(run, np.arange(run.time.size), float(run.time[-1]), 1.0, magnify)
+    return (Stage if film.skeleton.shape[2] == 2 else SpaceStage)(film), film
+
+
+def ground_lines(axes):
+    """Heights of the ground that is drawn, m."""
+    return [line.get_ydata()[0] for line in axes.lines if to_hex(line.get_color()) == colors().ground_line]
+
+
+@pytest.mark.filterwarnings("ignore:the controller does not brake:flexopt.errors.FlexoptWarning")
+@pytest.mark.parametrize("name", ["excavator", "boom-stick-bucket"])
+def test_a_films_undercarriage_goes_with_the_base_and_the_ground_stays(name):
+    """Under the weight, from where the springs are unloaded: by the planar rotation and shift that its coordinates are."""
+    machine, postures = flexopt.load(name), {"excavator": UNSTABLE, "boom-stick-bucket": (-1.0, -1.5, -0.5)}
+    run = flexopt.simulate(machine, postures[name], base=0.4, duration=0.3, gravity=True)
+    stage, film = stage_of(run, 5.0)
+    plant = build_plant(machine)
+    boxes = []
+    for k in film.frames:
+        stage.shot(int(k))
+        rest = plant.rest(film.base[k], film.q[k, 3:], plant.parameter_values).full().ravel()
+        x, y, turn = film.q[k, :3] - rest[:3]
+        back = Affine2D().translate(-x, -y).rotate_around(*film.base[k], 0.0, -turn)
+        boxes.append(back.transform(stage.bodies.get_paths()[0].vertices[:4]))
+    assert np.ptp(film.q[film.frames, 2]) > 1e-4
+    np.testing.assert_allclose(boxes, np.broadcast_to(boxes[0], np.shape(boxes)), atol=1e-12)
+    # Unloaded it is level, and above the ground that its springs stand on.
+    np.testing.assert_allclose(boxes[0][[0, 2], 1], boxes[0][[1, 3], 1], atol=1e-12)
+    assert ground_lines(stage.scene) == [0.0]
+    assert boxes[0][:, 1].min() > 0
+    assert np.nanmin(stage.springs.get_ydata()) == 0.0
+
+
+def test_a_film_in_space_has_the_ground_as_low_as_what_stands_still():
+    """A hull that reaches 0.3 m below its frame and sags."""
+    hull = {"body": "chassis", "start": [-1.0, 0.0, 0.2], "end": [1.0, 0.0, 0.2], "radius": 0.5}
+    data = grounded(3, 0, coupled=False) | {"placement": ["x", "y", "yaw"], "capsules": [hull]}
+    run = flexopt.simulate(tree_from_dict(data), (0.1, 0.9, -1.4), duration=0.1, gravity=True)
+    stage, _ = stage_of(run, 1.0)
+    assert ground_lines(stage.scenes[0].axes) == pytest.approx([-0.3], abs=1e-12)
+    assert ground_lines(stage.scenes[1].axes) == []
 
 
 @pytest.mark.parametrize("theme", PALETTES)
