@@ -42,7 +42,7 @@ def test_options_on_top_of_a_file(command: Command) -> None:
     assert {"kp", "kv"} <= set(whole.settings.sources)
 
 
-@pytest.mark.long("decay")
+@pytest.mark.long("decay", "w1")
 @pytest.mark.parametrize("objective", ["w1", "decay"])
 def test_a_choice_and_its_verdict_leave_the_files_loop_out_when_asked(command: Command, objective: str) -> None:
     """`--loop default` alone says nothing of the loop, and is not as if it were not there."""

@@ -76,6 +76,7 @@ def test_the_command_says_what_python_says(command: Command) -> None:
     assert "verdict" not in command("select", "article", "--json").document
 
 
+@pytest.mark.long
 def test_the_weight_can_be_asked_for_beside_a_problem_file(command: Command, tmp_path: Path) -> None:
     text = f"""{OWN}base = [0.0]
 starts = 2

@@ -771,6 +771,7 @@ def test_the_command_line(tmp_path: Path) -> None:
         assert not Path("b").exists()
 
 
+@pytest.mark.long
 def test_self_motion_that_servos_hold_is_no_alarm(tmp_path: Path) -> None:
     """As `flexopt.simulate` of the same loop, which says nothing of it; where the drives give torques it does."""
     machine, posture = flexopt.load("boom-stick-bucket"), [-1.354, -1.5032, -0.2305]

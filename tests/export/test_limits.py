@@ -85,7 +85,7 @@ def test_the_error_of_w_holds_where_a_mode_leaves_the_joints_still(library: Bund
             assert np.all(np.abs(out["w"] - exact) <= allowed), (slew, arm)
 
 
-@pytest.mark.long("double-2", "float-2", "float--3")
+@pytest.mark.long("double-2", "float-2", "float--3", "float-100", "double--3")
 @GCC
 @pytest.mark.parametrize("turns", [2, -3, 100])
 def test_whole_turns_of_a_free_hinge_change_nothing(library: BundleLibrary, turns: int) -> None:

@@ -217,6 +217,7 @@ def test_a_narrowed_range_is_kept_and_costs_something(slewing, excavator, some):
     assert worse > 0
 
 
+@pytest.mark.long
 def test_equal_bounds_hold_a_coordinate(excavator, some):
     for case in some:
         problem = problem_of(excavator, case.problem)

@@ -295,6 +295,7 @@ def test_springs_that_hold_the_base_no_more_are_refused() -> None:
         assert told == ([] if word is None else [f"the dampers' matrix is not positive semidefinite where {word}"])
 
 
+@pytest.mark.long("posture2-8209.0-344.0")
 @pytest.mark.parametrize(
     ("posture", "kp", "kv"),
     [((1.2894, -1.7237), 5839.0, 336.0), ((1.1378, -0.9658), 1156.0, 664.0), ((1.0962, -1.2049), 8209.0, 344.0)],

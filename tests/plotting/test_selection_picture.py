@@ -87,7 +87,7 @@ def test_a_loop_that_does_less_than_it_must_is_dotted_too():
 GIVEN = {"kp": 1e4, "kv": (500.0, 2000.0), "dead_time": 0.01, "rate": 200.0}
 
 
-@pytest.mark.long("allowed_gain-loop2")
+@pytest.mark.long("allowed_gain-loop2", "decay-loop0")
 @pytest.mark.parametrize(("objective", "loop"), [("decay", GIVEN), ("decay", {"rate": 200.0}), ("allowed_gain", GIVEN)])
 def test_what_the_loop_does_has_its_panel(objective, loop):
     """By the outcome at single points; of an allowed gain, which stacks of loops do not tell, the candidates alone."""

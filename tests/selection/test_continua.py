@@ -138,6 +138,7 @@ def test_a_window_of_a_whole_turn_holds_the_optima_of_a_free_joint(objective: st
     assert apart(held.best.z, free.best.z) < 1e-3 or objective == "w1"
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::flexopt.ImplausibleMachine")
 def test_joints_come_the_fewest_turns_where_members_were_added_to_a_climb(monkeypatch: pytest.MonkeyPatch) -> None:
     """Optima over what is uncertain are so for members that climbs add; a joint a turn away is the same for them."""

@@ -397,6 +397,7 @@ rows = ["x", "z"]
 """
 
 
+@pytest.mark.long
 def test_what_the_loop_must_do_at_least_loses_no_optimum_that_does_it(tmp_path: Path) -> None:
     """On a kink, where a mode does not move the end-point: slopes of the loop's branches tell nothing there."""
     (tmp_path / "telescope.urdf").write_text(TELESCOPE_URDF, encoding="utf-8")

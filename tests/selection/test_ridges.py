@@ -68,7 +68,6 @@ def onto_ridge(problem, z):
 
 
 @pytest.mark.long
-@pytest.mark.long
 def test_a_ridge_bends_as_v_does_along_it(selection):
     """To both sides along the ridge V falls by half the second derivative times the square of the way."""
     problem, best = selection.problem, selection.best

@@ -73,6 +73,7 @@ def test_several_targets_regions_and_loops_at_many_points(machine: Any, placed: 
         flexopt.plan_base(machine, [TARGET, OTHER])
 
 
+@pytest.mark.long("quantities1")
 @pytest.mark.parametrize("quantities", [{"compute": "outcome"}, {"compute": "measures", "quantities": ["epsilon_max"]}])
 def test_studies(tmp_path: Path, quantities: dict[str, Any]) -> None:
     folder = Path(__file__).parents[2] / "models"

@@ -415,7 +415,7 @@ def test_a_damper_that_is_too_much_for_the_sampling_rate_is_named() -> None:
     assert "half the sampling rate" not in sentence(1e3)
 
 
-@pytest.mark.long("kv follows")
+@pytest.mark.long("kv follows", "velocity")
 @pytest.mark.parametrize(
     ("loop", "told"),
     [
@@ -951,11 +951,9 @@ def test_a_margin_of_the_joints_that_was_asked_for_is_broken_as_constraints_are(
 OWN = {"kp": 1e4, "kv": 1e3, "dead_time": 0.02}
 
 
-@pytest.mark.long("least")
+@pytest.mark.long
 @pytest.mark.parametrize(
-    "sought",
-    [{"constraints": {"outcome": {"decay": 0.005}}}, pytest.param({"objective": "decay"}, marks=pytest.mark.long)],
-    ids=["least", "objective"],
+    "sought", [{"constraints": {"outcome": {"decay": 0.005}}}, {"objective": "decay"}], ids=["least", "objective"]
 )
 def test_what_is_sought_of_the_loop_is_sought_of_the_one_that_is_judged(sought: dict[str, Any]) -> None:
     """Of a machine and of a problem file without a loop; a loop that the call brings counts for places and verdict."""
@@ -1091,7 +1089,7 @@ def overloaded(place: PlaceVerdict, heaviest: float, times: float = 1.0) -> list
     return found
 
 
-@pytest.mark.long("targets1-4500.0-move", "targets3-4500.0-move", "targets4-4000.0-move")
+@pytest.mark.long("targets0-2500.0-move", "targets1-4500.0-move", "targets3-4500.0-move", "targets4-4000.0-move")
 @pytest.mark.parametrize(
     ("targets", "heaviest", "word"),
     [
@@ -1270,6 +1268,7 @@ def test_a_broken_constraint_is_told_where_it_is_broken_most() -> None:
         assert told[2] == f"bucket.mass is {worst[1]:g} kg and payload.mass is {worst[0]:g} kg"
 
 
+@pytest.mark.long
 def test_a_linkage_that_does_not_close_on_some_ground_holds_nothing_there() -> None:
     """Whichever end of the interval it is; what is broken at the other end, nearer to the file's, is found alone."""
     data = flexopt.load("boom-stick-bucket").to_dict()
@@ -1332,7 +1331,7 @@ def test_of_many_intervals_each_constraint_is_looked_at_where_its_own_room_falls
     assert told.endswith("where bucket.mass is 905 kg")
 
 
-@pytest.mark.long("False")
+@pytest.mark.long
 @pytest.mark.parametrize("turned", [False, True])
 def test_factors_of_one_number_multiply_where_constraints_are_looked_at(turned: bool) -> None:
     """Masses known to a tenth, and the payload besides: the heaviest payload is told, whichever comes first."""
@@ -1391,6 +1390,7 @@ def test_staying_where_every_place_breaks_constraints_is_told() -> None:
     assert all(re.search(r"where .*\bstick.mass is 2e\+04 kg", sentence) for sentence in sentences)
 
 
+@pytest.mark.long
 def test_drives_without_a_speed_have_no_full_lever() -> None:
     """A verdict on an unknown load is one all the same."""
     loop: dict[str, Any] = {"kp": 1.0, "kv": 0.0, "drive": "velocity", "servo_gain": 1e4}
@@ -1402,6 +1402,7 @@ def test_drives_without_a_speed_have_no_full_lever() -> None:
     assert not any("full lever" in why for why in reasons)
 
 
+@pytest.mark.long("0.003")
 @pytest.mark.parametrize("softer", [0.01, 0.003])
 def test_runs_of_slow_machines_last_ten_periods(softer: float) -> None:
     """Of 3 s nothing can be told of them, which is said."""
@@ -1696,6 +1697,7 @@ def test_how_far_beside_its_target_the_end_point_rests_is_told() -> None:
     assert "off its target at rest" not in repr(near)
 
 
+@pytest.mark.long
 def test_another_loop_is_judged_alike_in_every_place() -> None:
     """With lower gains than the choice had no place decays as it must: that is no reason to move."""
     machine, held, base = flexopt.load("excavator"), (-1.2479, 1.4872), -2.1859

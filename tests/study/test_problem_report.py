@@ -319,6 +319,7 @@ def three_targets(folder):
     return folder / "three.toml"
 
 
+@pytest.mark.long
 def test_of_several_targets_the_loop_is_run_where_it_decays_slowest_too(tmp_path):
     """w1 is 0 at all of them to rounding, so that the worst by it tells nothing of the loop."""
     few = {"points": 4, "members": 2, "runs": 0, "simulation": {"duration": 2.0}}

@@ -111,6 +111,7 @@ def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     return report.write(tmp_path_factory.mktemp(request.param))[0]
 
 
+@pytest.mark.long
 def test_the_chosen_place_is_the_verdicts(judged: flexopt.Report) -> None:
     """In pictures, map, loops and words, though another candidate is the best by the objective; in the box, too."""
     verdict = judged.verdict

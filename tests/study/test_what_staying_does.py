@@ -63,6 +63,7 @@ def test_where_the_numbers_of_the_file_decay_measuring_tells(heavy: flexopt.Verd
     assert close.word != "cannot tell"
 
 
+@pytest.mark.long
 def test_an_arm_that_nobody_gave_stands_above_the_assumed_ground_where_it_can() -> None:
     """From here one of the postures that reach the target has the stick in the ground; staying is not that one."""
     machine, target = flexopt.load("boom-stick-bucket"), (5.0, 1.0)
@@ -106,6 +107,7 @@ def test_the_linear_loop_of_a_run_is_that_of_the_verdict_where_the_arm_creeps(
         assert nonlinear_runs(here, members, decays, 5.0).verdicts == ("converges",) * 3
 
 
+@pytest.mark.long
 def test_outside_its_range_the_base_does_not_stay() -> None:
     """Where it decays, and an arm that is held beside the target is told of there, too."""
     few: dict[str, Any] = {"base": -2.1859, "starts": 2}

@@ -200,6 +200,7 @@ def test_tool_angle_with_the_second_axis_vertical():
     assert float(function(math.pi / 2)[0]) == 0.75
 
 
+@pytest.mark.long
 def test_areas_in_space():
     data = grounded(3, 0, coupled=False)
     plant = build_plant(tree_from_dict(data))

@@ -115,6 +115,7 @@ def test_small_ones_and_gains_along_a_way() -> None:
             assert min(each) <= plan.worth * (1 + 2e-4)
 
 
+@pytest.mark.long
 def test_the_postures_of_a_redundant_arm_do_not_multiply_what_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 100 points that a measure looks at a target has four times its half; a placement at least four postures."""
     monkeypatch.setattr(Decay, "looked", 100)

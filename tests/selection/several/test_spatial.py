@@ -138,6 +138,7 @@ def test_a_stand_holds_no_joint_a_whole_turn_farther_than_it_needs(how: dict[str
         assert np.abs(e.posture).max() <= np.pi + 1e-6
 
 
+@pytest.mark.long
 def test_a_verdict_holds_the_arm_as_the_placements_found_do() -> None:
     """Candidates are worth what the choice says; from the present placement nothing of a sample of postures is better."""
     machine = flexopt.load("mobile-manipulator")
