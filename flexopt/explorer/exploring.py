@@ -38,11 +38,19 @@ from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.measures import build_measures
 from flexopt.selection import SelectionProblem, select, select_stand, solve_selection
+from flexopt.selection.constraints.ground import standing_height
 from flexopt.study.asked import one_placement
 from flexopt.study.verdicts.place_loops import held_at, held_now
 
 # What a problem would say.
-NOTHING_ASKED: dict[str, Any] = {"target": None, "which": "", "by": "", "objective": None, "weights": None}
+NOTHING_ASKED: dict[str, Any] = {
+    "target": None,
+    "ground": None,
+    "which": "",
+    "by": "",
+    "objective": None,
+    "weights": None,
+}
 # Height of the page in a notebook, px.
 HEIGHT = 900
 PRESENT, BEST = "present", "recommended"
@@ -203,6 +211,7 @@ def explore(
     sought = problem.objectives[-1]
     told = {"title": title, "target": problem.target.tolist(), "which": which, "by": by}
     told |= {"objective": sought.name, "weights": sought.alpha}
+    told["ground"] = problem.asked.clearance and problem.asked.clearance.ground
     known = own if known is None else known
     return _page(problem.machine, configurations, problem.control, known, problem.gravity, told)
 
@@ -243,6 +252,8 @@ def _page(
     functions = explorer_functions(measures, motions, frames=bodies)
     data = contents(machine, settings, functions, configurations, meshes, gravity=gravity)
     data |= NOTHING_ASKED | dict(told)
+    # That which clearances are kept from, else that on which it stands.
+    data["ground"] = standing_height(machine) if data["ground"] is None else data["ground"]
     page = render(
         "explorer/templates/page.html",
         # Inside a script element nothing may look like its end.

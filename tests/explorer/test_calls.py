@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -149,3 +150,20 @@ def test_the_command_names_its_option(capsys: pytest.CaptureFixture[str]) -> Non
             main(["explore", problem, "--target", number])
         assert left.value.code == 2
         assert sentence in capsys.readouterr().err
+
+
+def test_the_ground_is_the_one_that_clearances_are_kept_from() -> None:
+    """What is asked for; else that of the machine's own standing, as the assumption says it, whatever it sags by."""
+
+    def ground(page: str) -> float:
+        found = re.search(r'"ground": (-?[0-9.e-]+)', page)
+        assert found
+        return float(found[1])
+
+    machine = flexopt.load("boom-stick-bucket")
+    assert ground(flexopt.explore(machine, gravity=True).page) == 0.0
+    asked: dict[str, Any] = {"base": 0.0, "starts": 1, "gravity": True, "base_range": (0.0, 0.0)}
+    for height in (0.0, -0.3):
+        below = {"clearance": {"distance": 0.05, "ground": height}}
+        problem = flexopt.build_selection(machine, (6.0, 1.0), constraints=below, **asked)
+        assert ground(flexopt.explore(problem).page) == height

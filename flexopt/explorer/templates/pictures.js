@@ -67,6 +67,9 @@ class Pictures {
       ...(support.length ? [] : round(view.flat(points[0]), 0.16 * data.size, (view.upright ? 0.12 : 0.16) * data.size)),
     ]);
     flat.push(...this.meshes.extent(this.shape.places).map((p) => view.flat(p)));
+    // One far below is not in the picture.
+    const [foot] = this.shape.points, low = foot.at(-1) - data.size;
+    if (view.upright && data.ground > low) flat.push(view.flat([...foot.slice(0, -1), data.ground]));
     return data.target ? [...flat, view.flat(this.cross())] : flat;
   }
 
@@ -142,10 +145,10 @@ class Pictures {
   drawView(view, shape, d) {
     const { theme, data } = this, painter = new Painter(view, theme, data.segments, data.size), { points } = this.shape;
     painter.begin();
-    const lifted = data.support.length === 0 && view.upright, height = points[0][d - 1] - (lifted ? 0.12 * data.size : 0);
-    if (view.upright) painter.ground(height, points[0]);
+    const lifted = data.support.length === 0 && view.upright;
+    if (view.upright) painter.ground(data.ground, points[0]);
     if (d === 2 && $("show-map").checked && this.map.shown !== null) this.underlay(view, painter.c, points[0]);
-    if (lifted) painter.springs(shape.points[0], points[0], view.scale * 0.12 * data.size);
+    if (lifted) painter.springs(shape.points[0], [...points[0].slice(0, -1), data.ground]);
     for (const ghost of this.ghosts) painter.machine(ghost.shape, theme.chosen, true);
     painter.machine(shape, theme.present, false, this.meshes.bodies.size && $("show-meshes").checked ? this.meshes : null);
     if (data.target) painter.cross(this.cross(), theme.text);

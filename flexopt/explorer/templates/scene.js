@@ -5,6 +5,8 @@
 
 // From a handle's middle to its edge, px.
 const HANDLE = 18;
+// From where to where above the anchor point the box of a machine without a support is drawn, in sizes of the machine.
+const BOX = [0.04, 0.11];
 // At first so far from the arm's plane, and so far from above, rad; the ground is moved on from so far above it on.
 const TURNED = [-0.5, 0.35], FLAT = 0.15;
 
@@ -182,15 +184,15 @@ class Painter {
     if (stroke) { c.strokeStyle = stroke; c.lineWidth = width; c.stroke(); }
   }
 
-  // Springs between the ground and an undercarriage that moves by what the base gives.
-  springs(ground, rest, high) {
+  // Springs between the ground and the box above the anchor point, which moves by what the base gives.
+  springs(anchor, ground) {
     const { c, view, theme, size } = this;
     if (!view.upright) return;
-    const [x, y] = view.at(ground), [x0, y0] = view.at(rest), s = view.scale * size;
+    const [x, y] = view.at(anchor), [x0, y0] = view.at(ground), s = view.scale * size, top = y - BOX[0] * s;
     c.strokeStyle = theme.undercarriage;
     c.lineWidth = 1.3;
     for (const side of [-0.11, 0.11]) {
-      const from = [x0 + side * s, y0 + high], to = [x + side * s, y], steps = 9;
+      const from = [x0 + side * s, y0], to = [x + side * s, top], steps = 9;
       this.line(Array.from({ length: steps + 1 }, (_, k) => {
         const t = k / steps, wave = k === 0 || k === steps ? 0 : (k % 2 ? 1 : -1) * 0.012 * s;
         return [from[0] + t * (to[0] - from[0]) + wave, from[1] + t * (to[1] - from[1])];
@@ -231,8 +233,8 @@ class Painter {
         this.polygon(corners, "rgba(128,128,128,0.2)", theme.undercarriage, 1.2);
       }
     } else {
-      const [x, y] = flat[0], w = 0.16 * size * view.scale, h = (view.upright ? 0.035 : 0.16) * size * view.scale;
-      this.polygon([[x - w, y - h], [x + w, y - h], [x + w, y + h], [x - w, y + h]],
+      const [x, y] = flat[0], s = size * view.scale, w = 0.16 * s, [low, high] = view.upright ? BOX : [-0.16, 0.16];
+      this.polygon([[x - w, y - high * s], [x + w, y - high * s], [x + w, y - low * s], [x - w, y - low * s]],
         view.upright ? theme.undercarriage : "rgba(128,128,128,0.25)", theme.edge);
     }
     const veiled = capsules.filter(({ body }) => meshes !== null && meshes.bodies.has(body));
