@@ -16,7 +16,7 @@ from flexopt.foundation.plain import listed
 from flexopt.model.machine import AnyMachine
 
 # Less beyond an end, rad or m, is what climbs leave.
-AT_END = 1e-6
+CLIMBED_BEYOND = 1e-6
 
 
 def beyond_limits(machine: AnyMachine, posture: Vector) -> list[str]:
@@ -25,7 +25,7 @@ def beyond_limits(machine: AnyMachine, posture: Vector) -> list[str]:
     return [
         f"{name} at {q:.4g} {unit} ({low:.4g} to {high:.4g} {unit})"
         for name, unit, q, (low, high) in each
-        if max(low - q, q - high) > AT_END
+        if max(low - q, q - high) > CLIMBED_BEYOND
     ]
 
 

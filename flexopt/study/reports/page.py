@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from flexopt.study.reports.result import Report
 
 CAPTIONS = {
-    "selection": ("The machine in the chosen configuration{present}, and its measures; of w_i 0 is best."),
+    "selection": "The machine in the chosen configuration{present}, and its measures; of w_i 0 is best.",
     "several": "The machine at its targets, and its measures; of w_i 0 is best.",
     "loops": "Nonlinear closed loops with the same gains and the joints displaced alike at the start.",
 }
