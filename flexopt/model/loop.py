@@ -19,7 +19,7 @@ Drive = Literal["torque", "velocity"]
 DELAY_MAX = 100  # samples
 DECADES = 6.0  # of a range of gains from 0
 # By which share a gain may be off an end of what is tried and lie there: searches by logarithms end with steps of 1e-4.
-AT_END = 1e-3
+NEAR_END = 1e-3
 # In place of a table: everything follows from the machine.
 DEFAULT_LOOP = "default"
 # Where none is given: the article's, and that of teleoperated excavators.
@@ -137,7 +137,7 @@ def logarithms(ends: tuple[float, float]) -> tuple[float, float]:
 def least_tried(name: str, gain: float, ends: tuple[float, float]) -> str:
     """That a gain is the least that is tried of a range from 0, in words; empty where it is not."""
     least = math.exp(logarithms(ends)[0])
-    if ends[0] > 0 or not math.isclose(gain, least, rel_tol=AT_END):
+    if ends[0] > 0 or not math.isclose(gain, least, rel_tol=NEAR_END):
         return ""
     return f"{name} is the least of its range that is tried, {least:.3g}, for 0 has no logarithm"
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.settings import LoopSettings
-from flexopt.model.loop import AT_END, Loop, gain_ranges, least_tried, logarithms
+from flexopt.model.loop import NEAR_END, Loop, gain_ranges, least_tried, logarithms
 from flexopt.study.verdicts.place_loops import PlaceLoops
 
 # Gains tried along each range at first, evaluations of the search that follows, and by how much all gains together
@@ -124,13 +124,13 @@ def at_ends(found: LoopSettings, asked: Loop, now: LoopSettings) -> str:
     for name, ends in ranges.items():
         for side, end in zip(("lower", "upper"), map(math.exp, logarithms(ends)), strict=True):
             gain = float(getattr(found, name).max())
-            if math.isclose(gain, end, rel_tol=AT_END) and ends[0] < ends[1]:
+            if math.isclose(gain, end, rel_tol=NEAR_END) and ends[0] < ends[1]:
                 told.append(least_tried(name, gain, ends) or f"{name} is the {side} end of its range")
     if ranges:
         return " and ".join(told)
     factor = found.kp.max() / now.kp.max() if now.kp.any() else found.kv.max() / now.kv.max() if now.kv.any() else 1.0
     for side, end in (("lower", LEAST), ("higher", MOST)):
-        if math.isclose(factor, end, rel_tol=AT_END):
+        if math.isclose(factor, end, rel_tol=NEAR_END):
             return (
                 f"no {side} ones were tried than {end:g} times the present ones: kp_range and kv_range have them tried"
             )
