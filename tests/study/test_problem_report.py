@@ -20,6 +20,7 @@ from flexopt.study.reports.page import report_html
 from flexopt.study.reports.surroundings import marks_in, surroundings
 from tests.cli.command import Command
 from tests.oracles.spatial import in_space
+from tests.plotting.looking import without_pictures
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
 
@@ -148,7 +149,7 @@ def test_files(article, tmp_path):
     web, data = article.write(tmp_path / "new" / "folder")
     assert json.loads(data.read_text(encoding="utf-8")) == json.loads(json.dumps(article.to_dict()))
     markup = web.read_text(encoding="utf-8")
-    assert "http" not in re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]+", "", markup).replace("https://", "")
+    assert "http" not in without_pictures(markup).replace("https://", "")
     pictures, dark = (
         re.findall(rf'class="on-{ground}(?: own)?" src="data:image/png;base64,([A-Za-z0-9+/=]+)"', markup)
         for ground in ("light", "dark")
