@@ -20,7 +20,7 @@ from flexopt.loop.settings import loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
 from flexopt.model import machine_from_dict, tree_from_dict
 from flexopt.model.loop import Loop
-from flexopt.selection.outcomes.choice import climbs
+from flexopt.selection.outcomes.choice import climbs, distinct_optima
 from flexopt.selection.outcomes.climb import first_order
 from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.outcomes.program import OutcomeProgram, worst_of
@@ -349,6 +349,25 @@ def test_the_present_configuration_is_climbed_from() -> None:
     again = flexopt.select(EXCAVATOR, TARGET, base=at.base, posture=at.posture, **options)
     assert again.best.objective >= best.objective - 1e-9
     assert any(np.abs(each.z - best.z).max() < 1e-4 for each in again.candidates)
+
+
+def test_where_no_climb_ends_at_an_optimum_the_best_is_told() -> None:
+    """What stopped it, which others of what is uncertain alone may have done where there are some."""
+    asked: dict[str, Any] = {"objective": "decay", "loop": FIXED, "starts": 1, "workers": 1}
+    found = flexopt.select(EXCAVATOR, TARGET, base=0.0, **asked)
+    assert isinstance(found, OutcomeSelection)
+    program = OutcomeProgram(**found.asked.parts(found.problem, found.best.evaluation))
+    (end,) = climbs(program, [found.best.z / found.problem.scale], 1, None)
+    assert end.holds
+    ends = (
+        (replace(end, stationarity=0.3), "where the gradient is not zero, 3.0e-01", {"first-order optimality": 0.3}),
+        (replace(end, stationarity=math.inf), "where it has no slope", {}),
+        (replace(end, undone=True), "which others of what is uncertain undo", {}),
+    )
+    for left, words, short in ends:
+        with pytest.raises(flexopt.NoSolutionFound, match=f"the best came to {end.value:.6g}, {words}") as caught:
+            distinct_optima(program, [None, left])
+        assert caught.value.violations == short
 
 
 def test_where_no_step_leads_onto_the_constraints_these_are_named() -> None:

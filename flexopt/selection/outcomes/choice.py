@@ -246,7 +246,7 @@ def _climbed_once(program: OutcomeProgram, start: Vector) -> Climbed | None:
         begun = [found.y] if broken is None or not left else lifted(more, [found.y], 1)[0]
         again = climbed(more, begun[0]) if left and begun else None
         if again is None:
-            return None if broken is not None else replace(found, value=value, stationarity=math.inf)
+            return None if broken is not None else replace(found, value=value, undone=True)
         program, found = more, again
     return found
 
@@ -268,17 +268,22 @@ def kept_values(program: OutcomeProgram, y: Vector) -> dict[str, ConstraintValue
 
 
 def _attempt(program: OutcomeProgram, start: Vector, end: Climbed | None) -> Attempt:
-    if end is None:
-        return Attempt(tuple(program.z(start).tolist()), "led off the constraints")
+    told = "led off the constraints" if end is None else _ended(program, end)
+    value = None if end is None or not end.holds else program.measure.sign * end.value
+    return Attempt(tuple(program.z(start).tolist()), told, value)
+
+
+def _ended(program: OutcomeProgram, end: Climbed) -> str:
     value = program.measure.sign * end.value
     if math.isinf(value):
-        return Attempt(tuple(program.z(start).tolist()), f"led to {UNDONE}")
+        return f"led to {UNDONE}"
+    if end.holds:
+        return "verified to first order"
+    if end.undone:
+        return f"came to {value:.6g}, which others of what is uncertain undo"
     if math.isinf(end.stationarity):
-        return Attempt(tuple(program.z(start).tolist()), f"came to {value:.6g}, which others of what is uncertain undo")
-    if not end.holds:
-        sentence = f"came to {value:.6g}, where the gradient is not zero, {end.stationarity:.1e}"
-        return Attempt(tuple(program.z(start).tolist()), sentence)
-    return Attempt(tuple(program.z(start).tolist()), "verified to first order", value)
+        return f"came to {value:.6g}, where it has no slope, as where two motions meet"
+    return f"came to {value:.6g}, where the gradient is not zero, {end.stationarity:.1e}"
 
 
 def _none(program: OutcomeProgram, found: list[Climbed | None], starts: Sequence[Vector]) -> NoSolutionFound:
@@ -286,11 +291,14 @@ def _none(program: OutcomeProgram, found: list[Climbed | None], starts: Sequence
     best = max(ends, key=lambda each: each.value, default=None)
     names = program.names[: program.n_z]
     iterate = {} if best is None else dict(zip(names, program.z(best.y).tolist(), strict=True))
-    left = {"first-order optimality": best.stationarity} if best and math.isfinite(best.stationarity) else {}
+    slope = best is not None and not best.undone and math.isfinite(best.stationarity)
+    left = {"first-order optimality": best.stationarity} if best and slope else {}
     why = ""
     if any(math.isinf(each.value) for each in ends):
         why = f": some led to {UNDONE}; a least decay beside it, constraints.outcome.decay, keeps them from there"
-    elif not ends and len(starts):
+    elif best is not None:
+        why = f": the best {_ended(program, best)}; more starts may end at one"
+    elif len(starts):
         breaks = broken(program.problem, program.z(starts[0]))
         why = f": no step led onto the constraints; the first began where it {breaks}" if breaks else ""
     return NoSolutionFound(

@@ -43,6 +43,7 @@ class Climbed:
         stationarity: norm of what multipliers leave of the gradient.
         active: names of the rows and bounds that it rests against;  steps: of the climb.
         members: of what is uncertain, (n, k), those that it is an optimum for; None where none were added.
+        undone: whether others of what is uncertain have less there.
     """
 
     y: Vector
@@ -51,11 +52,12 @@ class Climbed:
     active: tuple[str, ...]
     steps: int
     members: Vector | None = None
+    undone: bool = False
 
     @property
     def holds(self) -> bool:
         """Whether it is stationary to first order; it is on the rows."""
-        return self.stationarity <= STATIONARY and math.isfinite(self.value)
+        return self.stationarity <= STATIONARY and math.isfinite(self.value) and not self.undone
 
 
 def climbed(program: OutcomeProgram, start: Vector) -> Climbed | None:
