@@ -28,6 +28,7 @@ from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.solve import constraint_values
 from flexopt.study import page
 from flexopt.study.page import with_minus
+from flexopt.study.verdicts import remarks
 from flexopt.study.verdicts import verdict as verdict_module
 from flexopt.study.verdicts.broken_places import Breaks, broken_standing, broken_within
 from flexopt.study.verdicts.confirmation import nonlinear_runs, tilts
@@ -87,8 +88,8 @@ def test_a_move_says_which_joint_moves_most() -> None:
     confirmed = flexopt.verdict(flexopt.load("excavator"), (0.0, 1.6), base=0.0, loop=loop, **few | {"runs": 1})
     assert any(place.runs and not any(place.runs.reasons) for place in confirmed.places)
     doubted = {place.name for place in confirmed.places if place.runs and any(place.runs.reasons)}
-    assert set(confirmed.doubts) <= doubted
-    assert not any(each.endswith(": ") for each in confirmed.doubts.values())
+    assert set(remarks.doubts(confirmed)) <= doubted
+    assert not any(each.endswith(": ") for each in remarks.doubts(confirmed).values())
     assert "confirm: \n" not in f"{confirmed!r}\n"
     told = "a climb that could not be verified came to w1 -0.125; more starts may settle it"
     further = replace(found, selection=replace(found.selection, unverified=-0.125))
@@ -1689,9 +1690,8 @@ def test_how_far_beside_its_target_the_end_point_rests_is_told() -> None:
     assert [(place.rests_off, place.rests_off_at) for place in integral.places] == [(0.0, {})] * len(integral.places)
     assert "off its target at rest" not in repr(integral)
     grows = [replace(place, rests_off=0.02, decay=replace(place.decay, least=-0.1)) for place in found.places]
-    assert (
-        "by up to 0.02 m (the present place, not counting where it grows)"
-        in replace(found, places=(grows[0],)).rests_beside
+    assert "by up to 0.02 m (the present place, not counting where it grows)" in remarks.rests_beside(
+        replace(found, places=(grows[0],))
     )
     near = replace(found, places=tuple(replace(place, rests_off=0.00199) for place in found.places))
     assert "off its target at rest" not in repr(near)
@@ -1765,15 +1765,16 @@ def test_why_what_decays_fast_does_not_settle_is_told(tmp_path: Path) -> None:
     assert math.log(sizes[1] / sizes[0]) / 40.0 == pytest.approx(slow, rel=1e-3)
     digger, stiff = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
     found = flexopt.verdict(digger, (0.0, 1.6), base=0.0, loop=stiff, starts=1, members=2, runs=0)
-    assert found.lingers == ""
+    assert remarks.lingers(found) == ""
     first, *others = found.places
     late = replace(first.settling, greatest=math.nan)
     changed = replace(first, settling=late, decay=replace(first.decay, least=1.0), drift=0.03)
     told = replace(found, places=(changed, *others))
-    assert told.lingers.startswith("the present place decays fast and yet does not settle in a minute on some ground: ")
-    assert told.lingers in repr(told)
+    (late,) = (each for each in remarks.on_the_loop(told) if each == remarks.lingers(told))
+    assert late.startswith("the present place decays fast and yet does not settle in a minute on some ground: ")
+    assert late in repr(told)
     told.to_html(tmp_path / "verdict.html")
     assert "dies away slowly there and takes the end-point with it" in (tmp_path / "verdict.html").read_text("utf-8")
     # Of a decay that is slow itself there is nothing to say.
     slower = replace(changed, decay=replace(first.decay, least=0.05))
-    assert replace(found, places=(slower, *others)).lingers == ""
+    assert remarks.lingers(replace(found, places=(slower, *others))) == ""

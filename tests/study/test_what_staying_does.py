@@ -16,6 +16,7 @@ from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.broken import broken
 from flexopt.selection.problem import with_angles
 from flexopt.study.verdicts.confirmation import _ensemble, nonlinear_runs
+from flexopt.study.verdicts.remarks import rests_beside
 from tests.study.machines import three_links
 
 LOOP = {"kp": 1e4, "kv": 1e3}
@@ -142,7 +143,7 @@ def test_what_grows_rests_nowhere(heavy: flexopt.Verdict) -> None:
         assert BesideDecay.of(loop, members).rests_off == pytest.approx(max(known))
         # Of the members that the verdict looked at all grow.
         assert np.isnan(place.rests_off)
-    assert heavy.rests_beside == ""
+    assert rests_beside(heavy) == ""
 
 
 def test_a_distance_that_counts_angles_says_so() -> None:

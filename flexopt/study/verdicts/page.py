@@ -19,6 +19,7 @@ from flexopt.selection import SelectionProblem
 from flexopt.study.page import PageTable, Picture, begun, coordinate, number, picture, sentence, with_minus
 from flexopt.study.verdicts.decision import BETTER, percent
 from flexopt.study.verdicts.places import MOVE, STAY, allowed, told
+from flexopt.study.verdicts.remarks import on_places, on_the_loop
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
@@ -101,31 +102,13 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "left_out": sentence(verdict.left_out),
         "sought_by": sentence(verdict.sought_by),
         "unverified": "",
-        "servo_proposed": sentence(verdict.servo_proposed),
-        "drifts": sentence(verdict.drifts),
-        "lingers": sentence(verdict.lingers),
-        "driven": sentence(verdict.driven),
-        "rests_beside": sentence(verdict.rests_beside),
-        "falls": sentence(verdict.falls),
         "no_gain": sentence(verdict.no_gain),
-        "unseen": sentence(verdict.unseen),
-        "weightless": sentence(verdict.weightless),
         "taken": verdict.taken and sentence(f"staying is judged in {verdict.taken}"),
         "present": verdict.present_told and sentence(f"{STAY}: {verdict.present_told}"),
         "where": _where(verdict),
         "assumed": [sentence(verdict.assumed_ground)] if verdict.assumed_ground else [],
-        "rests": [
-            sentence(each)
-            for place in verdict.places
-            for each in (
-                place.rest,
-                place.beyond_limits,
-                place.broken,
-                place.broken_at_rest,
-                verdict.doubts.get(place.name),
-            )
-            if each
-        ],
+        "on_places": [*map(sentence, on_places(verdict))],
+        "on_the_loop": [*map(sentence, on_the_loop(verdict))],
         "loop": with_minus(verdict.controller),
         "handed_on": sentence(verdict.handed_on),
         "to_change": sentence(verdict.to_change),

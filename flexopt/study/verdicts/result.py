@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -18,22 +17,16 @@ from flexopt.foundation.plain import listed
 from flexopt.foundation.printing import Printed
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
-from flexopt.loop.evaluation import unseen_told
-from flexopt.loop.outcome import FALLS_AT, NOWHERE_HELD
 from flexopt.loop.settings import CHOSEN, LoopSettings
-from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion
-from flexopt.loop.standard_move import LONGEST, SETTLED
-from flexopt.loop.uncertain import member_in_words
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
 from flexopt.selection.broken import broken
 from flexopt.selection.outcomes.result import ChosenByLoop
-from flexopt.selection.problem import elsewhere, reached, with_angles
+from flexopt.selection.problem import elsewhere, reached
 from flexopt.selection.result import unverified_told
-from flexopt.study.verdicts.confirmation import INTEGRAL
-from flexopt.study.verdicts.decision import BETWEEN, LEAST_TOLD, RULE, Word, spoken
-from flexopt.study.verdicts.drawbacks import NOT_WHERE_IT_GROWS, drawbacks_of
+from flexopt.study.verdicts.decision import LEAST_TOLD, RULE, Word, spoken
+from flexopt.study.verdicts.drawbacks import drawbacks_of
 from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of, repeated
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import (
@@ -47,6 +40,7 @@ from flexopt.study.verdicts.places import (
     gains_in_words,
     told,
 )
+from flexopt.study.verdicts.remarks import on_places, on_the_loop
 
 if TYPE_CHECKING:
     from flexopt.plotting.bands import Bands
@@ -56,10 +50,6 @@ GROUND_ASSUMED = (
     "assumed (uncertainty): all springs may be half or twice as stiff, and all else is as the machine's file has it, "
     "for no [[uncertainty]] is given"
 )
-# What has decayed by so many e-folds has settled, whatever the transient: to 2 % of a two thousandth part.
-DECAYED = 11.5
-# A self-motion that takes longer than this to e-fold, s, stays where it is while a machine works.
-STAYS = 3600.0
 # The place of a verdict with other gains, in a row of places.
 NEW_GAINS = "new gains"
 # Why a place is told of that is none of the best, if it is not the selection's first.
@@ -395,117 +385,11 @@ class Verdict(Pictured, Printed, Result):
         return "\n".join(lines)
 
     @property
-    def doubts(self) -> dict[str, str]:
-        """Why runs do not confirm places, a sentence by name; of those that the reason tells of it says it."""
-        whys = {place.name: place.unconfirmed for place in self.places}
-        return {
-            name: f"{name}, a nonlinear run that does not confirm: {why}"
-            for name, why in whys.items()
-            if why and not (why.split(BETWEEN)[0] in self.reason and re.search(rf"\b{spoken(name)}\b", self.reason))
-        }
-
-    @property
-    def weightless(self) -> str:
-        """That the weight is left out, a sentence; empty where it acts, or the machine has none."""
-        problem = self.problems[0]
-        if problem.gravity or problem.machine.gravity == 0:
-            return ""
-        return (
-            "the weight is left out, of the linear loops and of the runs: with gravity = true in [selection], "
-            "--gravity in the shell, what an unknown load draws is judged, too"
-        )
-
-    @property
     def no_gain(self) -> str:
         """What an allowed gain that is none says, a sentence; empty where every row has one."""
         if all(place.allowed_gain.least != 0 for place in self.rows):
             return ""
         return f"{NO_GAIN}: on some ground it {NO_GAIN_LOOKED_AT}"
-
-    @property
-    def unseen(self) -> str:
-        """That the slowest motion of places is none of the controller's, a sentence; empty where it is."""
-        names = [place.name for place in self.places if place.unseen]
-        if not names:
-            return ""
-        which = "every place" if len(names) == len(self.places) else ", ".join(names)
-        return unseen_told(which)
-
-    @property
-    def falls(self) -> str:
-        """That feedback is not found to hold the arm where places decay least, a sentence; empty where it holds it."""
-        most = FALLS_AT * self.settings.rate
-        names = [place.name for place in self.places if -place.decay.least >= most]
-        if not names:
-            return ""
-        which = "of every place" if len(names) == len(self.places) else f"of {', '.join(names)}"
-        return f"the slowest decay {which} stands for an arm that falls: on some ground {NOWHERE_HELD}"
-
-    @property
-    def driven(self) -> str:
-        """That an unknown weight drives the arm's self-motion, and where most, a sentence; empty where it does not."""
-        most = max(self.places, key=lambda place: max(map(abs, place.unheld.values()), default=0.0))
-        where = f"in {spoken(most.name)} at {member_in_words(most.unheld_at)}"
-        return "".join(driven_self_motion(most.unheld, self.settings.joint_units, where))
-
-    @property
-    def rests_beside(self) -> str:
-        """How far beside its target the end-point rests, where a move would not have settled there; else empty."""
-        off = [place for place in self.rows if place.rests_off >= SETTLED * MOVE]
-        if not off:
-            return ""
-        off.sort(key=lambda place: -place.rests_off)
-        counted = (f", {NOT_WHERE_IT_GROWS}" if place.decay.least <= 0 else "" for place in off)
-        each = ", ".join(
-            f"{one.rests_off:.3g} m ({spoken(one.name)}{but})" for one, but in zip(off, counted, strict=True)
-        )
-        angles = with_angles(self.problems[0].machine)
-        drawn = f"{OTHER_WEIGHT} holds the end-point off its target at rest{angles}"
-        told = f"{drawn}, by up to {each}, the most that was found at {member_in_words(off[0].rests_off_at)}"
-        known = any(INTEGRAL in said for said in (self.reason, *self.doubts.values()))
-        settles = any(math.isfinite(place.settling.greatest) for place in off)
-        way = ["the settling time is that of the way to there"] * settles
-        return "; ".join([told, *way, *([] if known else [INTEGRAL])])
-
-    @property
-    def servo_proposed(self) -> str:
-        """Where nothing can be told: that the weakest joint decides the servo gain, a sentence; else empty."""
-        settings = self.settings
-        if self.word != "cannot tell" or "servo_gain" not in settings.sources:
-            return ""
-        gain = f"the servo gain, {settings.servo_gain:.3g} {settings.damping_unit}, is what the weakest joint bears"
-        return f"{gain}: with loop.servo_gain, the number of your drives, it may be told"
-
-    @property
-    def drifts(self) -> str:
-        """That nothing brakes the arm's self-motion, or too little, a sentence; empty where that is not so."""
-        slower = (each for each in self.places if each.drift > 0 or -each.drift < each.decay.least)
-        own, told = [place for place in slower if abs(place.drift) * STAYS > 1], ""
-        if own:
-            first = max(own, key=lambda place: place.drift)
-            how = "drifts away: it grows e-fold" if first.drift > 0 else "dies away more slowly: e-fold"
-            where = f"in {spoken(first.name)} at {member_in_words(first.drift_at)}"
-            of = "decay, settling and swing" if first.drift > 0 else "the decay"
-            how += f" in {1 / abs(first.drift):.3g} s at worst, {where}"
-            told = f"the arm's self-motion, which is no part of {of}, {how}"
-        if not self.settings.lets_drift:
-            return told and f"{told}; loop.nullspace_damping says how the controller brakes it"
-        where = "in the linear loop"
-        if any(place.runs for place in self.places):
-            where = "neither in these runs nor in the linear loop"
-        brakes = f"the controller does not brake the arm's self-motion, {where}; loop.nullspace_damping brakes it"
-        return "; ".join(filter(None, (brakes, told)))
-
-    @property
-    def lingers(self) -> str:
-        """That a self-motion which dies away slowly keeps the end-point from settling, a sentence; empty where none."""
-        fast = DECAYED / LONGEST
-        late = [place.name for place in self.rows if math.isnan(place.settling.greatest) and place.decay.least > fast]
-        if not late or all(math.isnan(place.drift) for place in self.rows if place.name in late):
-            return ""
-        does = "decay fast and yet do" if len(late) > 1 else "decays fast and yet does"
-        why = "the arm's self-motion, no part of the decay, dies away slowly there and takes the end-point with it"
-        return f"{listed(map(spoken, late))} {does} not settle in a minute on some ground: {why}"
 
     @property
     def assumed(self) -> list[str]:
@@ -548,17 +432,7 @@ class Verdict(Pictured, Printed, Result):
             whys += ["on some ground it does not settle in a minute"] * (late and not grows)
             lines.append(f"  –: {'; '.join(whys)}")
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
-        lines += [f"  {place.rest}" for place in self.places if place.rest]
-        doubts = self.doubts
-        lines += [
-            f"  {each}"
-            for place in self.places
-            for each in (place.beyond_limits, place.broken, place.broken_at_rest, doubts.get(place.name))
-            if each
-        ]
-        whole = (self.servo_proposed, self.drifts, self.lingers, self.driven, self.rests_beside, self.falls)
-        lines += [f"  {sentence}" for sentence in (*whole, self.unseen, self.weightless) if sentence]
-        lines += [f"  {sentence}" for sentence in self.assumed]
+        lines += [f"  {sentence}" for sentence in (*on_places(self), *on_the_loop(self), *self.assumed)]
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
         return "\n".join([*lines, *filter(None, (self.drawbacks, self.passed_over, self.measure, self.to_change))])
 
