@@ -46,6 +46,12 @@ class Case(NamedTuple):
         # No place is stable with the present gains.
         Case({"stay": -1.0, "near": -1.0}, {"stay": 1.2, "near": 2.0}, {"near": 3.0}, (), "near", staying=True),
         Case({"stay": -1.0, "near": -1.0}, {"stay": 1.9, "near": 2.0}, {"near": 3.0}, (), "stay", staying=False),
+        # Where it stands it grows with the others, too: nearer are places to move to alone.
+        Case(
+            {"stay": -1.0, "near": -1.0, "far": -1.0}, {"stay": -0.5, "near": -0.2, "far": 2.0},
+            {"near": 3.0, "far": 4.0}, (), "far", staying=False,
+            passed="near is nearer, 3 m away, but, with the gains that were tried, is not stable on every ground",
+        ),
         # Runs refute some.
         Case({"stay": -1.0, "near": -1.0}, {"stay": 1.9, "near": 1.5}, {"near": 3.0}, ("stay",), "near", staying=False),
         Case(
@@ -56,7 +62,7 @@ class Case(NamedTuple):
         Case({"near": -1.0, "far": -1.0}, {"near": 1.0, "far": 0.95}, {"near": 3.0, "far": 4.0}, (), "near", staying=False),
         Case(
             {"near": -1.0, "far": -1.0}, {"near": 1.0, "far": 2.0}, {"near": 3.0, "far": 4.0}, (), "far", staying=False,
-            passed="near is nearer, 3 m away, but, with other gains, its slowest decay is 1/s only",
+            passed="near is nearer, 3 m away, but, with the gains that were tried, its slowest decay is 1/s only",
         ),
         # Gains that runs confirm far away do as well nearer, where they refute those that are faster.
         Case(
@@ -66,14 +72,14 @@ class Case(NamedTuple):
         Case(
             {"near": -1.0, "far": -1.0}, {"near": 2.0, "far": 1.9}, {"near": 3.0, "far": 4.0}, ("near",), "far",
             staying=False, shared={"near": 1.5},
-            passed="near is nearer, 3 m away, but, with other gains, nonlinear runs do not confirm it (far off; with the "
-            "gains of far its slowest decay is 1.5/s only)",
+            passed="near is nearer, 3 m away, but, with the gains that were tried, nonlinear runs do not confirm it "
+            "(far off; with the gains of far its slowest decay is 1.5/s only)",
         ),
         Case(
             {"near": -1.0, "far": -1.0}, {"near": 2.0, "far": 1.9}, {"near": 3.0, "far": 4.0}, ("near",), "far",
             staying=False, shared={"near": 1.8}, refuted_too=("near",),
-            passed="near is nearer, 3 m away, but, with other gains, nonlinear runs do not confirm it (far off; with the "
-            "gains of far far off)",
+            passed="near is nearer, 3 m away, but, with the gains that were tried, nonlinear runs do not confirm it "
+            "(far off; with the gains of far far off)",
         ),
         Case(
             {"stay": -1.0, "near": -1.0}, {"stay": 1.9, "near": 1.5}, {"near": 3.0}, ("stay",), "stay", staying=False,
@@ -106,7 +112,7 @@ def test_where_gains_are_changed(case: Case, monkeypatch: pytest.MonkeyPatch) ->
         return {name: Place(name, each * GROUNDS, each, case.drives.get(name, 0.0)) for name, each in slowest.items()}
 
     def fastest(_: GainChange, name: str) -> Any:
-        return SimpleNamespace(place=places(case.then)[name])
+        return SimpleNamespace(place=places(case.then)[name], loop=loop)
 
     def ran(tried: Any, refuted: tuple[str, ...]) -> ChangedGains:
         confirming = 0.0 if tried.place.name in refuted else 1.0
@@ -135,6 +141,7 @@ class Gains:
     kv: Vector
     ki: Vector
     feedback: str = "pd"
+    gain_units: tuple[str, ...] = ("N m", "N m s")
 
 
 @dataclass(frozen=True)
@@ -213,11 +220,31 @@ def test_gains_that_runs_confirm_in_one_place_are_tried_in_a_nearer_one(top: flo
     # Of the nearer place with these gains, by its own formula.
     there = top - 0.03 * np.log(kp) ** 2
     assert (there >= 0.9 * 1.9) == (place == "near")
-    told = (
-        "near is nearer, 1 m away, but, with other gains, nonlinear runs do not confirm it (far off; with the gains of "
-    )
-    told += f"far its slowest decay is {there:.3g}/s only)"
+    told = "near is nearer, 1 m away, but, with the gains that were tried, nonlinear runs do not confirm it (far off; "
+    told += f"with the gains of far its slowest decay is {there:.3g}/s only)"
     assert found.passed_over == ("" if place == "near" else told)
+
+
+@pytest.mark.parametrize(("best", "top"), [(1e-3, 0.1), (1e-3, -0.1), (0.1, -0.1)])
+def test_a_present_place_that_grows_is_said_to_grow_with_the_gains_that_were_tried(best: float, top: float) -> None:
+    """It may decay with lower ones than these, and is none of the places passed over."""
+    now = Gains(np.array([1.0]), np.array([1.0]), np.zeros(1))
+    hills: Any = {"stay": Hill(now, top, best), "near": Hill(now, 1.0, 1e-3), "far": Hill(now, 2.0, 0.1)}
+    points = np.linspace(1.0, 1.1, 20)[:, None]
+    drives = {"stay": 0.0, "near": 1.0, "far": 2.0}
+    known = {name: Place(name, np.full(20, -1.0), -1.0, drive) for name, drive in drives.items()}
+    slowest: Any = dict.fromkeys(hills, SimpleNamespace(member=points[0]))
+    found = GainChange(Loop(), known, hills, slowest, {}, points, lambda _: None).best()
+    assert found.place.name == "far"
+    # By their own formula, on the member where that is least; 0.01 to 10 times the present gains are tried.
+    kp = max(best, 0.01)
+    stays = 1.1 * (top - 0.03 * np.log(kp / best) ** 2)
+    nearer = 1.0 - 0.03 * np.log(0.01 / 1e-3) ** 2
+    lower = "no lower ones were tried than 0.01 times the present ones: kp_range and kv_range have them tried"
+    told = f"staying with kp {kp:g} N m, kv {kp:g} N m s, the best other ones found, is not stable on every ground: "
+    assert found.staying == f"{told}slowest decay {stays:.3g}/s" + f", and {lower}" * (best < 0.01)
+    told = "near is nearer, 1 m away, but, with the gains that were tried, its slowest decay is "
+    assert found.passed_over == f"{told}{nearer:.3g}/s only; {lower}"
 
 
 def gains(kp: float, kv: float) -> Any:

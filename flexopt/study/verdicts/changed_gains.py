@@ -44,9 +44,9 @@ HALVED = 2
 class ChangedGains(NamedTuple):
     """A place with other gains: its loop with these, nonlinear runs if any were asked for.
 
-    `staying`: of another place than the present one, what staying with other gains does, in words; empty where that is
-    stable nowhere, or runs refute it; `passed_over`: why it is no place with less to drive. `at_end`: see `at_ends`,
-    `one_factor`. `breaks`: what it does not do of what it must at least.
+    `staying`: of another place than the present one, what staying with other gains does, in words; empty where runs
+    refute it; `passed_over`: why it is no place with less to drive. `at_end`: see `at_ends`, `one_factor`. `breaks`:
+    what it does not do of what it must at least.
     """
 
     place: Place
@@ -135,8 +135,11 @@ class GainChange:
             other = self._spared(other, _alike(fastest[other.place.name].place.slowest), standing, doubts)
             if other.place.name == STAY:
                 return other
-            told = passed_over(other.place, standing, places, doubts, "with other gains")
-            other = other._replace(passed_over=told)
+            moves = [place for place in places if place.name != STAY]
+            ends = {place.name: self._ends(fastest[place.name]) for place in moves}
+            told = passed_over(other.place, standing, moves, doubts, ends)
+            grows = self._grows(fastest[STAY]) if STAY in fastest else ""
+            other = other._replace(passed_over=told, staying=grows)
         if stay is None or other is None:
             return cast(ChangedGains, stay or other)
         serves = self._changes(other.place) or not self._changes(stay.place)
@@ -144,6 +147,12 @@ class GainChange:
             return stay
         told = f"staying with {stay.in_words} is stable on every ground, too: slowest decay {stay.place.slowest:.3g}/s"
         return other._replace(staying="" if refuted else told)
+
+    def _grows(self, stay: _Tried) -> str:
+        """That the present place is not stable with the best other gains found for it, in words."""
+        loop = ChangedGains(stay.place, stay.loop, None).in_words
+        told = f"staying with {loop}, the best other ones found, is not stable on every ground: slowest decay "
+        return ", and ".join(filter(None, [f"{told}{stay.place.slowest:.3g}/s", self._ends(stay)]))
 
     def _standing(self, changed: Place) -> Place:
         """The present place as one would stay there: with other gains where these are worth a change, else as it is."""
@@ -200,10 +209,13 @@ class GainChange:
 
     def _told(self, tried: _Tried) -> ChangedGains:
         """What runs say of it."""
-        name, loop = tried.place.name, tried.loop
-        ends = at_ends(loop.settings, self.asked, self.loops[name].settings)
-        at_end = "; ".join(filter(None, (ends, one_factor(self.asked))))
-        return ChangedGains(tried.place, loop, self.runs_of(loop), at_end=at_end, breaks=self.breaks(name, loop))
+        loop, at_end = tried.loop, "; ".join(filter(None, (self._ends(tried), one_factor(self.asked))))
+        breaks = self.breaks(tried.place.name, loop)
+        return ChangedGains(tried.place, loop, self.runs_of(loop), at_end=at_end, breaks=breaks)
+
+    def _ends(self, tried: _Tried) -> str:
+        """At which ends of what is tried its gains lie, in words."""
+        return at_ends(tried.loop.settings, self.asked, self.loops[tried.place.name].settings)
 
     def _lowest(self, fastest: _Tried) -> ChangedGains:
         """The lowest gains with which a place is nearly as good as with its fastest, worth it, and confirmed."""

@@ -276,17 +276,22 @@ def _why_not(rival: Place, share: float, unconfirmed: Mapping[str, str]) -> str:
 
 
 def passed_over(
-    best: Place, stay: Place | None, others: Sequence[Place], unconfirmed: Mapping[str, str], gains: str = ""
+    best: Place,
+    stay: Place | None,
+    others: Sequence[Place],
+    unconfirmed: Mapping[str, str],
+    ends: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
     """Of the nearest place with less to drive that is better than staying on some grounds, why it is not moved to.
 
-    `gains`: with which all these are, in words; empty for the present ones.
+    `ends`: where all these are with other gains, at which end of those that were tried each has its own, in words.
     """
     near = [place for place in others if nearer(place, best)]
     some = [place for place in near if stay is None or place.better_than(stay) > 1 - MOST]
     place = min(some, key=attrgetter("drive"), default=None)
     if place is None:
         return ""
+    end = ends.get(place.name, "")
     if not place.holds:
         why = "is not stable on every ground"
     elif stay is not None and place.better_than(stay) < MOST:
@@ -294,11 +299,14 @@ def passed_over(
     elif place.name in unconfirmed:
         doubt = unconfirmed[place.name]
         why = f"it {doubt}" if doubt.startswith(BREAKS) else f"nonlinear runs do not confirm it{_because(doubt)}"
+        # What runs refute may have been lowered from there.
+        end = ""
     elif stay is not None and not pays(place, stay):
         why = "not in its worst case"
     else:
         why = f"its slowest decay is {place.slowest:.3g}/s only"
-    return f"{place.name} is nearer, {way(place.drive):.3g} m away, but{gains and f', {gains},'} {why}"
+    tried = ", with the gains that were tried," * bool(ends)
+    return BETWEEN.join(filter(None, [f"{place.name} is nearer, {way(place.drive):.3g} m away, but{tried} {why}", end]))
 
 
 def percent(share: float) -> str:
