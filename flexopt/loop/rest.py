@@ -14,15 +14,18 @@ import casadi as ca
 from flexopt.algebra import apply_pseudo_inverse, solve_spd
 from flexopt.foundation.control import Control
 from flexopt.loop.closed import ClosedLoop
+from flexopt.model.uncertainty import SPRINGS, parameters_of
 from flexopt.plant import Plant
 from flexopt.plant.control import task_to_joints
 from flexopt.plant.motion import Motion
 
 T = TypeVar("T")
-# Stages from the design's parameters to those of the machine, along which the rest is followed; Newton steps in each
-# and in the last one; how far a step goes at most, and how far the last one may go, rad, or of lengths in those of the
-# arm: a base that sinks by metres bends nothing, one that turns by as many rad does.
-STAGES, STEPS, LAST, FARTHEST, ARRIVED = 8, 2, 5, 0.3, 1e-6
+# Stages from the design's parameters to those of the machine, along which the rest is followed by a Newton step each,
+# and steps at the end. How far a step goes at most, rad, or of lengths in those of the arm (a base that sinks by metres
+# bends nothing, one that turns by as many rad does): a longer one may lead to another elbow. How far the last one may.
+STAGES, LAST, FARTHEST, ARRIVED = 24, 5, 0.3, 1e-6
+# Of a spring's stiffness, as little as none on the way there.
+SPENT = 1e-6
 
 
 def design_constants(motion: Motion, passive: ca.SX, base: ca.SX) -> dict[str, ca.SX]:
@@ -116,17 +119,21 @@ def held_step(plant: Plant, control: Control) -> ca.Function:
     return ca.Function("held_step", list(inputs.values()), [change], list(inputs), ["change"], {"cse": True})
 
 
-def softest_spring(plant: Plant, p: ca.DM, other: ca.MX) -> ca.MX:
-    """By which factor the spring of a passive coordinate that softens most from p to other parameters does; 1 of none.
+def on_the_way(plant: Plant, other: ca.MX, share: float) -> ca.MX:
+    """Parameters (n_par,) at a share of the way from the machine's own to others.
 
-    No less than 10⁻⁶, as of a spring that is gone.
+    Springs give way evenly, 1/k goes straight; one that is gone counts as 10⁻⁶ of its own before the end. All else
+    goes straight.
     """
-    m = plant.n_passive
-    own = plant.stiffness.call([p])[0].full().diagonal()[:m]
-    now: ca.MX = ca.diag(plant.stiffness(other))
-    factors: list[ca.MX] = [now[k] / own[k] for k in range(m) if own[k] > 0]
-    softest: ca.MX = ca.mmin(ca.vertcat(1.0, *factors))
-    return ca.fmax(softest, 1e-6)
+    if share == 1:
+        return other
+    own = plant.parameter_values
+    found: ca.MX = own + (other - own) * share
+    for k in parameters_of((SPRINGS,), plant.machine):
+        if (now := float(own[k])) > 0:
+            there = ca.fmax(other[k], SPENT * now)
+            found[k] = now * there / (there + (now - there) * share)
+    return found
 
 
 def state_at_rest(

@@ -25,13 +25,12 @@ from flexopt.loop.rest import (
     FARTHEST,
     LAST,
     STAGES,
-    STEPS,
     design_constants,
     design_of,
     held_at,
     held_step,
+    on_the_way,
     placed,
-    softest_spring,
     state_at_rest,
 )
 from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
@@ -186,19 +185,18 @@ class SmallMotions:
         sag = plant.deflected(s["base"], s["posture"], of_own)
         design = of_file.call([s["base"], s["posture"], sag])
         kp, ki = self._into_forces(s)
-        v, size = ca.vertcat(sag, ca.MX.zeros(plant.n_task, 1)), ca.MX(0)
+        v, size, farthest = ca.vertcat(sag, ca.MX.zeros(plant.n_task, 1)), ca.MX(0), ca.MX(0)
         units, length = plant.graph.coordinate_units[: plant.n_passive], arm_length(plant)
         scale = ca.DM([*(1.0 if unit == "rad" else length for unit in units), *[length] * plant.n_task])
-        softest = softest_spring(plant, of_own, s["p"])
         for stage in range(1, STAGES + 1):
-            # So that the softest spring, not its stiffness, gives way by as much at each stage.
-            share = stage / (softest * (STAGES - stage) + stage)
-            p = of_own + (s["p"] - of_own) * share
-            for _ in range(LAST if stage == STAGES else STEPS):
+            p = on_the_way(plant, s["p"], stage / STAGES)
+            for _ in range(LAST if stage == STAGES else 1):
                 change = self._held_step.call([v, *design, p, kp, ki])[0]
+                v += change
                 size = ca.norm_inf(change / scale)
-                v += change * (FARTHEST / ca.fmax(size, FARTHEST))
-        found = ca.vertcat(sag, ca.if_else(size <= ARRIVED, v, math.nan))
+                farthest = ca.fmax(farthest, size)
+        followed = ca.logic_and(size <= ARRIVED, farthest <= FARTHEST)
+        found = ca.vertcat(sag, ca.if_else(followed, v, math.nan))
         return ca.Function("hold", [*s.values()], [found], [*s], ["held"], options)
 
     def _into_forces(self, s: Mapping[str, Symbol]) -> tuple[Symbol, Symbol]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import root
 
 import flexopt
 from flexopt.foundation.arrays import Vector
@@ -327,6 +328,51 @@ def test_a_base_that_sinks_by_metres_is_held_as_far_as_the_arm_reaches(posture: 
         rested += 1
         assert point.configuration[1] == pytest.approx(-sunk, rel=1e-9)
     assert rested
+
+
+@pytest.mark.parametrize(
+    ("posture", "kp", "load"), [((0.6, -0.45), 13308.0, 1300.0), ((1.3348, 0.478), 13308.0, 1232.0)]
+)
+def test_a_heavy_load_on_soft_springs_leaves_the_arm_on_its_elbow(posture: Any, kp: float, load: float) -> None:
+    """Where SciPy follows the rest to, the load put on in small steps and the springs softened in small ones."""
+    plant = build_plant(EXCAVATOR)
+    settings = settings_of(EXCAVATOR, posture, {"drive": "torque", "kp": kp, "kv": kp / 10, "rate": 200.0}, "inverse")
+    own, base, m = plant.parameter_values.full().ravel(), np.zeros(1), plant.n_passive
+    names = [each.name for each in EXCAVATOR.parameters]
+    springs = np.array(["stiffness" in name for name in names])
+    sag = plant.deflected.call([base, posture, own])[0].full().ravel()
+    design = np.append(sag, posture)
+    target = plant.end_point.call([design, base, own])[0].full().ravel()
+    jacobian = plant.rigid_jacobian.call([design, base, own])[0].full()
+
+    def q_at(v: Vector) -> Vector:
+        return np.append(v[:m], posture + np.linalg.solve(jacobian, v[m:]))
+
+    def off(v: Vector, p: Vector) -> Vector:
+        q = q_at(v)
+        taken = np.append(sag, q[m:])
+        stiffness, rest = plant.stiffness.call([p])[0].full()[:m, :m], plant.rest.call([base, posture, p])[0].full()
+        weight = plant.gravity.call([q, base, p])[0].full().ravel()
+        more = weight[m:] - plant.gravity.call([taken, base, own])[0].full().ravel()[m:]
+        force = plant.rigid_jacobian.call([taken, base, own])[0].full() @ more
+        reached = plant.end_point.call([q, base, p])[0].full().ravel()
+        pull = stiffness @ (v[:m] - rest.ravel()[:m]) + weight[:m]
+        return np.append(pull / stiffness.diagonal(), reached + force / kp - target)
+
+    assert np.abs(off(np.append(sag, [0.0, 0.0]), own)).max() < 1e-9
+    v, loads = np.append(sag, [0.0, 0.0]), np.linspace(0.0, load, 120)
+    ways = [(x, 1.0) for x in loads] + [(load, factor) for factor in np.geomspace(1.0, 0.15, 40)]
+    for x, factor in ways:
+        p = own.copy()
+        p[names.index("payload.mass")] = x
+        p[springs] *= factor
+        found = root(off, v, args=(p,), tol=1e-12)
+        # In steps so small that no other elbow is near.
+        assert found.success
+        assert np.abs(found.x - v).max() < 0.2
+        v = found.x
+        there = settings.outcome(EXCAVATOR, base, np.array(posture), gravity=True, parameters=p, own_model=True)
+        np.testing.assert_allclose(there.configuration, q_at(v), atol=1e-8)
 
 
 def test_what_the_rate_of_a_region_stands_for_where_the_arm_falls_is_told() -> None:
