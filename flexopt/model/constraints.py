@@ -262,7 +262,7 @@ class Constraints(FileModel):
     """What a configuration must keep, under `gravity` as the machine sags; what is left out does not bind.
 
     Attributes:
-        joint_margin: kept from every joint limit, rad or m.
+        joint_margin: kept from every joint limit, rad or m; 0 asks for the limits themselves, which are assumed else.
         manipulability: least sqrt(det(Jv Jvᵀ)).
         region: the machine stands in one of these polygons, m (of planar machines: intervals of x).
         keep_out: and outside these.
@@ -285,7 +285,7 @@ class Constraints(FileModel):
         own: `flexopt.Constraint`s of the user's own, which files cannot have.
     """
 
-    joint_margin: Annotated[float, Quantity(JOINT_VALUE.unit, low=0.0, high=ANGLE.high)] = 0.0
+    joint_margin: Annotated[float, Quantity(JOINT_VALUE.unit, low=0.0, high=ANGLE.high)] | None = None
     manipulability: Annotated[float, _POSITIVE] | None = None
     region: Annotated[tuple[Area, ...], _check_areas] | None = None
     keep_out: Annotated[tuple[Area, ...], _check_areas] | None = None

@@ -104,7 +104,7 @@ def assumed(
         named.append(Assumption("ground", sentence, ground, "m"))
     limited = sum(bool(np.isfinite(ends).any()) for ends in machine.limits)
     # A margin of the joints asks for their limits by itself.
-    if assumes(assume, "limits") and limited and not constraints.joint_margin:
+    if assumes(assume, "limits") and limited and constraints.joint_margin is None:
         sentence = f"{limited} of {len(machine.joints)} joints keep the limits of the machine's file"
         named.append(Assumption("limits", sentence, float(limited), "joints"))
     free = [name for name in machine.base_coordinates if name != "yaw" and name not in bounded]

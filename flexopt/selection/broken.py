@@ -15,7 +15,8 @@ from flexopt.foundation.coordinates import turned_into
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.constraints.corners import WHERE, all_corners
 from flexopt.selection.constraints.ground import NAME as GROUND
-from flexopt.selection.held import EQUILIBRIUM, ON_TARGET, not_standing
+from flexopt.selection.constraints.joint_limits import JOINT_MARGIN, LIMITS
+from flexopt.selection.held import EQUILIBRIUM, ON_TARGET, held_with, not_standing
 from flexopt.selection.problem import SelectionProblem, own_held, own_with, rows_held, rows_with
 
 # From shares (N,) of a way to its configurations z (n_z, N), and which of them there are (N,).
@@ -26,12 +27,12 @@ AT_END = 1e-6
 BROKEN, NAMED = 1e-6, 3
 # To which share of a way it is found where something is broken most.
 FINE = 1e-6
-# Of a joint, how far from its limits `constraints.joint_margin` keeps it.
-JOINT_MARGIN = "joint margin of "
-# Where `base_range` lets the base stand, by coordinate; else what a variable's bounds are.
-BASE_RANGE, LIMITS = "base_range of ", "limits of "
-# Names of what holds unasked: limits, the margin that every program has, what lies above the assumed ground.
-UNASKED = re.compile(f"^{LIMITS}|^singularity margin$| {re.escape(GROUND)}$")
+# Where `base_range` lets the base stand, by coordinate.
+BASE_RANGE = "base_range of "
+# Names of what holds unasked: the margin that every program has, which makes a posture no worse to hold, and besides it
+# limits, and what lies above the assumed ground.
+SINGULAR = re.compile("^singularity margin$")
+UNASKED = re.compile(f"^{LIMITS}|{SINGULAR.pattern}| {re.escape(GROUND)}$")
 
 
 def broken(problem: SelectionProblem, z: Vector, *, asked: bool = False) -> str:
@@ -93,7 +94,7 @@ def _told(worst: Mapping[str, tuple[str, Vector]], problem: SelectionProblem) ->
         return ""
     p, told = problem.measures.plant.parameter_values.full().ravel(), list[str]()
     for name, (row, z) in [*worst.items()][:NAMED]:
-        values = {} if UNASKED.search(name) else values_with(problem, z, p) | _asked_of_variables(problem, z)
+        values = {} if UNASKED.search(name) else values_with(problem, z, p)
         value, where = values.get(row), row.removeprefix(name)
         told.append(row if value is None else f"{name}, {value}{where and ','}{where}")
     more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
@@ -105,7 +106,8 @@ def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p
 
     What is no number, as where a linkage does not close, is broken, too.
     `asked`: of those alone that somebody asked for: no limits, no margin from singular postures, no assumed ground.
-    `p`: the machine's numbers, where they may be others; corners of `constraints.within` have numbers of their own.
+    `p`: the machine's numbers, where they may be others, and the arm is held on its target: there limits and that
+    ground count, asked for or not; corners of `constraints.within` have numbers of their own.
     """
     found = _by_how_much(problem, z, asked=asked, p=p)
     return sorted((name for name, off in found.items() if off > BROKEN), key=lambda name: -found[name])
@@ -113,7 +115,7 @@ def broken_names(problem: SelectionProblem, z: Vector, *, asked: bool = False, p
 
 def _by_how_much(problem: SelectionProblem, z: Vector, *, asked: bool, p: Vector | None) -> dict[str, float]:
     """How far each limit and constraint, the target aside, is beyond its bounds, in units of its scale."""
-    told = _told_turns(problem, z)
+    told = _told_turns(problem, np.concatenate(held_with(problem.quantities, z, p)))
     outside: Vector = np.maximum(problem.lower - told, told - problem.upper) / problem.scale
     rows = np.abs(beyond_bounds(problem, z, p))[problem.target.size :]
     falls = falls_within(problem, z) if p is None else {}
@@ -126,9 +128,10 @@ def _by_how_much(problem: SelectionProblem, z: Vector, *, asked: bool, p: Vector
     names += [row.name for row in (*problem.constraints[problem.target.size :], *problem.own_constraints)]
     names += falls
     of = cornerless(problem)
+    unasked = UNASKED if p is None else SINGULAR
     by_name = dict[str, float]()
     for name, off in zip(names, away, strict=True):
-        if not ((asked and UNASKED.search(of.get(name, name))) or (p is not None and name in of)):
+        if not ((asked and unasked.search(of.get(name, name))) or (p is not None and name in of)):
             # Several rows may be one constraint.
             by_name[name] = max(off, by_name.get(name, off))
     return by_name
@@ -142,23 +145,19 @@ def _told_turns(problem: SelectionProblem, z: Vector) -> Vector:
 
 def _names_of_bounds(problem: SelectionProblem) -> list[str]:
     """What keeps each variable within its bounds, by name: its limits, or what was asked for, a range or a margin."""
-    n_base, kept = problem.measures.plant.n_base, JOINT_MARGIN if problem.asked.joint_margin else LIMITS
+    n_base, kept = problem.measures.plant.n_base, LIMITS if problem.asked.joint_margin is None else JOINT_MARGIN
     placed = [BASE_RANGE if each.ranged else LIMITS for each in problem.variables[:n_base]]
     kinds = [*placed, *[kept] * (len(problem.variables) - n_base)]
     return [kind + each.name.removeprefix("base." * (kind == BASE_RANGE))
             for kind, each in zip(kinds, problem.variables, strict=True)]  # fmt: skip
 
 
-def _asked_of_variables(problem: SelectionProblem, z: Vector) -> dict[str, ConstraintValue]:
-    """Where the base stands, and how far each joint is from its limits, by the names of `_names_of_bounds`.
-
-    Of what was asked for.
-    """
+def _of_variables(problem: SelectionProblem, z: Vector) -> dict[str, ConstraintValue]:
+    """Where the base stands and how each joint is held, of a margin how far from its limits: see `_names_of_bounds`."""
     margin, found, told = problem.asked.joint_margin, dict[str, ConstraintValue](), _told_turns(problem, z)
     for name, each, x in zip(_names_of_bounds(problem), problem.variables, told.tolist(), strict=True):
-        if name.startswith(BASE_RANGE):
-            found[name] = ConstraintValue(x, each.lower, each.upper, each.unit)
-        elif name.startswith(JOINT_MARGIN):
+        found[name] = ConstraintValue(x, each.lower, each.upper, each.unit)
+        if name.startswith(JOINT_MARGIN) and margin is not None:
             found[name] = ConstraintValue(min(x - each.lower, each.upper - x) + margin, margin, math.inf, each.unit)
     return found
 
@@ -207,9 +206,9 @@ def resting(problem: SelectionProblem, z: Vector) -> list[str]:
 
 
 def values_with(problem: SelectionProblem, z: Vector, p: Vector) -> dict[str, ConstraintValue]:
-    """Of every constraint, of a machine with the numbers p (n_par,), the value with the least room."""
+    """Of every bound and constraint, of a machine with the numbers p (n_par,), the value with the least room."""
     rows = (*problem.constraints, *problem.own_constraints)
-    found = dict[str, ConstraintValue]()
+    found = _of_variables(problem, np.concatenate(held_with(problem.quantities, z, p)))
     for row, x in zip(rows, np.append(rows_with(problem, z, p), own_with(problem, z, p)).tolist(), strict=True):
         value = ConstraintValue(x, row.lower, row.upper, row.unit)
         found[row.name] = min(found.get(row.name, value), value, key=lambda each: each.least_room)
@@ -219,7 +218,7 @@ def values_with(problem: SelectionProblem, z: Vector, p: Vector) -> dict[str, Co
 def broken_held(
     problem: SelectionProblem, base: Vector, posture: Vector, p: Vector
 ) -> dict[str, tuple[float, ConstraintValue]]:
-    """What was asked for that a machine with the numbers p breaks whose arm is held in a posture.
+    """What a machine with the numbers p breaks whose arm is held in a posture, asked for or assumed.
 
     By name how far, in units of its scale, and its value.
     """
@@ -229,13 +228,13 @@ def broken_held(
     for row, x in [*zip(rows, values.tolist(), strict=True)][problem.target.size :]:
         value = ConstraintValue(x, row.lower, row.upper, row.unit)
         off = -value.least_room / row.scale
-        if off > BROKEN and not row.corner and not UNASKED.search(row.name):
+        if off > BROKEN and not row.corner and not SINGULAR.search(row.name):
             found[row.name] = max(found.get(row.name, (off, value)), (off, value), key=lambda each: each[0])
-    scales = dict(zip(_names_of_bounds(problem), (each.scale for each in problem.variables), strict=True))
-    for name, value in _asked_of_variables(problem, np.append(base, posture)).items():
-        off = -value.room / scales[name]
-        # How the arm is held does not move the base.
-        if off > BROKEN and not name.startswith(BASE_RANGE):
+    values, n_base = _of_variables(problem, np.append(base, posture)), base.size
+    # How the arm is held does not move the base.
+    for (name, value), variable in [*zip(values.items(), problem.variables, strict=True)][n_base:]:
+        off = -value.room / variable.scale
+        if off > BROKEN:
             found[name] = off, value
     return found
 

@@ -74,11 +74,13 @@ def ask(arguments: Arguments, given: Mapping[str, Any]) -> _Asked | None:
     if given["objective"] is not None:
         objectives = read_objectives(arguments, machine, given["objective"], given["weights"])
     gravity = given.get("gravity") is True
-    asked = _suiting(arguments, machine, given["constraints"] or Constraints(), gravity=gravity)
+    constraints = given["constraints"] or Constraints()
+    # What an options object leaves out is assumed; a distance to the limits asks for them, 0 as any.
+    free = not assumes(given.get("assume") or EVERYTHING, "limits") and constraints.joint_margin is None
+    margin = constraints.joint_margin or 0.0
+    limits = np.tile(FREE, (len(machine.joints), 1)) if free else _joint_limits(arguments, machine, margin)
+    asked = _suiting(arguments, machine, constraints, limits, gravity=gravity)
     own = own_constraints(arguments, machine, asked)
-    # What an options object leaves out is assumed; a distance to the limits asks for them.
-    free = not (assumes(given.get("assume") or EVERYTHING, "limits") or asked.joint_margin)
-    limits = np.tile(FREE, (len(machine.joints), 1)) if free else _joint_limits(arguments, machine, asked.joint_margin)
     return _Asked(objectives, own, asked, limits, _present(arguments, machine, asked, base, posture))
 
 
@@ -150,7 +152,7 @@ def build_one(
     told = present if travel_now is None else travel_now[: len(names)]
     now = standing(plant, told)
     beside = assumed(plant, asked.assume, targets, kept, now, ranged, given=told is not None)
-    rows = build_constraints(plant, kept, beside.ground, gravity=asked.gravity)
+    rows = build_constraints(plant, kept, beside.ground, gravity=asked.gravity, limits=limits)
     constraint_set = rows if len(rows) else None
     ranges, sampled, intervals = _placements(plant, target, ranges, margin, now, beside.drive)
     length = outer_reach(plant)[1]
@@ -254,9 +256,11 @@ def _confirm_own(functions: Quantities, objectives: tuple[Objective, ...], scan:
     raise_if_any(InputError, "select", faults)
 
 
-def _suiting(arguments: Arguments, machine: AnyMachine, asked: Constraints, *, gravity: bool) -> Constraints:
+def _suiting(
+    arguments: Arguments, machine: AnyMachine, asked: Constraints, limits: Vector, *, gravity: bool
+) -> Constraints:
     """The constraints, as far as they suit the machine; faults go to `arguments`."""
-    faults = constraint_faults(build_plant(machine), asked, gravity=gravity)
+    faults = constraint_faults(build_plant(machine), asked, gravity=gravity, limits=limits)
     if asked.outcome is not None:
         sentence = "is for flexopt.select, select_stand and plan_base, or flexopt select: it wants a loop"
         faults.append(Fault("outcome", sentence))

@@ -143,7 +143,7 @@ def nearest_told(
         places: at each target, by name; the same names at all.
         cornerless: as of `flexopt.selection.broken.cornerless`.
     """
-    margin = f"joint margin at least {asked.joint_margin:g} rad (slides: m)" if asked.joint_margin else ""
+    margin = f"joint margin at least {asked.joint_margin:g} rad (slides: m)" if asked.joint_margin is not None else ""
     if not any(getattr(asked, field, None) is not None for field in (*KINDS, "own")):
         return margin and f"constraints: {margin}"
     told = list[str]()

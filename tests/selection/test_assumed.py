@@ -332,17 +332,18 @@ def test_the_ground_names_joints_by_their_own_names() -> None:
     assert "telescope" not in named
 
 
-def test_a_joint_margin_is_kept_whatever_is_assumed():
+@pytest.mark.parametrize("margin", [0.0, 0.1])
+def test_a_joint_margin_is_kept_whatever_is_assumed(margin):
     machine = flexopt.load("slewing-excavator")
     found = flexopt.select(
         machine, (5.5, 0.5, 1.0), base=(0.0, 0.0, 0.0), objective="w1", starts=2, seed=1, assume="nothing",
-        constraints={"joint_margin": 0.1}, workers=1,
+        constraints={"joint_margin": margin}, workers=1,
     )  # fmt: skip
     low, high = np.array(machine.limits).T
     for candidate in found.candidates:
         q = candidate.evaluation.posture
-        assert np.all(q >= low + 0.1 - 1e-9)
-        assert np.all(q <= high - 0.1 + 1e-9)
+        assert np.all(q >= low + margin - 1e-9)
+        assert np.all(q <= high - margin + 1e-9)
 
 
 def test_answers_to_any_question_say_what_was_assumed_in_their_provenance() -> None:

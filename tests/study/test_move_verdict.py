@@ -37,6 +37,7 @@ from flexopt.study.verdicts.place_loops import configurations_of, held_at, unrea
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import allowed, told
 from flexopt.study.verdicts.result import GROUND_ASSUMED
+from tests.selection.constraints.test_under_weight import held as held_on_target
 from tests.study.machines import gantry
 
 ARTICLE = {"kp": 1e4, "kv": 1e3}
@@ -1637,6 +1638,50 @@ def test_what_a_place_breaks_where_feedback_holds_it_beside_its_target_is_told()
     assert moved.reason.startswith(f"the present place at rest beside its target {moved.places[0].breaks_at_rest}; ")
     assert moved.exclusions
     assert all(each.startswith("at rest beside its target breaks tool angle, ") for each in moved.exclusions.values())
+
+
+@pytest.mark.long
+def test_limits_that_are_assumed_count_on_other_springs_and_at_rest() -> None:
+    """Where the arm is held on its target with other springs, and where runs end, beside it."""
+    data = flexopt.load("excavator").to_dict() | {"gravity": 9.81}
+    for link, ends in zip(data["links"], ([-1.22, 1.6], [-2.8, 1.485]), strict=True):
+        link["limits"] = ends
+    machine = flexopt.machine_from_dict(data)
+    loop: dict[str, Any] = {"drive": "torque", "kp": 1e4, "kv": 1e3, "rate": 200.0}
+    few: dict[str, Any] = {"base": 0.0, "gravity": True, "base_range": {"x": (-3.0, 1.0)}, "starts": 4}
+    chosen = flexopt.select(machine, (0.0, 1.6), posture=(0.9929, -2.6302), **few)
+    springs = {"of": "stiffness", "factor": (0.3, 2.0)}
+    judged: dict[str, Any] = {"ranges": [springs], "members": 2, "runs": 0}
+    found = flexopt.verdict(chosen, loop=loop, **judged)
+    first = next(place for place in found.places if place.name == "candidate 1")
+    own = {each.name: each.value for each in machine.parameters}
+    numbers = [name for name in own if "stiffness" in name]
+
+    def held_with(factor: float) -> dict[str, float]:
+        p = np.array([value * (factor if name in numbers else 1.0) for name, value in own.items()])
+        return dict(zip(machine.joints, held_on_target(machine, first.base, first.posture, p), strict=True))
+
+    for joint, factor in (("stick", 0.3), ("boom", 2.0)):
+        told = re.search(rf"breaks limits of {joint}, (\S+) rad [^,]*, where stiffness is {factor:g} of", first.breaks)
+        assert told, first.breaks
+        assert float(told[1]) == pytest.approx(held_with(factor)[joint], abs=6e-4)
+    runs = flexopt.simulate_ensemble(
+        machine, first.posture, base=first.base, loop=loop, gravity=True, duration=15.0 / first.decay.least,
+        vary={name: [2.0 * own[name]] for name in numbers}, keep="trajectories",
+    )  # fmt: skip
+    rests = re.fullmatch(
+        r"breaks limits of boom, (\S+) rad \(.*\), where stiffness is 2 of the file's", first.breaks_at_rest
+    )
+    assert rests, first.breaks_at_rest
+    assert float(rests[1]) == pytest.approx(float(runs.dataset["q"].to_numpy()[0, -1, 3]), abs=6e-4)
+    assert found.place != "candidate 1"
+    integral = flexopt.verdict(chosen, loop=loop | {"feedback": "pid", "ki": 2e3}, **judged)
+    there = next(place for place in integral.places if place.name == "candidate 1")
+    assert (there.breaks, there.breaks_at_rest) == (first.breaks, "")
+    # Limits that were left out bind nothing.
+    free = flexopt.select(machine, (0.0, 1.6), assume="ground,reach", **few)
+    left_out = flexopt.verdict(free, loop=loop, **judged)
+    assert not any("limits" in place.breaks + place.breaks_at_rest for place in left_out.places)
 
 
 @pytest.mark.long

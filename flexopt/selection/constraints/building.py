@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arrays import Vector
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
 from flexopt.model.uncertainty import parameters_of
@@ -19,6 +20,7 @@ from flexopt.selection.constraints import (
     corners,
     ground,
     holding,
+    joint_limits,
     manipulability,
     self_clearance,
     tip_over,
@@ -37,11 +39,21 @@ KINDS: dict[str, ConstraintKind] = {
     "tip_over_margin": tip_over.KIND,
     "holding": holding.KIND,
     "tool_angle": tool_angle.KIND,
+    "joint_limits": joint_limits.KIND,
 }
 # In a structure: the machine sags.
 WEIGHT = "weight"
 # Kinds that are the same wherever the machine stands; a clearance is where it is from the ground.
-EVERYWHERE = (WEIGHT, "manipulability", "self_clearance", "ground", "tip_over_margin", "holding", "tool_angle")
+EVERYWHERE = (
+    WEIGHT,
+    "manipulability",
+    "self_clearance",
+    "ground",
+    "tip_over_margin",
+    "holding",
+    "tool_angle",
+    "joint_limits",
+)
 Structure = tuple[tuple[str, Any, int], ...]
 
 
@@ -75,13 +87,19 @@ class ConstraintSet:
         )
 
 
-def constraint_faults(plant: Plant, constraints: Constraints, *, gravity: bool = False) -> list[Fault]:
-    """What stands in the way of these constraints for a machine; fields are those of `Constraints`."""
+def constraint_faults(
+    plant: Plant, constraints: Constraints, *, gravity: bool = False, limits: Vector | None = None
+) -> list[Fault]:
+    """What stands in the way of these constraints for a machine; fields are those of `Constraints`.
+
+    `gravity`, `limits`: as of `build_constraints`.
+    """
     found = [fault for kind in KINDS.values() for fault in kind.faults(plant, constraints)]
     within = constraints.within or ()
     wrong = corners.within_faults(plant, within)
     if within and not found and not wrong:
-        on = {entry for group in _asked(plant, constraints) for _, entry in _dependence(plant, group, gravity=gravity)}
+        groups = [*_asked(plant, constraints), *_of_joints(plant, constraints, limits)]
+        on = {entry for group in groups for _, entry in _dependence(plant, group, gravity=gravity)}
         sentence = (
             "no constraint of flexopt's that was asked for depends on it; holding and tip_over_margin do on masses, "
             "under gravity all but region and keep_out on masses and springs"
@@ -105,15 +123,26 @@ def _asked(plant: Plant, constraints: Constraints) -> list[Group]:
     return [group for kind in KINDS.values() for group in kind.groups(plant, constraints)]
 
 
+def _of_joints(plant: Plant, constraints: Constraints, limits: Vector | None) -> list[Group]:
+    """Of the limits that joints keep, for corners alone."""
+    return [] if limits is None else joint_limits.joint_groups(plant, limits, constraints.joint_margin)
+
+
 def _groups(
-    plant: Plant, constraints: Constraints, assumed_ground: float | None = None, *, gravity: bool = False
+    plant: Plant,
+    constraints: Constraints,
+    assumed_ground: float | None = None,
+    *,
+    gravity: bool = False,
+    limits: Vector | None = None,
 ) -> list[Group]:
     """All of constraints without faults."""
     groups = _asked(plant, constraints)
     if assumed_ground is not None:
         groups += ground.ground_groups(plant, assumed_ground)
     within = constraints.within or ()
-    return groups + corners.corner_groups(plant, groups, within, partial(_dependence, plant, gravity=gravity))
+    others = [*groups, *_of_joints(plant, constraints, limits)]
+    return groups + corners.corner_groups(plant, others, within, partial(_dependence, plant, gravity=gravity))
 
 
 def _dependence(plant: Plant, group: Group, *, gravity: bool = False) -> list[tuple[int, int]]:
@@ -126,23 +155,29 @@ def _dependence(plant: Plant, group: Group, *, gravity: bool = False) -> list[tu
 
 
 def build_constraints(
-    plant: Plant, constraints: Constraints, assumed_ground: float | None = None, *, gravity: bool = False
+    plant: Plant,
+    constraints: Constraints,
+    assumed_ground: float | None = None,
+    *,
+    gravity: bool = False,
+    limits: Vector | None = None,
 ) -> ConstraintSet:
     """The rows that a configuration of this machine must keep.
 
-    `joint_margin` and `travel` give no rows: they belong to bounds and objective.
+    `joint_margin` and `travel` give no rows with the file's numbers: they belong to bounds and objective.
 
     Args:
         plant: of the machine.
         constraints: from `flexopt.model.constraints.read_constraints`.
         assumed_ground: its height, m; see `flexopt.selection.assumed`.
         gravity: whether the machine sags under its weight.
+        limits: what joints keep, (n, 2), the margin taken off: where an arm is held with other numbers, too.
 
     Raises:
         InputError: the machine lacks what a kind needs, or bodies and coordinates do not suit it; lists every fault.
     """
-    raise_if_any(InputError, "constraints", constraint_faults(plant, constraints, gravity=gravity))
-    groups = _groups(plant, constraints, assumed_ground, gravity=gravity)
+    raise_if_any(InputError, "constraints", constraint_faults(plant, constraints, gravity=gravity, limits=limits))
+    groups = _groups(plant, constraints, assumed_ground, gravity=gravity, limits=limits)
     rows = tuple(row for group in groups for row in group.rows)
     structure = tuple(group.structure for group in groups)
     function, report = _functions(plant.machine, structure, gravity)

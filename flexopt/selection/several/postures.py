@@ -113,7 +113,7 @@ def within_limits(problem: SelectionProblem, reached: Reached) -> Reached:
 
 def without_constraints(problem: SelectionProblem) -> SelectionProblem:
     """The problem of reaching the target within the machine's limits alone."""
-    n_b, n_task, kept = problem.measures.plant.n_base, problem.target.size, problem.asked.joint_margin
+    n_b, n_task, kept = problem.measures.plant.n_base, problem.target.size, problem.asked.joint_margin or 0.0
     joints = [replace(each, lower=each.lower - kept, upper=each.upper + kept) for each in problem.variables[n_b:]]
     margin = replace(problem.constraints[n_task], lower=-math.inf)
     return replace(

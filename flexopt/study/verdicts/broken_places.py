@@ -20,6 +20,7 @@ from flexopt.selection import SelectionProblem
 from flexopt.selection.broken import broken, broken_held, broken_names, values_with
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.constraints.corners import WHERE
+from flexopt.selection.held import held_with
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import own_with, rows_with
 from flexopt.study.verdicts.place_loops import Chosen, PlaceLoops, problems_of
@@ -33,10 +34,10 @@ TOGETHER = 2.0
 
 
 class Breaks(NamedTuple):
-    """What a place breaks of constraints that were asked for, "breaks …", or nothing.
+    """What a place breaks of constraints, "breaks …", or nothing.
 
     Attributes:
-        standing: with the file's numbers, of the configuration; candidates keep these.
+        standing: of those that were asked for, with the file's numbers, of the configuration; candidates keep these.
         by_loop: what the loop that is judged does not do of what it must at least.
         somewhere: at corners of what is uncertain.
         at_rest: where feedback holds the end-point beside its target.
@@ -85,22 +86,24 @@ def broken_by_loop(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], place
 
 
 def broken_at_rest(chosen: Chosen, place: PlaceLoops) -> str:
-    """Which constraints that were asked for a place breaks where feedback holds it beside its target, and where most.
+    """Which constraints a place breaks where feedback holds it beside its target, and where most.
 
-    A load or springs that the controller does not know draw it there, of a loop without an integral part.
+    Those that were asked for, and those that are assumed, as limits of joints are, and kept with the file's numbers. A
+    load or springs that the controller does not know draw it there, of a loop without an integral part.
     """
     worst = dict[str, tuple[float, ConstraintValue, str]]()
     for problem, loop in zip(problems_of(chosen), place.loops, strict=True):
         # An integral part takes it to the target.
         if not loop.gravity or loop.settings.ki.all():
             continue
+        unasked = _unasked_broken(problem, np.append(loop.base, loop.posture))
         for u in loop.box.corners(FEW):
             point = loop.outcome(u)
             if not (point.rests and point.loop.growth_rate <= 0 and loop.off_target(point) > 0):
                 continue
             posture, p = point.configuration[problem.measures.plant.n_passive :], loop.box.numbers(u)[0]
             for name, (off, value) in broken_held(problem, loop.base, posture, p).items():
-                if off > worst.get(name, (0.0,))[0]:
+                if name not in unasked and off > worst.get(name, (0.0,))[0]:
                     worst[name] = off, value, told_numbers(loop.box.machine, p.tolist())
     if not worst:
         return ""
@@ -116,7 +119,7 @@ def _at_targets(each: Sequence[str]) -> str:
 
 
 def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: UncertaintyBox) -> str:
-    """Which constraints that were asked for a place keeps with the file's numbers and breaks at a corner of the box.
+    """Which constraints a place keeps with the file's numbers and breaks at a corner of the box, asked for or assumed.
 
     Each at the corner, of those looked at, at which it is broken most. Choices keep those of statics, as of what joints
     hold, and the user's own, with the file's payload.
@@ -126,9 +129,9 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
         z, worst = np.concatenate(at), dict[str, _Broken]()
         if broken_names(problem, z, asked=True):
             continue
-        whole = _and_within(problem, box)
+        whole, unasked = _and_within(problem, box), _unasked_broken(problem, z)
         for theta in _corners(problem, z, whole):
-            for each in _broken_at(problem, z, whole, theta):
+            for each in (one for one in _broken_at(problem, z, whole, theta) if one.name not in unasked):
                 worst[each.name] = max(worst.get(each.name, each), each, key=lambda one: one.off)
         for name, most in worst.items():
             plain = _plainest(problem, z, whole, most)
@@ -153,6 +156,11 @@ def _and_within(problem: SelectionProblem, box: UncertaintyBox) -> UncertaintyBo
         names = [box.machine.parameters[k].name for k in parameters_of(each.of, box.machine) if k not in uncertain]
         more += [each.model_copy(update={"of": tuple(names)})] if names else []
     return UncertaintyBox(box.machine, (*box.uncertainty, *more), box.nominal_dead_time)
+
+
+def _unasked_broken(problem: SelectionProblem, z: Vector) -> set[str]:
+    """What a place breaks with the file's numbers of what is assumed."""
+    return {*broken_names(problem, z)} - {*broken_names(problem, z, asked=True)}
 
 
 class _Broken(NamedTuple):
@@ -228,9 +236,12 @@ def _rooms(problem: SelectionProblem, z: Vector, box: UncertaintyBox, theta: Vec
 
     −1/ε of what is no number: below all others, and yet one to calculate with.
     """
-    p, first = box.numbers_at(theta)[0], problem.target.size
-    rows = [*problem.constraints[first:], *problem.own_constraints]
+    p, first, n_base = box.numbers_at(theta)[0], problem.target.size, problem.measures.plant.n_base
+    joints = [each for each in problem.variables[n_base:] if math.isfinite(each.lower) or math.isfinite(each.upper)]
+    rows = [*problem.constraints[first:], *problem.own_constraints, *joints]
     lower, upper, scale = (np.array([getattr(row, name) for row in rows]) for name in ("lower", "upper", "scale"))
-    values = np.append(rows_with(problem, z, p)[first:], own_with(problem, z, p))
+    held = dict(zip(problem.machine.joints, held_with(problem.quantities, z, p)[1].tolist(), strict=True))
+    turned = [held[each.name] for each in joints]
+    values = np.concatenate([rows_with(problem, z, p)[first:], own_with(problem, z, p), turned])
     rooms = np.nan_to_num(np.minimum(values - lower, upper - values) / scale, nan=-1 / np.finfo(float).eps)
-    return rooms[[not row.corner for row in rows]]
+    return rooms[[not getattr(row, "corner", "") for row in rows]]

@@ -58,7 +58,7 @@ class PlaceVerdict(Result):
         rests_on: at each target the bounds and constraints that hold with equality.
         breaks: what it breaks of constraints that were asked for, in words: what its loop does not do of what it must,
             as with other gains than a candidate was chosen with (of staying see `present_breaks`), and what is broken
-            at corners of what is uncertain, and where; empty where nothing.
+            at corners of what is uncertain, assumed limits and ground, too, and where; empty where nothing.
         breaks_at_rest: the same where feedback without an integral part holds the end-point beside its target
             (`rests_off`), at the corners;  breaking: all of it, kind by kind.
         beyond_limits: which joints it holds beyond the limits of the machine's file, a sentence, of a choice that left

@@ -151,6 +151,51 @@ def test_where_a_spring_only_lets_the_base_down_the_arm_that_is_held_on_its_targ
     assert np.ptp(list(values(machine, alone, base, posture, own).values())) > 1e-4
 
 
+@pytest.mark.parametrize("name", SPRINGS)
+def test_joints_of_the_arm_that_is_held_keep_their_limits_at_corners_too(name: str) -> None:
+    """With other springs it is turned, and with the file's numbers the bounds of variables are enough."""
+    machine, of = supported(name), SPRINGS[name][1]
+    plant = build_plant(machine)
+    base, posture, own = np.full(plant.n_base, 0.2), posture_of(machine), plant.parameter_values.full().ravel()
+    here = own[[each.name for each in machine.parameters].index(of)]
+    within = {"within": {of: (0.6 * here, here)}}
+    limits = np.column_stack([posture - 0.3, np.full(posture.size, np.inf)])
+    there = held(machine, base, posture, with_numbers(machine, {of: 0.6 * here}))
+    assert np.abs(there - posture).max() > 1e-5
+    assert not len(build_constraints(plant, read_constraints({}), gravity=True, limits=limits))
+    for margin, expected in (({}, there), ({"joint_margin": 0.1}, there - limits[:, 0] + 0.1)):
+        rows = build_constraints(plant, read_constraints(within | margin), gravity=True, limits=limits)
+        assert list(values(machine, rows, base, posture, own).values()) == pytest.approx(expected, abs=1e-6)
+        ends = 0.1 if margin else limits[:, 0]
+        np.testing.assert_allclose([row.lower for row in rows.rows], ends)
+
+
+@pytest.mark.long("0.0", "0.01")
+@pytest.mark.parametrize("margin", [None, 0.0, 0.01])
+def test_a_choice_keeps_joints_within_their_limits_on_other_springs(margin: float | None) -> None:
+    """Of an arm that is held on its target; without `within` it would not."""
+    data = flexopt.load("excavator").to_dict() | {"gravity": 9.81}
+    for link, ends in zip(data["links"], ([-1.22, 1.6], [-2.8, 1.485]), strict=True):
+        link["limits"] = ends
+    machine, few = flexopt.machine_from_dict(data), {"base": 0.0, "gravity": True, "starts": 4}
+    asked = {} if margin is None else {"joint_margin": margin}
+    low, high = np.array(machine.limits).T
+    names = [each.name for each in machine.parameters]
+
+    def room(found: Any) -> float:
+        rooms = list[float]()
+        for candidate, factor in product(found.candidates, (0.3, 2.0)):
+            at, p = candidate.evaluation, build_plant(machine).parameter_values.full().ravel()
+            p[["stiffness" in name for name in names]] *= factor
+            there = held(machine, at.base, at.posture, p)
+            rooms.append(float(np.minimum(there - low, high - there).min()))
+        return min(rooms)
+
+    assert room(flexopt.select(machine, (0.0, 1.6), constraints=asked, **few)) < -1e-3
+    springs = {"within": [{"of": "stiffness", "factor": [0.3, 2.0]}]}
+    assert room(flexopt.select(machine, (0.0, 1.6), constraints=asked | springs, **few)) > (margin or 0.0) - 1e-6
+
+
 @pytest.mark.long
 def test_a_choice_keeps_the_angle_on_every_pair_of_springs() -> None:
     """Of one target and of several, by w and by the loop; without `within` it would not."""
