@@ -21,9 +21,11 @@ from flexopt.plant.motion import Motion
 
 T = TypeVar("T")
 # Stages from the design's parameters to those of the machine, along which the rest is followed by a Newton step each,
-# and steps at the end. How far a step goes at most, rad, or of lengths in those of the arm (a base that sinks by metres
-# bends nothing, one that turns by as many rad does): a longer one may lead to another elbow. How far the last one may.
-STAGES, LAST, FARTHEST, ARRIVED = 24, 5, 0.3, 1e-6
+# steps at the end, and how many times as many stages follow it where these lose it.
+STAGES, LAST, FINER = 24, 5, 4
+# How far a step moves a coordinate at most, and how much more than twice as far as the one before, rad, or of the arm's
+# length: longer ones are where the rest ends, and lead to another elbow. How far the last one may.
+FARTHEST, SUDDEN, ARRIVED = 0.1, 0.01, 1e-6
 # Of a spring's stiffness, as little as none on the way there.
 SPENT = 1e-6
 

@@ -23,8 +23,10 @@ from flexopt.loop.closed import ClosedLoop, closed_loop
 from flexopt.loop.rest import (
     ARRIVED,
     FARTHEST,
+    FINER,
     LAST,
     STAGES,
+    SUDDEN,
     design_constants,
     design_of,
     held_at,
@@ -183,21 +185,36 @@ class SmallMotions:
             "design", [g.base, g.posture, deflection], [*design_of(plant, g.base, g.posture, deflection)]
         )
         sag = plant.deflected(s["base"], s["posture"], of_own)
-        design = of_file.call([s["base"], s["posture"], sag])
-        kp, ki = self._into_forces(s)
-        v, size, farthest = ca.vertcat(sag, ca.MX.zeros(plant.n_task, 1)), ca.MX(0), ca.MX(0)
-        units, length = plant.graph.coordinate_units[: plant.n_passive], arm_length(plant)
-        scale = ca.DM([*(1.0 if unit == "rad" else length for unit in units), *[length] * plant.n_task])
-        for stage in range(1, STAGES + 1):
-            p = on_the_way(plant, s["p"], stage / STAGES)
-            for _ in range(LAST if stage == STAGES else 1):
-                change = self._held_step.call([v, *design, p, kp, ki])[0]
+        asked = [*of_file.call([s["base"], s["posture"], sag]), s["p"], *self._into_forces(s)]
+        v, followed = self._followed(STAGES).call(asked)
+        with_care = self._followed(FINER * STAGES)
+        already = ca.Function("already", with_care.mx_in(), [ca.DM.nan(v.shape), ca.DM(0)])
+        again, found = ca.Function.if_else("unless_followed", already, with_care).call([followed, *asked])
+        v = ca.if_else(followed, v, ca.if_else(found, again, math.nan))
+        return ca.Function("hold", [*s.values()], [ca.vertcat(sag, v)], [*s], ["held"], options)
+
+    def _followed(self, stages: int) -> ca.Function:
+        """(the fields of `Design`, other, kp, ki) -> v of `held_at`, and whether the rest was followed there.
+
+        In so many stages from that of the design's parameters to that of others.
+        """
+        step, plant = self._held_step, self.plant
+        v0, *given = step.mx_in()
+        names = step.name_in()[1:]
+        s = dict(zip(names, given, strict=True))
+        m, length = plant.n_passive, arm_length(plant)
+        scale = ca.DM([1.0 if unit == "rad" else length for unit in plant.graph.coordinate_units])
+        v, size, over = ca.vertcat(s["deflection"], ca.MX.zeros(v0.shape[0] - m, 1)), ca.MX(0), ca.MX(0)
+        for stage in range(1, stages + 1):
+            there = s | {"other": on_the_way(plant, s["other"], stage / stages)}
+            for _ in range(LAST if stage == stages else 1):
+                change = step.call([v, *there.values()])[0]
                 v += change
-                size = ca.norm_inf(change / scale)
-                farthest = ca.fmax(farthest, size)
-        followed = ca.logic_and(size <= ARRIVED, farthest <= FARTHEST)
-        found = ca.vertcat(sag, ca.if_else(followed, v, math.nan))
-        return ca.Function("hold", [*s.values()], [found], [*s], ["held"], options)
+                most = FARTHEST if stage == 1 else ca.fmin(FARTHEST, SUDDEN + 2 * size)
+                size = ca.norm_inf(ca.vertcat(change[:m], s["toward"] @ change[m:]) / scale)
+                over = ca.fmax(over, size - most)
+        followed = ca.logic_and(size <= ARRIVED, over <= 0)
+        return ca.Function("followed", given, [v, followed], names, ["v", "followed"])
 
     def _into_forces(self, s: Mapping[str, Symbol]) -> tuple[Symbol, Symbol]:
         """Kp and Ki that make forces of errors: of velocity-served joints, whose gains ask for rates, Kp by servos."""

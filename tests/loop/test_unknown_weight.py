@@ -313,7 +313,8 @@ def test_a_base_that_sinks_by_metres_is_held_as_far_as_the_arm_reaches(posture: 
     stiff = next(each.value for each in EXCAVATOR.parameters if each.name == "base.stiffness.y")
     weight, settings = -stiff * here.static_deflection[1], loop_settings(EXCAVATOR, Loop(**TORQUE), here, gravity=True)
     rested = 0
-    for sunk in (0.1, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0):
+    # None is short of its reach by as little as the error that stands.
+    for sunk in (0.1, 0.5, 1.0, 1.5, 2.0, 2.5, 3.1):
         box = UncertaintyBox(
             EXCAVATOR, (Uncertainty(of="base.stiffness.y", value=(weight / sunk, stiff)),), settings.dead_time
         )
@@ -373,6 +374,28 @@ def test_a_heavy_load_on_soft_springs_leaves_the_arm_on_its_elbow(posture: Any, 
         v = found.x
         there = settings.outcome(EXCAVATOR, base, np.array(posture), gravity=True, parameters=p, own_model=True)
         np.testing.assert_allclose(there.configuration, q_at(v), atol=1e-8)
+
+
+@pytest.mark.parametrize("factor", [2.5, 5.0, 20.0])
+def test_where_a_rest_ends_none_is_found_beyond(factor: float) -> None:
+    """Weak feedback under a stick of twice its weight: up to there slopes by its mass grow without bound."""
+    loop = SERVED | {"servo_gain": 2e4, "kp": 0.3}
+    settings = settings_of(EXCAVATOR, POSTURE, loop, "inverse")
+    masses = np.linspace(1.0, 2.05, 211) * 458.2
+    found = list[Vector]()
+    for p in numbers(EXCAVATOR, "stick.mass", masses).T:
+        there = settings.outcome(EXCAVATOR, np.zeros(1), np.array(POSTURE), gravity=True, parameters=p, own_model=True)
+        if not there.rests:
+            break
+        found.append(there.configuration[3:])
+    slopes = np.abs(np.diff(found, axis=0)).max(axis=1)
+    # As of a root: without bound where it ends.
+    assert 150 < len(found) < 211
+    assert slopes[-1] > 3 * slopes[len(slopes) // 2]
+    beyond = numbers(EXCAVATOR, "stick.mass", np.array([factor * 458.2]))[:, 0]
+    assert not settings.outcome(
+        EXCAVATOR, np.zeros(1), np.array(POSTURE), gravity=True, parameters=beyond, own_model=True
+    ).rests
 
 
 def test_what_the_rate_of_a_region_stands_for_where_the_arm_falls_is_told() -> None:
