@@ -165,7 +165,7 @@ def intervals() -> list[list[str]]:
         row = [f"{1e3 * dead_time:g} ms"]
         for posture in POSTURES.values():
             for kv in HELD:
-                border = flexopt.stability_border(machine, posture, kv=kv, sensor={"delay": dead_time})
+                border = flexopt.stability_border(machine, posture, kp=1e5, kv=kv, sensor={"delay": dead_time})
                 row.append(", ".join(f"{low:.3g}–{high:.3g}" for low, high in border.intervals) or "none")
         rows.append(row)
     return rows

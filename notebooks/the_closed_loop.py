@@ -52,14 +52,16 @@ flexopt.simulate(machine, posture_a, **gains).plot()
 #
 # ## How much gain a posture allows
 #
-# `stability_border` searches Kp for the edges of stability of the sampled linear loop. At Kv = 2000 N m s posture A has
+# `stability_border` searches Kp for the edges of stability of the sampled linear loop, from 10⁻⁴ to 10⁴ times one that suits
+# the machine's masses. At Kv = 2000 N m s posture A has
 # no stable gain at all: the damping gain alone drives the base. The optimised posture allows a wide range.
 
 # %%
 best = flexopt.select(machine, (0.0, 1.6), base=0.0).best.evaluation
 for name, posture, base in (("A", posture_a, 0.0), ("B", posture_b, 0.0), ("optimised", best.posture, best.base[0])):
     border = flexopt.stability_border(machine, posture, base=float(base), kv=2e3)
-    print(f"{name:10s}", [f"{low:.3g} … {high:.3g} N m" for low, high in border.intervals] or "no stable gain")
+    intervals = [f"{low:.3g} … {high:.3g} N m" for low, high in border.intervals]
+    print(f"{name:10s}", intervals or "none from {:.3g} to {:.3g} N m".format(*border.searched))
 
 # %% [markdown]
 # ## Moving the base while the end-point is held

@@ -1,6 +1,6 @@
 """Where a growth rate changes its sign: all stable intervals of a gain, narrow ones and gaps included.
 
-In: a growth rate as a function of the gain's exponent. Out: intervals of the exponent.
+In: a growth rate as a function of the exponent of a gain's multiple. Out: intervals of the multiple.
 """
 
 from __future__ import annotations
@@ -14,32 +14,28 @@ import numpy as np
 from flexopt.foundation.arrays import Interval
 from flexopt.foundation.roots import border
 
+# Multiples of the gains that are searched for borders, as exponents of 10, and how many at first.
+LOW, HIGH, POINTS = -4.0, 4.0, 241
 # Relative width to which a narrow interval between two gains is looked for, and exponents to which a border is found.
 NARROW, BORDER = 1e-3, 1e-10
 
 
 def stable_intervals(
-    growth: Callable[[float], float],
-    low: float,
-    high: float,
-    points: int,
-    known: list[float] | None = None,
-    rounding: float = 0.0,
+    growth: Callable[[float], float], rounding: float, known: list[float] | None = None
 ) -> tuple[Interval, ...]:
-    """Intervals of the exponent in which `growth` is negative; ends of the search where it did not meet a border.
+    """Intervals of the multiple in which `growth` is negative; 10^LOW or 10^HIGH where the search met no border.
 
     Args:
         growth: of the exponent.
-        low, high, points: exponents searched, and how many of them at first.
-        known: growth at these, where it is known.
         rounding: growth down to minus this is none: of a motion that nothing damps it is rounding alone.
+        known: growth at the `POINTS` exponents from LOW to HIGH, where it is known.
     """
-    exponents = np.linspace(low, high, points).tolist()
+    exponents = np.linspace(LOW, HIGH, POINTS).tolist()
     grid = _with_narrow(growth, exponents, [growth(x) for x in exponents] if known is None else known)
     stable = np.array([value < -rounding for _, value in grid])
     edges = np.flatnonzero(stable[1:] != stable[:-1])
     roots = [border(growth, grid[i][0], grid[i + 1][0], xtol=BORDER) for i in edges.tolist()]
-    ends = ([low] if stable[0] else []) + roots + ([high] if stable[-1] else [])
+    ends = [10**x for x in ([LOW] if stable[0] else []) + roots + ([HIGH] if stable[-1] else [])]
     return tuple(zip(ends[::2], ends[1::2], strict=True))
 
 

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import Control
 from flexopt.loop.feedback import self_motion_damping
 from flexopt.model import AnyMachine
 from flexopt.plant import build_plant
@@ -40,16 +41,24 @@ def rigid_gains(machine: AnyMachine, stand: Evaluation, rate: float, share: floa
         share: of the corner that is taken.
     """
     plant = build_plant(machine)
-    p, n = plant.parameter_values, plant.n_actuated
-    q: Vector = plant.rest(stand.base, stand.posture, p).full().ravel()
+    q: Vector = plant.rest(stand.base, stand.posture, plant.parameter_values).full().ravel()
     q[: plant.n_passive] += stand.static_deflection
-    mass: Vector = plant.mass(q, stand.base, p).full()[-n:, -n:]
+    return rigid_gains_at(machine, q, stand.base, stand.control, float(np.min(stand.frequencies_hz)), rate, share)
+
+
+def rigid_gains_at(
+    machine: AnyMachine, q: Vector, base: Vector, control: Control, lowest: float, rate: float, share: float = 1.0
+) -> dict[str, float]:
+    """The same at coordinates q (n_q,), where the lowest flexible mode has `lowest` Hz."""
+    plant = build_plant(machine)
+    p, n = plant.parameter_values, plant.n_actuated
+    mass: Vector = plant.mass(q, base, p).full()[-n:, -n:]
     mobility: Vector = np.asarray(np.linalg.inv(mass), dtype=np.float64)
-    jv: Vector = plant.rigid_jacobian(q, stand.base, p).full()
+    jv: Vector = plant.rigid_jacobian(q, base, p).full()
     rows = len(jv)
-    mapped: Vector = ca.evalf(task_to_joints(ca.SX(jv), stand.control, ca.SX.eye(rows))).full()
+    mapped: Vector = ca.evalf(task_to_joints(ca.SX(jv), control, ca.SX.eye(rows))).full()
     inertia = abs(float(np.linalg.det(jv @ mobility @ mapped))) ** (-1 / rows)
-    corner = share * min(SHARE * 2 * math.pi * float(np.min(stand.frequencies_hz)), ANGLE * rate)
+    corner = share * min(SHARE * 2 * math.pi * lowest, ANGLE * rate)
     damping = 2 * DAMPING_RATIO * corner
     gains = {"kp": inertia * corner**2, "kv": damping * inertia}
     if n > rows:

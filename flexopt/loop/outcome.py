@@ -19,7 +19,7 @@ from flexopt.coprime import StateSpace
 from flexopt.foundation.arrays import ComplexArray, Vector
 from flexopt.foundation.roots import border
 from flexopt.loop.assembly import OneSample, Slopes
-from flexopt.loop.borders import stable_intervals
+from flexopt.loop.borders import HIGH, LOW, POINTS, stable_intervals
 from flexopt.loop.disturbance import Disturbed
 from flexopt.loop.frequency_response import PEAKS, SETTLED, crossings, exactly, peak, peak_at
 from flexopt.loop.small_motions import AT_REST, BY, DEAD_TIME, Parts, SmallMotions
@@ -37,8 +37,6 @@ from flexopt.loop.spectrum import (
 from flexopt.loop.standard_move import StandardMove
 from flexopt.model.loop import DELAY_MAX
 
-# Multiples of the gains that are searched for borders, as exponents of 10, and how many at first.
-LOW, HIGH, POINTS = -4.0, 4.0, 241
 # In a sample: of an undamped motion that the loop does not see this much decay may be rounding.
 UNDAMPED = 1e3 * float(np.finfo(float).eps)
 # Looks at longer dead times in a sample, and how many at most up to where the loop may be at a border.
@@ -336,8 +334,7 @@ class LoopPoint:
             each = opened + 10.0 ** exponents[:, None, None] * (balanced - opened)
             radius = np.abs(np.linalg.eigvals(kept @ each @ kept.T)).max(axis=1)
             known = poles_of(radius, self.period).real.tolist()
-        found = stable_intervals(self.growth_at, LOW, HIGH, POINTS, known, UNDAMPED / self.period)
-        return tuple((10**low, 10**high) for low, high in found)
+        return stable_intervals(self.growth_at, UNDAMPED / self.period, known)
 
     def allowed_gain(self) -> Measured:
         """The largest Kp along the present ratio of all gains, in its unit: of the first row that has one.

@@ -15,9 +15,10 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import RATE_GAIN_UNITS, Control, damping_unit, gain_units
 from flexopt.foundation.results import Result
+from flexopt.loop.borders import HIGH, LOW
 from flexopt.loop.gains import DAMPING_RATIO, SHARE, rigid_gains
 from flexopt.loop.levers import servo_gain_of_efforts
-from flexopt.loop.outcome import HIGH, LOW, LoopPoint
+from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.small_motions import SmallMotions, damping_entries, small_motions
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Drive, Loop, drive_of, rate_of

@@ -7,7 +7,6 @@ holds (the self-motion of a redundant arm: an undriven eigenvalue 1) taken out.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -20,8 +19,10 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import PostureLike, Vector
 from flexopt.foundation.boundary import Keywords, number, public
-from flexopt.loop.borders import stable_intervals
+from flexopt.loop.borders import HIGH, LOW, stable_intervals
 from flexopt.loop.closed import closed_loop
+from flexopt.loop.gains import rigid_gains_at
+from flexopt.loop.outcome import UNDAMPED
 from flexopt.loop.spectrum import EXACT, OwnMotion, SampledLoop, neutral_directions, spectrum
 from flexopt.loop.structure import LoopStructure
 from flexopt.loop.tangent import SelfMotion, Tangent, still, tangent
@@ -30,16 +31,14 @@ from flexopt.model.simulation import LinearKeywords, SimulationOptions
 from flexopt.plant import build_plant
 from flexopt.simulation.scenario import Scenario, build_scenario, checked_options, given_options
 
-# Gains searched for the stability border.
-KP_LOW, KP_HIGH, KP_POINTS = 1e1, 1e9, 400
-
 
 @dataclass(frozen=True)
 class StabilityBorder:
     """Intervals of the gain Kp in which the sampled linear loop is stable, Kv as it stands.
 
     Attributes:
-        intervals: (lower, upper) of Kp, in its unit; the ends of the search where it did not meet a border.
+        intervals: (lower, upper) of Kp, in its unit; the ends of the search where it did not meet a border. Nothing is
+            said of gains beyond these.
         searched: (lower, upper) of the search.
         kv: the other gain, one for each task row where these differ, or its ratio to Kp where that was held, s.
         ratio: whether Kv / Kp was held instead of Kv.
@@ -52,7 +51,7 @@ class StabilityBorder:
 
     @property
     def largest(self) -> float | None:
-        """The largest Kp of the lowest interval; None where no gain is stable."""
+        """The largest Kp of the lowest interval; None where no gain that was searched is stable."""
         return self.intervals[0][1] if self.intervals else None
 
 
@@ -105,13 +104,15 @@ def stability_border(
     options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
     **keywords: Unpack[LinearKeywords],
 ) -> StabilityBorder:
-    """Gains Kp for which the sampled linear loop is stable.
+    """Gains Kp for which the sampled linear loop is stable, from 10⁻⁴ to 10⁴ times one that the machine may have.
 
     Of the options that are given alone: the machine's own `[loop]` is not taken. What that bears is
     `flexopt.outcome(…).gain_intervals`.
 
     Args:
-        machine, posture, options, keywords: as for `flexopt.sampled_loop`; `kp` is ignored.
+        machine, posture, options, keywords: as for `flexopt.sampled_loop`; `kp`, its first where rows differ, is the
+            one about which is searched. By default that is one as heavy as the machine in the posture: a corner at 0.3
+            of its lowest mode, and at most 0.25 rad in a sample.
         ratio: hold Kv = ratio · Kp (s) instead of Kv.
 
     Raises:
@@ -128,17 +129,31 @@ def stability_border(
     if feedback not in ("pd", "pid"):
         fault = Fault("feedback", "has no gain Kp whose border could be looked for; pd and pid have", repr(feedback))
         raise_if_any(InputError, "stability_border", [fault])
-    kv, rows = scenario.options.kv, scenario.loop.structure.n_task
+    kv, rows, middle = scenario.options.kv, scenario.loop.structure.n_task, _middle_kp(scenario)
 
     def growth(exponent: float) -> float:
-        kp = 10.0**exponent
+        kp = middle * 10.0**exponent
         parts = {"kp": np.full(rows, kp), "kv": np.broadcast_to(kv if ratio is None else ratio * kp, rows)}
         return linearised(replace(scenario, parts={**scenario.parts, **parts})).growth_rate
 
-    found = stable_intervals(growth, math.log10(KP_LOW), math.log10(KP_HIGH), KP_POINTS)
-    intervals = tuple((10**lower, 10**upper) for lower, upper in found)
+    found = stable_intervals(growth, UNDAMPED / scenario.period)
+    intervals = tuple((middle * lower, middle * upper) for lower, upper in found)
+    searched = middle * 10**LOW, middle * 10**HIGH
     held = kv[0] if len(set(kv)) == 1 else kv
-    return StabilityBorder(intervals, (KP_LOW, KP_HIGH), held if ratio is None else ratio, ratio is not None)
+    return StabilityBorder(intervals, searched, held if ratio is None else ratio, ratio is not None)
+
+
+def _middle_kp(scenario: Scenario) -> float:
+    """About which a border is searched: what is given, else what suits the arm's masses."""
+    s = scenario
+    given = [kp for kp in s.options.kp if kp > 0 and "kp" in s.options.model_fields_set]
+    return (
+        given[0]
+        if given
+        else rigid_gains_at(
+            s.machine, s.q_design, s.base, s.options.control, float(s.frequencies_hz.min()), s.options.rate
+        )["kp"]
+    )
 
 
 def linearised(scenario: Scenario) -> SampledLoop:

@@ -54,13 +54,13 @@ class BorderRow(Result):
 
     @property
     def text(self) -> str:
-        """The intervals, the ends of the search left out."""
+        """The intervals, the ends of the search told as such."""
         low, high = self.border.searched
         words: list[str] = []
         for start, end in self.border.intervals:
-            first = "" if start <= low else f"from {start:.4g} "
-            words.append(f"{first}up to {end:.4g}" if end < high else f"{first}as far as was looked, {high:.4g}")
-        return "; ".join(words) or "none"
+            lowest, highest = ", as low as was looked," * (start <= low), ", as far as was looked" * (end >= high)
+            words.append(f"from {start:.4g}{lowest} up to {end:.4g}{highest}")
+        return "; ".join(words) or f"none from {low:.4g} to {high:.4g}"
 
 
 @dataclass(frozen=True)
@@ -248,7 +248,7 @@ def border_row(
         machine: the machine.
         name: of the posture.
         stand: the posture with its base.
-        given: options of `sampled_loop` but posture, base and the two gains.
+        given: options of `sampled_loop` but posture, base and Kv; Kp as of `stability_border`.
         ratio: Kv/Kp, s, or None.
         kv: held where the ratio is not.
     """

@@ -236,10 +236,10 @@ def test_disagreements_are_found():
 @pytest.mark.parametrize(
     ("intervals", "text"),
     [
-        ((), "none"),
-        (((10.0, 500.0),), "up to 500"),
-        (((10.0, 1e9),), "as far as was looked, 1e+09"),
-        (((20.0, 30.0), (40.0, 1e9)), "from 20 up to 30; from 40 as far as was looked, 1e+09"),
+        ((), "none from 10 to 1e+09"),
+        (((10.0, 500.0),), "from 10, as low as was looked, up to 500"),
+        (((10.0, 1e9),), "from 10, as low as was looked, up to 1e+09, as far as was looked"),
+        (((20.0, 30.0), (40.0, 1e9)), "from 20 up to 30; from 40 up to 1e+09, as far as was looked"),
     ],
 )
 def test_border_in_words(intervals, text):

@@ -159,6 +159,16 @@ def random_machine(
     return data, machine_from_dict(data)
 
 
+def heavier(data: dict[str, Any], factor: float) -> Machine:
+    """A machine whose masses, inertias, springs and dampers are all so many times those of the data."""
+    base, links = dict(data["base"]), [dict(link) for link in data["links"]]
+    for body in (base, *links):
+        body |= {name: factor * body[name] for name in ("mass", "inertia")}
+    for name in ("stiffness", "damping"):
+        base[name] = {way: factor * value for way, value in base[name].items()}
+    return machine_from_dict(data | {"base": base, "links": links})
+
+
 @st.composite
 def machines(draw: Any, structure: dict[str, Any] | None = None, **options: Any) -> tuple[MachineDict, Machine]:
     """Strategy for the same: `structure` holds options of `draw_structure`, the rest goes to `draw_machine`."""

@@ -139,7 +139,8 @@ TABLE = [
 @pytest.mark.parametrize(("dead_time", "posture", "kv", "expected"), TABLE)
 def test_intervals_of_stable_gains(dead_time, posture, kv, expected):
     """Of an independent computation, its three digits; and stable inside, unstable outside, by the oracle."""
-    border = flexopt.stability_border(EXCAVATOR, posture, kv=kv, sensor={"delay": dead_time})
+    # Searched from 10 N m on, as there.
+    border = flexopt.stability_border(EXCAVATOR, posture, kp=1e5, kv=kv, sensor={"delay": dead_time})
     assert len(border.intervals) == len(expected)
     for (low, high), printed in zip(border.intervals, expected, strict=True):
         assert (low, high) == pytest.approx(printed, rel=5e-3)
@@ -152,9 +153,9 @@ def test_intervals_of_stable_gains(dead_time, posture, kv, expected):
 
 def test_an_interval_narrower_than_the_search_is_found(monkeypatch):
     """At 5 ms and Kv 1e3 posture A is stable over 3 % of Kp alone, and a grid in steps of 20 % misses it."""
-    from flexopt.simulation import linear  # noqa: PLC0415
+    from flexopt.loop import borders  # noqa: PLC0415
 
-    monkeypatch.setattr(linear, "KP_POINTS", 101)
+    monkeypatch.setattr(borders, "POINTS", 101)
     border = flexopt.stability_border(EXCAVATOR, POSTURE_A, kv=1e3, sensor={"delay": 0.005})
     assert border.intervals[0] == pytest.approx((1.28e5, 1.32e5), rel=5e-3)
 

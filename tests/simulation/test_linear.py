@@ -13,7 +13,7 @@ import flexopt
 from flexopt.errors import FlexoptWarning, InputError
 from flexopt.model import machine_from_dict
 from flexopt.plant import build_plant
-from tests.oracles.machines import NumpySource, Structure, draw_machine, regular_posture
+from tests.oracles.machines import NumpySource, Structure, draw_machine, heavier, regular_posture
 from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
 
 STRUCTURES = [
@@ -92,6 +92,28 @@ def test_a_border_is_where_the_growth_rate_changes_sign():
     by_ratio = flexopt.stability_border(EXCAVATOR, POSTURE_A, ratio=0.1)
     assert by_ratio.ratio
     assert by_ratio.largest < 1e3
+
+
+@pytest.mark.parametrize("factor", [1e-8, 1e-4, 1e4])
+def test_borders_are_looked_for_where_a_machine_as_heavy_has_them(factor: float) -> None:
+    """The linear loop is linear in masses, springs, dampers and gains: all times c, it is the same."""
+    small = heavier(EXCAVATOR.to_dict(), factor)
+    for given in ({"ratio": 0.1}, {"kv": 2e3}):
+        whole = flexopt.stability_border(EXCAVATOR, POSTURE_B, **given)
+        own = {name: value * (factor if name == "kv" else 1.0) for name, value in given.items()}
+        found = flexopt.stability_border(small, POSTURE_B, **own)
+        # `rigid_gains` are told to four digits.
+        assert found.searched == pytest.approx(factor * np.array(whole.searched), rel=2e-3)
+        assert whole.searched[0] < whole.largest < whole.searched[1]
+        assert found.largest == pytest.approx(factor * whole.largest, rel=1e-6)
+
+
+def test_borders_are_looked_for_about_a_gain_that_is_given() -> None:
+    border = flexopt.stability_border(EXCAVATOR, POSTURE_B, kp=[0.0, 3e2], ratio=0.1)
+    assert border.searched == pytest.approx((3e-2, 3e6))
+    none = flexopt.stability_border(EXCAVATOR, POSTURE_B, kp=0.0, ratio=0.1)
+    assert none.searched == flexopt.stability_border(EXCAVATOR, POSTURE_B, ratio=0.1).searched
+    assert border.largest == pytest.approx(none.largest, rel=1e-6)
 
 
 def test_a_border_is_that_of_each_row_of_kv():

@@ -166,9 +166,9 @@ def test_growth_rates_are_the_linear_loops(damped, control, kp, verdict):
 
 
 def test_a_border_of_a_machine_in_space(monkeypatch):
-    from flexopt.simulation import linear  # noqa: PLC0415
+    from flexopt.loop import borders  # noqa: PLC0415
 
-    monkeypatch.setattr(linear, "KP_POINTS", 24)
+    monkeypatch.setattr(borders, "POINTS", 24)
     options = {"posture": ARM, "control": "transpose", "nullspace_damping": 2e3}
     largest = flexopt.stability_border(TRACKS, ratio=0.25, **options).largest
     assert largest is not None

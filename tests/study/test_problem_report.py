@@ -19,6 +19,7 @@ from flexopt.study.reports.page import _placed as placed
 from flexopt.study.reports.page import report_html
 from flexopt.study.reports.surroundings import marks_in, surroundings
 from tests.cli.command import Command
+from tests.oracles.machines import heavier
 from tests.oracles.spatial import in_space
 from tests.plotting.looking import without_pictures
 
@@ -84,6 +85,25 @@ def test_choice_and_loops_are_those_of_the_calls(article):
         loop = flexopt.sampled_loop(flexopt.load("excavator"), best.posture, base=best.base, kp=kp, kv=2e3)
         assert loop.stable == stable
     assert article.notes == ()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("factor", [1e-7, 1.0])
+def test_gains_that_converge_are_among_those_that_are_told_stable(factor: float) -> None:
+    """Of machines of any size: where they are looked for follows from the loop's own gains, and is told."""
+    machine = heavier(flexopt.load("excavator").to_dict(), factor)
+    result = made(flexopt.build_selection(machine, (0.0, 1.6), base=0.0, starts=2), simulation={"duration": 2.0})
+    kp, kv = result.simulation["kp"], result.simulation["kv"]
+    for row in result.borders:
+        stand = result.stands[row.stand]
+        decays = flexopt.sampled_loop(machine, stand.posture, base=stand.base, kp=kp, kv=kv).stable
+        assert decays == any(low < kp < high for low, high in row.border.intervals)
+        assert row.border.searched == pytest.approx((1e-4 * kp, 1e4 * kp))
+        assert row.text in repr(result)
+    assert {row.stand for row in result.borders} == {"present", "chosen"}
+    assert any(row.border.intervals for row in result.borders)
+    words = text_of(report_html(result))
+    assert f"from {1e-4 * kp:.4g}, as low as was looked," in words
 
 
 @pytest.mark.long

@@ -18,8 +18,9 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.roots import border
+from flexopt.loop.borders import HIGH
 from flexopt.loop.certified.region import LARGEST, stability_radius
-from flexopt.loop.outcome import HIGH, SLOWEST_MOTIONS, LoopPoint
+from flexopt.loop.outcome import SLOWEST_MOTIONS, LoopPoint
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox

@@ -282,6 +282,6 @@ def _borders(machine: AnyMachine, name: str, stand: Evaluation, given: dict[str,
         return []
     kp, kv = float(options.kp[0]), float(options.kv[0])
     # The loop itself, whatever integrates the runs.
-    rest = {n: v for n, v in given.items() if n not in ("kp", "kv", "integrator", "substeps")}
+    rest = {n: v for n, v in given.items() if n not in ("kv", "integrator", "substeps")}
     ratios = (None, *([kv / kp] if kp > 0 else []))
     return [border_row(machine, name, stand, rest, ratio, kv) for ratio in ratios]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from flexopt.loop.outcome import LOW
+from flexopt.loop.borders import LOW
 
 # Where the machine stands now, and the best of the selection.
 STAY, FIRST = "stay", "candidate 1"
