@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import shapely
+from scipy.optimize import fsolve
 from shapely import affinity
 
 import flexopt
+from flexopt.model import machine_from_dict
 from flexopt.study.reports import page
-from flexopt.study.reports.surroundings import marks_in, surroundings
+from flexopt.study.reports.surroundings import marks_in, stands_of, surroundings
+from tests.oracles.lagrange import rest_values, springs_and_dampers
+from tests.oracles.machines import NumpySource, Structure, draw_machine, regular_posture
+from tests.oracles.pinocchio_chain import pinocchio_chain
 
 BARRED, POSTURE = ((1.0, -2.0), (2.0, -2.0), (2.0, 1.0), (1.0, 1.0)), (0.2, 0.5, -1.2, -0.5)
 
@@ -81,3 +86,77 @@ def test_a_map_that_shows_nothing_says_why() -> None:
     assert page._map_caption(shown).endswith(page.NOWHERE)
     shown.map = replace(found, dataset=found.dataset.fillna(1.0))
     assert page.NOWHERE not in page._map_caption(shown)
+
+
+def behind_wall(joints: int, seed: int, *, gravity: bool) -> tuple[dict[str, Any], flexopt.Selection, float, float]:
+    """A random chain on soft springs with a ball at its end-point, and what is chosen on one side of a level wall.
+
+    With the wall's height, and 1 where what is above it is allowed, −1 where what is below.
+    """
+    rng = np.random.default_rng(seed)
+    data = draw_machine(
+        NumpySource(rng), Structure(joints, ("x", "y", "rotation"), ()), spread=3.0, frequency=(2.0, 3.0)
+    )
+    data["gravity"], last = 9.81, data["links"][-1]
+    tip = [last["length"], 0.0]
+    data["capsules"] = [{"body": last["name"], "start": tip, "end": tip, "radius": 0.1}]
+    machine = machine_from_dict(data)
+    posture = regular_posture(rng, machine)
+    target = flexopt.evaluate(machine, posture, gravity=gravity).end_point
+    side = 1.0 if target[1] > data["base"]["length"] * np.sin(data["base"]["rest_angle"]) else -1.0
+    height = target[1] - 0.3 * side
+    wall = {"name": "wall", "kind": "half_plane", "point": [0.0, height], "normal": [0.0, side]}
+    constraints = {"clearance": {"distance": 0.05, "obstacles": [wall]}}
+    chosen = flexopt.select(
+        machine, target, base=0.0, posture=posture, starts=2, constraints=constraints, gravity=gravity
+    )
+    return data, chosen, height, side
+
+
+@pytest.mark.parametrize("gravity", [False, True])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_map_of_end_points_is_blank_where_a_constraint_is_broken(seed: int, *, gravity: bool) -> None:
+    """Where Pinocchio's weight and SciPy's root have the ball at the end-point: beyond the wall or not."""
+    data, chosen, height, side = behind_wall(3, seed, gravity=gravity)
+    found = surroundings(chosen, 16)
+    assert found is not None
+    assert found.options["over"] == "end_point"
+    every = flexopt.map_workspace(chosen.problem.machine, **found.options)
+    whole, postures = every.array("condition"), every.array("posture")
+    base, stiffness = float(chosen.best.evaluation.base[0]), np.diag(springs_and_dampers(data)[0])[:3]
+    chain, clear = pinocchio_chain(data, base), np.full(whole.shape, np.nan)
+    for row, column in np.argwhere(np.isfinite(whole)):
+        q = rest_values(data, base, postures[:, row, column])
+
+        def off(moved: Any, q: Any = q) -> Any:
+            return moved + chain.gravity(q + np.append(moved, np.zeros(3)))[:3] / stiffness
+
+        sag = fsolve(off, np.zeros(3)) if gravity else np.zeros(3)
+        tip = chain.end_point(q + np.append(sag, np.zeros(3)))
+        clear[row, column] = side * (tip[1] - height) - 0.15
+    shown = np.isfinite(found.array("condition"))
+    assert not shown[clear < -1e-6].any()
+    # A nearly straight arm breaks the constraint on what is singular, too.
+    assert shown[(clear > 1e-6) & (whole < 5.0)].all()
+    assert min(np.sum(clear < -1e-6), np.sum(shown)) > 10
+    assert "allowed by the problem" in repr(found)
+    words = page._map_caption(cast(Any, SimpleNamespace(map=found, marks={}, selection=chosen)))
+    assert ("with the springs unloaded; under the weight" in words) == gravity
+
+
+@pytest.mark.parametrize("joints", [2, 3])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_marks_are_in_the_maps_own_coordinates(joints: int, seed: int) -> None:
+    """Of the end-point with the springs unloaded, by Pinocchio, from the first joint where the arm has a closed form."""
+    data, chosen, *_ = behind_wall(joints, seed, gravity=True)
+    found = surroundings(chosen, 8)
+    assert found is not None
+    marks, stands = marks_in(chosen, found), stands_of(chosen, None)
+    assert "chosen" in marks
+    for name, place in marks.items():
+        stand = stands[name]
+        at_rest = pinocchio_chain(data, stand.base[0]).end_point(rest_values(data, stand.base[0], stand.posture))
+        angle, length = data["base"]["rest_angle"], data["base"]["length"]
+        joint = np.array([stand.base[0] + length * np.cos(angle), length * np.sin(angle)])
+        np.testing.assert_allclose(place, at_rest - (joint if joints == 2 else 0.0), atol=1e-9)
+        assert np.abs(at_rest - stand.end_point).max() > 1e-2

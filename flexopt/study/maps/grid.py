@@ -130,7 +130,7 @@ def end_point_grid(
     A row is one target seen from many placements: the posture depends on where the target is from the base alone.
     """
     plant = build_plant(machine)
-    shoulder = plant.arm_segments(p=plant.parameter_values)["first_joint"].full().ravel()
+    shoulder = first_joint_at_rest(plant)
     x, y = np.linspace(*x_range, points[0]), np.linspace(*y_range, points[1])
     posture, reachable = np.full((2, y.size, x.size), np.nan), np.zeros((y.size, x.size), dtype=bool)
     for row, height in enumerate(y):
@@ -142,6 +142,11 @@ def end_point_grid(
     across, up = machine.task_rows
     axes = Axis(up, y, "m", f"{up} {frame}"), Axis(across, x, "m", f"{across} {frame}")
     return Grid(*axes, posture, reachable, np.zeros((plant.n_base, y.size, x.size)))
+
+
+def first_joint_at_rest(plant: Plant) -> Vector:
+    """Origin (2,) of the workspace frame of an arm with a closed form, its base at 0, m."""
+    return plant.arm_segments(p=plant.parameter_values)["first_joint"].full().ravel()
 
 
 def posture_grid(

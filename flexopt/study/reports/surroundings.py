@@ -11,18 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
 from flexopt.foundation.rounding import WAY
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
+from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.places import FEASIBLE
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.others import other_stand
 from flexopt.selection.starts import violated
-from flexopt.study.maps.grid import closed_form
+from flexopt.study.maps.grid import closed_form, end_point_at, first_joint_at_rest
 from flexopt.study.maps.workspace import map_workspace, takes_long
 from flexopt.study.maps.workspace_map import WorkspaceMap
 from flexopt.study.verdicts.places import FIRST, STAY, candidate_number
@@ -110,25 +110,31 @@ def surroundings(selection: Selection | Stand | BasePlan, points: int) -> Worksp
         return map_workspace(machine, elbow=elbow_of(machine, best), **given)
     if len(rows) > 1:
         upright = ("x", "z") if {"x", "z"} <= set(rows) else rows[:2]
-        return map_workspace(machine, over="end_point", rows=upright, posture=best.posture, base=best.base, **given)
+        whole = map_workspace(machine, over="end_point", rows=upright, posture=best.posture, base=best.base, **given)
+        return _allowed(whole, problem, best)
     if len(machine.joints) > 1:
         return map_workspace(machine, over="posture", posture=best.posture[2:], base=best.base, **given)
     return None
 
 
 def _allowed(chart: WorkspaceMap, problem: SelectionProblem, best: Evaluation) -> WorkspaceMap:
-    """A map over the placement, blank where its posture breaks a limit, a range or a constraint of the problem."""
-    dataset, coordinates = chart.dataset, [name.removeprefix("base_") for name in chart.axes]
+    """A followed map, blank where its posture breaks a limit, a range or a constraint of the problem.
+
+    Under gravity, as its measures, with the springs given way beneath the posture.
+    """
+    dataset = chart.dataset
     postures = np.asarray(dataset["posture"].values).reshape(len(problem.machine.joints), -1)
     z = np.vstack([np.tile(best.base[:, None], postures.shape[1]), postures])
     planes = np.meshgrid(*(dataset[axis].values for axis in chart.axes), indexing="ij")
-    for name, plane in zip(coordinates, planes, strict=True):
-        z[problem.machine.base_coordinates.index(name)] = plane.ravel()
+    for axis, plane in zip(chart.axes, planes, strict=True):
+        if chart.options["over"] == "base":
+            z[problem.machine.base_coordinates.index(axis.removeprefix("base_"))] = plane.ravel()
     # Across a way that is held, as rails do, it is shown how it would be.
     free = problem.lower < problem.upper
     low, high, size = (x[free, None] for x in (problem.lower, problem.upper, problem.scale))
     beyond = (np.maximum(low - z[free], z[free] - high) / size).max(axis=0)
-    # Under gravity the map's postures, held as without, are beside the target by what the machine sags.
+    # Of the target nothing is asked: over end-points they are others, and under gravity the postures, held as without,
+    # are beside it by what the machine sags.
     kept = np.maximum(violated(problem, z, target=False), beyond) <= FEASIBLE
     shown = {name: each.where(kept.reshape(planes[0].shape)) for name, each in dataset.items() if each.dtype == float}
     ways = held_ways(chart, problem)
@@ -145,17 +151,27 @@ def held_ways(chart: WorkspaceMap, problem: SelectionProblem) -> list[str]:
 
 def elbow_of(machine: AnyMachine, stand: Evaluation) -> Elbow:
     """Branch of an arm of two parallel hinges."""
-    first, second = _arm(machine, stand)
-    return "up" if first[0] * second[1] < first[1] * second[0] else "down"
-
-
-def _arm(machine: AnyMachine, stand: Evaluation) -> tuple[Vector, Vector]:
-    """The two links of an arm with a closed form along the task rows, (2,) each, m."""
     tree = machine.kinematic_tree
     rows = [tree.axes.index(row) for row in machine.task_rows]
     moved = [k for k, i in enumerate(tree.drawn) if i is not None and not tree.bodies[i].joint.passive]
     shoulder, elbow, tip = stand.skeleton[rows][:, [*moved, -1]].T
-    return elbow - shoulder, tip - elbow
+    first, second = elbow - shoulder, tip - elbow
+    return "up" if first[0] * second[1] < first[1] * second[0] else "down"
+
+
+def _place_in(drawn: WorkspaceMap, machine: AnyMachine, stand: Evaluation) -> dict[str, float]:
+    """A configuration in the coordinates of a map: over end-points that of its posture at rest, springs unloaded."""
+    rows, columns = drawn.axes
+    if drawn.options["over"] == "base":
+        return {f"base_{n}": float(x) for n, x in zip(stand.base_coordinates, stand.base, strict=True)}
+    if drawn.options["over"] == "posture":
+        return {n: float(x) for n, x in zip((columns, rows), stand.posture[:2], strict=True)}
+    plant = build_plant(machine)
+    if "elbow" in drawn.options:
+        point = end_point_at(plant, np.zeros(plant.n_base), stand.posture) - first_joint_at_rest(plant)
+    else:
+        point = end_point_at(plant, stand.base, stand.posture)
+    return dict(zip(machine.task_rows, point.tolist(), strict=True))
 
 
 def marks_in(
@@ -168,22 +184,15 @@ def marks_in(
     marks: dict[str, tuple[float, float]] = {}
     for shown, stand in stands_of(selection, judged).items():
         name = CHOSEN if shown == WORST else shown
-        at: dict[str, float] = {}
-        if drawn.options["over"] == "base":
-            at = {f"base_{n}": float(x) for n, x in zip(stand.base_coordinates, stand.base, strict=True)}
-        elif drawn.options["over"] == "posture":
-            at = {n: float(x) for n, x in zip((columns, rows), stand.posture[:2], strict=True)}
-        elif closed_form(machine):
-            if drawn.options["elbow"] != elbow_of(machine, stand):
-                continue
-            first, second = _arm(machine, stand)
-            at = dict(zip(machine.task_rows, (first + second).tolist(), strict=True))
-        elif np.abs(stand.base - best_of(selection).base).max(initial=0.0) > WAY:
-            # The map is of the arm on the chosen one's base.
-            continue
+        if "elbow" in drawn.options:
+            shown_there = drawn.options["elbow"] == elbow_of(machine, stand)
         else:
-            at = {n: float(x) for n, x in zip(machine.task_rows, stand.end_point, strict=True)}
-        marks[name] = at[columns], at[rows]
+            # Over end-points the map is of the arm on the chosen one's base.
+            off = np.abs(stand.base - best_of(selection).base).max(initial=0.0)
+            shown_there = drawn.options["over"] != "end_point" or off <= WAY
+        if shown_there:
+            at = _place_in(drawn, machine, stand)
+            marks[name] = at[columns], at[rows]
     target = dict(zip(machine.task_rows, problem.target.tolist(), strict=True))
     if drawn.options["over"] == "base" and all(axis.removeprefix("base_") in target for axis in drawn.axes):
         marks["end-point"] = target[columns.removeprefix("base_")], target[rows.removeprefix("base_")]
