@@ -59,8 +59,10 @@ class Report(Printed, Result):
         selection: the chosen configuration, further candidates, the present one, and the problem; of several targets
             a `Stand` or a `BasePlan`, and maps, loops and modes are those at the worst target.
         map: around the chosen configuration: over the placement where that has two coordinates, else over end-points
-            (or over two joints, where the task has one row); None where there is none.
-        marks: present and chosen configuration as points of the map, name -> (x, y).
+            (or over two joints, where the task has one row); where its postures are followed blank where they break a
+            constraint; None where there is none.
+        marks: present and chosen configuration in the map's coordinates (over end-points, of the posture with springs
+            unloaded), name -> (x, y).
         loops: name of a configuration (`"present"`, `"chosen"`, of several targets `"worst target"` by the objective
             and, where that is another, `"slowest target"` by the verdict, unless options say of another controller
             than its) -> closed loop; the same gains in each. Present is as staying is judged. Chosen, here and around
