@@ -99,7 +99,7 @@ def held_at(plant: Plant, control: Control, design: Design, p: ca.SX, v: ca.SX, 
     return Held(q, force, error, more - into @ force)
 
 
-def held_step(plant: Plant, control: Control) -> ca.Function:
+def change_of_rest(plant: Plant, control: Control) -> ca.Function:
     """(v, the fields of `Design`, other, kp, ki) -> by what Newton's method changes v towards where it rests.
 
     v as of `held_at`, `other` the parameters p of the machine. There K_p (q_p − q_p,rest) + g_p(q) = 0, and the
@@ -118,7 +118,7 @@ def held_step(plant: Plant, control: Control) -> ca.Function:
     )
     change = ca.densify(-ca.solve(ca.jacobian(off, v), off))
     inputs = {"v": v} | design._asdict() | {name: s[name] for name in ("other", "kp", "ki")}
-    return ca.Function("held_step", list(inputs.values()), [change], list(inputs), ["change"], {"cse": True})
+    return ca.Function("change_of_rest", list(inputs.values()), [change], list(inputs), ["change"], {"cse": True})
 
 
 def on_the_way(plant: Plant, other: ca.MX, share: float) -> ca.MX:

@@ -27,10 +27,10 @@ from flexopt.loop.rest import (
     LAST,
     STAGES,
     SUDDEN,
+    change_of_rest,
     design_constants,
     design_of,
     held_at,
-    held_step,
     on_the_way,
     placed,
     state_at_rest,
@@ -198,7 +198,7 @@ class SmallMotions:
 
         In so many stages from that of the design's parameters to that of others.
         """
-        step, plant = self._held_step, self.plant
+        step, plant = self._change_of_rest, self.plant
         v0, *given = step.mx_in()
         names = step.name_in()[1:]
         s = dict(zip(names, given, strict=True))
@@ -221,8 +221,8 @@ class SmallMotions:
         return (s["servo_gain"] if self.served else 1) * s["kp"], self.integral * s["ki"]
 
     @cached_property
-    def _held_step(self) -> ca.Function:
-        return held_step(self.plant, self.control)
+    def _change_of_rest(self) -> ca.Function:
+        return change_of_rest(self.plant, self.control)
 
     def _rest(self, s: Mapping[str, ca.SX], p: ca.SX) -> _Rest:
         """Where the loop rests, with p."""
@@ -234,7 +234,7 @@ class SmallMotions:
         kp, ki = self._into_forces(s)
         # From where iteration ends two more steps, that first and second derivatives are exact.
         for _ in range(2):
-            v += self._held_step.call([v, *design, p, kp, ki])[0]
+            v += self._change_of_rest.call([v, *design, p, kp, ki])[0]
         held = held_at(plant, self.control, design, p, v, kp, ki)
         law = held.force - kp * held.error if self.integral else None
         return _Rest(held.q, design.deflection, design.target, law, held.unheld)
