@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
 from flexopt.model.machine import AnyMachine
@@ -25,7 +26,7 @@ def beyond_limits(machine: AnyMachine, posture: Vector) -> list[str]:
     return [
         f"{name} at {q:.4g} {unit} ({low:.4g} to {high:.4g} {unit})"
         for name, unit, q, (low, high) in each
-        if max(low - q, q - high) > CLIMBED_BEYOND
+        if _beyond(q, low, high) > CLIMBED_BEYOND
     ]
 
 
@@ -62,7 +63,19 @@ def holding(machine: AnyMachine, posture: Vector) -> AnyMachine:
     for table, cylinder in zip(told["cylinders"], machine.cylinders, strict=True):
         if cylinder.joint in outside:
             table["length"] = _wider(table["length"], machine.travel(cylinder).length(outside[cylinder.joint]))
-    return type(machine)(**told)
+    wider = type(machine)(**told)
+    faults = [
+        Fault(name, f"no stroke holds it at {q:.4g} {unit}{wider.beyond_stroke(name, q) or ', beyond a dead centre'}")
+        for name, unit, q, ends in zip(machine.joints, machine.joint_units, posture.tolist(), wider.limits, strict=True)
+        if _beyond(q, *ends) > CLIMBED_BEYOND
+    ]
+    raise_if_any(InputError, machine.name, faults)
+    return wider
+
+
+def _beyond(q: float, low: float, high: float) -> float:
+    """How far it is beyond the nearer end, negative within."""
+    return max(low - q, q - high)
 
 
 def _joint_tables(told: Mapping[str, Any]) -> list[dict[str, Any]]:

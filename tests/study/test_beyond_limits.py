@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import product
 from typing import Any, cast
 
 import numpy as np
@@ -78,9 +79,31 @@ def test_limits_that_hold_a_posture_are_those_of_a_file_beside() -> None:
     assert holding(crane, turned).limits[1] == pytest.approx((crane.limits[1][0], turned[1]))
 
 
-def test_where_a_linkage_does_not_close_runs_say_so() -> None:
-    """With its bucket at 1.5 rad the stroke would have a dead centre within: a place there is undecided, and no error."""
-    posture, base = np.array([-1.0, -1.2, 1.5]), np.zeros(1)
+@pytest.mark.parametrize("name", ["boom-stick-bucket", "slewing-excavator", "truck-crane"])
+def test_limits_hold_a_posture_or_there_are_none(name: str) -> None:
+    """One joint at a time all the way around, past dead centres of its cylinder, too."""
+    machine = flexopt.load(name)
+    middle = np.clip(machine.limits, -1.0, 1.0).mean(axis=1)
+    held, refused = 0, list[str]()
+    for joint, q in product(range(len(middle)), np.linspace(-3.1, 3.1, 63).tolist()):
+        posture = middle.copy()
+        posture[joint] = q
+        try:
+            low, high = holding(machine, posture).limits[joint]
+        except flexopt.InputError as error:
+            refused.append(str(error))
+        else:
+            # To rounding of a stroke's end, found by bisection of a length that is.
+            assert low - 1e-9 <= q <= high + 1e-9
+            held += 1
+    assert held > 0
+    assert any("beyond a dead centre" in each for each in refused) == (name != "truck-crane")
+
+
+@pytest.mark.parametrize("bucket", [1.31, 1.5])
+def test_where_no_limits_hold_a_posture_runs_say_so(bucket: float) -> None:
+    """Past a dead centre, so that a stroke ends before or has two ranges: a place there is undecided, and no error."""
+    posture, base = np.array([-1.0, -1.2, bucket]), np.zeros(1)
     with pytest.raises(flexopt.InputError):
         holding(BUCKET, posture)
     loop = flexopt.Loop(drive="torque", kp=1e4, kv=1e4)
@@ -89,3 +112,14 @@ def test_where_a_linkage_does_not_close_runs_say_so() -> None:
     runs = nonlinear_runs(UncertainLoop(settings, base, posture, False, box), np.ones((1, 1)), np.array([0.1]), 1.0)
     assert runs.verdicts == ("undecided",)
     assert cast(str, runs.reasons[0]).startswith("no run holds the arm beyond its limits: ")
+
+
+def test_a_report_has_gains_for_what_limits_hold_where_they_do_not_hold_what_is_chosen() -> None:
+    asked: dict[str, Any] = {"base": 0.0, "assume": "ground,reach", "starts": 4, "seed": 0}
+    problem = flexopt.build_selection(BUCKET, (4.0, 0.5), **asked)
+    report = flexopt.report(problem, points=2)
+    with pytest.raises(flexopt.InputError):
+        holding(BUCKET, cast(flexopt.Selection, report.selection).best.evaluation.posture)
+    assert list(report.loops) == ["present"]
+    assert report.loops["present"].run.verdict == "converges"
+    assert any(note.startswith("the closed loop, chosen: ") for note in report.notes)

@@ -5,7 +5,8 @@ In: a problem, from a file or from `build_selection`. Out: a `Report`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -102,9 +103,10 @@ def report(
         experiment: from `flexopt.load_experiment`: its controller, gains, start and run are those of the closed loops.
         simulation: arguments of `flexopt.simulate` for these, before those of the experiment; not where the machine
             stands, nor `control` and `gravity`, which are the problem's. Where neither names `kp` or `kv` they are as
-            heavy as the machine in the chosen configuration: a corner at 0.3 of its lowest mode, damped by 0.7, and
-            halved until the linear loop is stable; see `flexopt.study.default_gains`. Runs of slow machines last ten
-            periods of the slowest mode, where neither says a `duration`.
+            heavy as the machine in the chosen configuration (where it is beyond limits that are left out and no wider
+            ones hold it, in the present one): a corner at 0.3 of its lowest mode, damped by 0.7, and halved until the
+            linear loop is stable; see `flexopt.study.default_gains`. Runs of slow machines last ten periods of the
+            slowest mode, where neither says a `duration`.
         loop, ranges: the real controller and what is uncertain, as of `flexopt.verdict`; by default those of the
             experiment, the problem or the machine. Where a controller is known the report says whether it pays to move,
             and the closed loops are its, with the verdict's numbers, unless `simulation` or the experiment's
@@ -153,7 +155,7 @@ def report(
     longer = long_enough((float(each.frequencies_hz.min()) for each in stands.values()), rate, least=usual)
     given = ({} if longer == usual else {"duration": longer}) | given
     if otherwise:
-        given = _with_gains(machine, best_of(about), given)
+        given = _with_gains(machine, [best_of(about), *stands.values()], given)
     else:
         first = next(iter(stands.values()))
         real = _attempt(notes, "the closed loop", lambda: _one_loop(machine, known, first, solved, judged))
@@ -252,12 +254,16 @@ def _simulation(
     return given
 
 
-def _with_gains(machine: AnyMachine, stand: Evaluation, given: dict[str, Any]) -> dict[str, Any]:
-    """The options with gains that suit the machine, where nobody named any."""
+def _with_gains(machine: AnyMachine, stands: Iterable[Evaluation], given: dict[str, Any]) -> dict[str, Any]:
+    """The options with gains that suit the machine in the first of these that limits hold, where nobody named any."""
     if {"kp", "kv"} & given.keys() or given.get("feedback", "pd") not in ("pd", "pid"):
         return given
     rate = given.get("rate", SimulationOptions.model_fields["rate"].default)
-    return default_gains(holding(machine, stand.posture), stand, rate, given) | given
+    for stand in stands:
+        # Where none hold it no loop is run, which is noted.
+        with suppress(InputError):
+            return default_gains(holding(machine, stand.posture), stand, rate, given) | given
+    return given
 
 
 def _inside(low: float, high: float) -> float:

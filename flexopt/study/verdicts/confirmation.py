@@ -167,7 +167,7 @@ def _unheld(loop: UncertainLoop) -> str:
     try:
         holding(loop.box.machine, loop.posture)
     except InputError as error:
-        return f"no run holds the arm beyond its limits: {error}"
+        return f"no run holds the arm beyond its limits: {'; '.join(map(str, error.faults))}"
     return ""
 
 
