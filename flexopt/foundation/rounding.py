@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -22,3 +24,10 @@ def without_rounding(values: ArrayLike, scale: ArrayLike) -> Vector:
 def way(length: float) -> float:
     """A way between configurations as it is shown."""
     return 0.0 if abs(length) < WAY else length
+
+
+def apart(value: float, bounds: Iterable[float]) -> Callable[[float], str]:
+    """How numbers are written: to four digits, or as many more as tell the value from bounds that it is not at."""
+    forms = [f"{{:z.{digits}g}}".format for digits in range(4, 18)]
+    others = [bound for bound in bounds if bound != value]
+    return next(form for form in forms if form(value) not in [form(bound) for bound in others])

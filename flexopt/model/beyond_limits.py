@@ -14,6 +14,7 @@ import numpy as np
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
+from flexopt.foundation.rounding import apart
 from flexopt.model.machine import AnyMachine
 
 # Less beyond an end, rad or m, is what climbs leave.
@@ -24,9 +25,10 @@ def beyond_limits(machine: AnyMachine, posture: Vector) -> list[str]:
     """Each joint that a posture (n,) holds beyond its limits or its cylinder's stroke, with what these allow."""
     each = zip(machine.joints, machine.joint_units, posture.tolist(), machine.limits, strict=True)
     return [
-        f"{name} at {q:.4g} {unit} ({low:.4g} to {high:.4g} {unit})"
+        f"{name} at {number(q)} {unit} ({number(low)} to {number(high)} {unit})"
         for name, unit, q, (low, high) in each
         if _beyond(q, low, high) > CLIMBED_BEYOND
+        for number in [apart(q, (low, high))]
     ]
 
 

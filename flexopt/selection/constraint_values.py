@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from flexopt.foundation.plain import counted
-from flexopt.foundation.rounding import without_rounding
+from flexopt.foundation.rounding import apart, without_rounding
 from flexopt.model.constraints import Constraints
 from flexopt.selection.constraints import KINDS
 
@@ -61,14 +61,12 @@ class ConstraintValue:
         return f"at {'least' if low else 'most'} {number(self.lower if low else self.upper)} {unit}".rstrip()
 
     def __str__(self) -> str:
+        number = "{:z.4g}".format
         if math.isnan(self.value):
-            return f"no number ({self.allowed('{:z.4g}'.format, self.unit)})"
-        digits = 4
+            return f"no number ({self.allowed(number, self.unit)})"
         if -self.room > BEYOND * self._size:
             # What breaks a bound is not told as the bound itself.
-            bounds = self.lower, self.upper
-            digits = next(n for n in range(4, 18) if f"{self.shown:z.{n}g}" not in [f"{x:z.{n}g}" for x in bounds])
-        number = f"{{:z.{digits}g}}".format
+            number = apart(self.shown, (self.lower, self.upper))
         return f"{f'{number(self.shown)} {self.unit}'.rstrip()} ({self.allowed(number, self.unit)})"
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from itertools import product
 from typing import Any, cast
 
@@ -12,7 +13,7 @@ import pytest
 import flexopt
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
-from flexopt.model.beyond_limits import holding
+from flexopt.model.beyond_limits import beyond_limits, holding
 from flexopt.model.uncertainty import GROUND
 from flexopt.study.verdicts.confirmation import nonlinear_runs
 
@@ -98,6 +99,18 @@ def test_limits_hold_a_posture_or_there_are_none(name: str) -> None:
             held += 1
     assert held > 0
     assert any("beyond a dead centre" in each for each in refused) == (name != "truck-crane")
+
+
+@pytest.mark.parametrize("off", [2e-6, 5e-6, 1e-4, 0.05, 0.3])
+@pytest.mark.parametrize("name", ["boom-stick-bucket", "mobile-manipulator", "truck-crane"])
+def test_a_joint_beyond_its_limits_is_told_apart_from_them(name: str, off: float) -> None:
+    machine = flexopt.load(name)
+    for end, sign in ((0, -1.0), (1, 1.0)):
+        told = beyond_limits(machine, np.array(machine.limits)[:, end] + sign * off)
+        assert len(told) == len(machine.joints)
+        for each in told:
+            q, low, high = map(float, re.findall(r"-?\d[\d.e+-]*", each[each.index(" at ") :]))
+            assert (q > high) if end else (q < low)
 
 
 @pytest.mark.parametrize("bucket", [1.31, 1.5])
