@@ -33,12 +33,13 @@ from flexopt.study.verdicts import verdict as verdict_module
 from flexopt.study.verdicts.broken_places import Breaks, broken_standing, broken_within
 from flexopt.study.verdicts.confirmation import nonlinear_runs, tilts
 from flexopt.study.verdicts.decision import spoken
-from flexopt.study.verdicts.place_loops import configurations_of, held_at, unreached
+from flexopt.study.verdicts.place_loops import besides_driving, configurations_of, held_at, unreached
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import allowed, told
 from flexopt.study.verdicts.result import GROUND_ASSUMED
 from tests.selection.constraints.test_under_weight import held as held_on_target
 from tests.study.machines import gantry
+from tests.study.telescopes import telescope
 
 ARTICLE = {"kp": 1e4, "kv": 1e3}
 
@@ -100,6 +101,25 @@ def test_a_move_says_which_joint_moves_most() -> None:
     left = "the weight is left out, of the linear loops and of the runs"
     assert left in repr(found)
     assert left.capitalize() in found._html()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_move_says_the_largest_turn_and_the_largest_slide(seed: int) -> None:
+    """Radians are not to be compared with metres."""
+    rng = np.random.default_rng(seed)
+    machine = telescope(True, rng=rng)
+    low, high = np.array(machine.limits).T
+    held, there = (flexopt.evaluate(machine, low + rng.uniform(size=3) * (high - low), base=[0.0]) for _ in range(2))
+    target = held.end_point
+    problem = flexopt.build_selection(machine, target, base=0.0, posture=held.posture)
+    lift, fold, extend = there.posture - held.posture
+    turn = f"lift by {lift:+.3g} rad" if abs(lift) > abs(fold) else f"fold by {fold:+.3g} rad"
+    assert besides_driving(problem, 0.0, (there,)) == f"{turn}, extend by {extend:+.3g} m, other joints less"
+    # Of what hardly moves nothing is said.
+    stays = held.posture + np.array([2e-4, -0.3, 0.05])
+    assert besides_driving(problem, 0.0, (flexopt.evaluate(machine, stays, base=[0.0]),)) == (
+        "fold by -0.3 rad, extend by +0.05 m"
+    )
 
 
 @pytest.mark.long

@@ -294,7 +294,7 @@ def drive_to(configurations: Configurations, now: Vector) -> tuple[float, float]
 
 
 def besides_driving(problem: SelectionProblem, turn: float, there: Configurations) -> str:
-    """What a move takes besides the drive, in words: the base's turn, rad, and the joint that moves most, in its unit.
+    """What a move takes besides the drive, in words: the base's turn, rad, the largest turn and slide of a joint.
 
     Of the joints where it is known how the arm is held now, and of one target alone: postures at several are as far
     from each other as the targets.
@@ -302,9 +302,10 @@ def besides_driving(problem: SelectionProblem, turn: float, there: Configuration
     told = [f"a turn of the base by {turn:.3g} rad"] if turn >= LEAST_TOLD else []
     if problem.present_posture is None or len(there) != 1:
         return ", ".join(told)
-    machine, away = problem.machine, way_to(problem, there[0].z)[there[0].base.size :]
-    most, moved = int(np.argmax(np.abs(away))), np.abs(away) >= LEAST_TOLD
-    if moved.any():
-        others = ", other joints less" if moved.sum() > 1 else ""
-        told.append(f"{machine.joints[most]} by {away[most]:+.3g} {machine.joint_units[most]}{others}")
-    return ", ".join(told)
+    machine, away = problem.machine, way_to(problem, there[0].z)[there[0].base.size :].tolist()
+    moved = [each for each in zip(machine.joints, machine.joint_units, away, strict=True) if abs(each[2]) >= LEAST_TOLD]
+    units = dict.fromkeys(unit for _, unit, _ in moved)
+    # A turn is not to be compared with a slide.
+    most = [max((each for each in moved if each[1] == unit), key=lambda each: abs(each[2])) for unit in units]
+    told += [f"{name} by {way:+.3g} {unit}" for name, unit, way in most]
+    return ", ".join([*told, *["other joints less"] * (len(moved) > len(most))])
