@@ -643,7 +643,8 @@ def test_a_self_motion_that_nothing_brakes_is_told(
     # With any other word, too, and on the page.
     for each in (found, replace(found, word="move", place="candidate 1")):
         assert ("loop.nullspace_damping brakes it" in repr(each)) == told
-        assert ("nor in the linear loop" in repr(each)) == told
+        brakes = "the controller does not brake the arm's self-motion, neither in these runs nor in the linear loop"
+        assert (brakes in repr(each)) == told
     monkeypatch.setattr(page, "_png", lambda figure: "")
     found.to_html(tmp_path / "verdict.html")
     shown = (tmp_path / "verdict.html").read_text(encoding="utf-8")

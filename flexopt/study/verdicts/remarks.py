@@ -67,7 +67,7 @@ def servo_proposed(verdict: Verdict) -> str:
 
 
 def drifts(verdict: Verdict) -> str:
-    """That nothing brakes the arm's verdict-motion, or too little, a sentence; empty where that is not so."""
+    """That nothing brakes the arm's self-motion, or too little, a sentence; empty where that is not so."""
     slower = (each for each in verdict.places if each.drift > 0 or -each.drift < each.decay.least)
     own, told = [place for place in slower if abs(place.drift) * STAYS > 1], ""
     if own:
@@ -76,29 +76,29 @@ def drifts(verdict: Verdict) -> str:
         where = f"in {spoken(first.name)} at {member_in_words(first.drift_at)}"
         of = "decay, settling and swing" if first.drift > 0 else "the decay"
         how += f" in {1 / abs(first.drift):.3g} s at worst, {where}"
-        told = f"the arm's verdict-motion, which is no part of {of}, {how}"
+        told = f"the arm's self-motion, which is no part of {of}, {how}"
     if not verdict.settings.lets_drift:
         return told and f"{told}; loop.nullspace_damping says how the controller brakes it"
     where = "in the linear loop"
     if any(place.runs for place in verdict.places):
         where = "neither in these runs nor in the linear loop"
-    brakes = f"the controller does not brake the arm's verdict-motion, {where}; loop.nullspace_damping brakes it"
+    brakes = f"the controller does not brake the arm's self-motion, {where}; loop.nullspace_damping brakes it"
     return "; ".join(filter(None, (brakes, told)))
 
 
 def lingers(verdict: Verdict) -> str:
-    """That a verdict-motion which dies away slowly keeps the end-point from settling, a sentence; empty where none."""
+    """That a self-motion which dies away slowly keeps the end-point from settling, a sentence; empty where none."""
     fast = DECAYED / LONGEST
     late = [place.name for place in verdict.rows if math.isnan(place.settling.greatest) and place.decay.least > fast]
     if not late or all(math.isnan(place.drift) for place in verdict.rows if place.name in late):
         return ""
     does = "decay fast and yet do" if len(late) > 1 else "decays fast and yet does"
-    why = "the arm's verdict-motion, no part of the decay, dies away slowly there and takes the end-point with it"
+    why = "the arm's self-motion, no part of the decay, dies away slowly there and takes the end-point with it"
     return f"{listed(map(spoken, late))} {does} not settle in a minute on some ground: {why}"
 
 
 def driven(verdict: Verdict) -> str:
-    """That an unknown weight drives the arm's verdict-motion, and where most, a sentence; empty where it does not."""
+    """That an unknown weight drives the arm's self-motion, and where most, a sentence; empty where it does not."""
     most = max(verdict.places, key=lambda place: max(map(abs, place.unheld.values()), default=0.0))
     where = f"in {spoken(most.name)} at {member_in_words(most.unheld_at)}"
     return "".join(driven_self_motion(most.unheld, verdict.settings.joint_units, where))
