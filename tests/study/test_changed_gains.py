@@ -24,7 +24,8 @@ GROUNDS = np.linspace(1.0, 1.2, 40)
 class Case(NamedTuple):
     """Slowest decays by place, with the present gains and others; drives; what runs of the others refute; what is told.
 
-    `shared`: slowest decays with the gains that runs confirm in another place;  refuted_too: what they refute of these.
+    `shared`: slowest decays with the gains that runs confirm in another place;  refuted_too: what they refute of these;
+    uneven: where most grounds decay three times as fast as the slowest;  place: empty where there is none.
     """
 
     now: dict[str, float]
@@ -36,6 +37,7 @@ class Case(NamedTuple):
     shared: Mapping[str, float] = MappingProxyType({})
     refuted_too: tuple[str, ...] = ()
     passed: str = ""
+    uneven: tuple[str, ...] = ()
 
 
 @pytest.mark.parametrize(
@@ -100,6 +102,19 @@ class Case(NamedTuple):
             {"stay": 1.0, "near": 1.09, "far": 0.6}, {"stay": 1.05, "near": 1.19, "far": 1.25}, {"near": 3.0, "far": 4.0},
             (), "far", staying=True,
         ),
+        # One stays with the present gains where others do not do there, and only what is better than that is moved to.
+        Case({"stay": 1.0, "near": 0.6}, {"stay": -0.5, "near": 1.3}, {"near": 3.0}, (), "near", staying=False),
+        Case({"stay": 1.0, "near": 0.6}, {"stay": -0.5, "near": 1.3}, {"near": 3.0}, (), "", staying=False, uneven=("stay",)),
+        Case({"stay": 1.0, "near": 0.6}, {"stay": 1.5, "near": 2.0}, {"near": 3.0}, ("stay",), "near", staying=False),
+        Case(
+            {"stay": 1.0, "near": 0.6}, {"stay": 1.5, "near": 2.0}, {"near": 3.0}, ("stay",), "stay", staying=False,
+            uneven=("stay",),
+        ),
+        # With the gains of another place runs confirm it where it stands.
+        Case(
+            {"stay": 1.0, "near": 0.6}, {"stay": 3.5, "near": 3.4}, {"near": 3.0}, ("stay",), "stay", staying=False,
+            uneven=("stay",), shared={"stay": 3.2},
+        ),
     ],
 )  # fmt: skip
 def test_where_gains_are_changed(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,7 +124,12 @@ def test_where_gains_are_changed(case: Case, monkeypatch: pytest.MonkeyPatch) ->
     loop: Any = SimpleNamespace(settings=settings, with_settings=lambda _: loop)
 
     def places(slowest: dict[str, float]) -> dict[str, Place]:
-        return {name: Place(name, each * GROUNDS, each, case.drives.get(name, 0.0)) for name, each in slowest.items()}
+        decays = {
+            name: np.where(GROUNDS > 1.05, 3.0 if name in case.uneven else 1.0, 1.0) * GROUNDS for name in slowest
+        }
+        return {
+            name: Place(name, each * decays[name], each, case.drives.get(name, 0.0)) for name, each in slowest.items()
+        }
 
     def fastest(_: GainChange, name: str) -> Any:
         return SimpleNamespace(place=places(case.then)[name], loop=loop)
@@ -122,11 +142,14 @@ def test_where_gains_are_changed(case: Case, monkeypatch: pytest.MonkeyPatch) ->
         return places({name: case.shared.get(name, -1.0)})[name], np.zeros(1)
 
     monkeypatch.setattr(changed_gains.GainChange, "_fastest", fastest)
-    monkeypatch.setattr(changed_gains.GainChange, "_lowest", lambda _, tried: ran(tried, case.refuted))
+    monkeypatch.setattr(changed_gains.GainChange, "_lowest", lambda _, tried, __=None: ran(tried, case.refuted))
     monkeypatch.setattr(changed_gains.GainChange, "_with", shared)
     monkeypatch.setattr(changed_gains.GainChange, "_told", lambda _, tried: ran(tried, case.refuted_too))
     loops = dict.fromkeys(case.now, loop)
     found = GainChange(Loop(), places(case.now), loops, {}, {}, np.zeros((1, 1)), lambda _: None).best()
+    if found is None:
+        assert not case.place
+        return
     assert found.place.name == case.place
     assert case.passed in ("", found.passed_over)
     told = f"staying with kp 2 N m, kv 1 N m s is stable on every ground, too: slowest decay {case.then.get('stay')}/s"
@@ -214,6 +237,7 @@ def test_gains_that_runs_confirm_in_one_place_are_tried_in_a_nearer_one(top: flo
     slowest: Any = dict.fromkeys(hills, SimpleNamespace(member=points[0]))
     asked = Loop(kp_range=(0.1, 100.0))
     found = GainChange(asked, known, hills, slowest, {}, points, runs).best()
+    assert found is not None
     kp = float(found.loop.settings.kp[0])
     assert (found.place.name, found.doubt) == (place, None)
     assert kp == pytest.approx(10.0, rel=0.05)
@@ -235,6 +259,7 @@ def test_a_present_place_that_grows_is_said_to_grow_with_the_gains_that_were_tri
     known = {name: Place(name, np.full(20, -1.0), -1.0, drive) for name, drive in drives.items()}
     slowest: Any = dict.fromkeys(hills, SimpleNamespace(member=points[0]))
     found = GainChange(Loop(), known, hills, slowest, {}, points, lambda _: None).best()
+    assert found is not None
     assert found.place.name == "far"
     # By their own formula, on the member where that is least; 0.01 to 10 times the present gains are tried.
     kp = max(best, 0.01)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
@@ -109,8 +109,8 @@ class GainChange:
     runs_of: Callable[[PlaceLoops], Runs | None]
     breaks: Callable[[str, PlaceLoops], str] = lambda _name, _loop: ""
 
-    def best(self) -> ChangedGains:
-        """The place to be in, each with the lowest gains that do as well as its fastest.
+    def best(self) -> ChangedGains | None:
+        """The place to be in, each with the lowest gains that do as well as its fastest; None where none does better.
 
         The present one, unless a move from it pays, as by `RULE`, or runs refute it and confirm another. Of places with
         less to drive that runs refute so, one that does as well with the gains that they confirm.
@@ -119,14 +119,14 @@ class GainChange:
         stay = self._lowest(fastest.pop(STAY)) if STAY in fastest and fastest[STAY].place.holds else None
         refuted = stay is not None and stay.doubt is not None
         places = [each.place for each in fastest.values()]
-        standing = None if stay is None or refuted else self._standing(stay.place)
+        standing = self._standing(None if stay is None or refuted else stay.place)
         others = places if standing is None else [place for place in places if pays(place, standing)]
         # What a move does with the present gains is no merit of others.
         others = [place for place in others if self._changes(place)] or others
         doubts = {STAY: stay.doubt} if stay is not None and stay.doubt is not None else dict[str, str]()
         other, tried = None, 0
         while others and tried < PLACES and (other is None or other.doubt is not None):
-            found, tried = self._lowest(fastest[_nearest(others)]), tried + 1
+            found, tried = self._lowest(fastest[_nearest(others)], standing), tried + 1
             other = found if other is None or found.doubt is None else other
             others = [place for place in others if place.name != found.place.name]
             if found.doubt is not None:
@@ -141,7 +141,7 @@ class GainChange:
             grows = self._grows(fastest[STAY]) if STAY in fastest else ""
             other = other._replace(passed_over=told, staying=grows)
         if stay is None or other is None:
-            return cast(ChangedGains, stay or other)
+            return stay or other
         serves = self._changes(other.place) or not self._changes(stay.place)
         if other.doubt is not None or not (standing is None or (serves and pays(other.place, standing))):
             return stay
@@ -154,10 +154,13 @@ class GainChange:
         told = f"staying with {loop}, the best other ones found, is not stable on every ground: slowest decay "
         return ", and ".join(filter(None, [f"{told}{stay.place.slowest:.3g}/s", self._ends(stay)]))
 
-    def _standing(self, changed: Place) -> Place:
-        """The present place as one would stay there: with other gains where these are worth a change, else as it is."""
+    def _standing(self, changed: Place | None) -> Place | None:
+        """The present place as one would stay there: with other gains where these are worth a change, else as it is.
+
+        None where it is none to stay at, as it is or as `changed`, with gains that runs confirm.
+        """
         now = may_stay(self.known.get(STAY), self.doubts)
-        return changed if now is None or self._changes(changed) else now
+        return changed if now is None or (changed is not None and self._changes(changed)) else now
 
     def _spared(
         self, other: ChangedGains, least: float, standing: Place | None, doubts: dict[str, str]
@@ -174,7 +177,8 @@ class GainChange:
             loop = self.loops[place.name].with_settings(other.loop.settings)
             there, member = self._with(place.name, loop)
             why = f"its slowest decay is {there.slowest:.3g}/s only"
-            if there.slowest >= least and self._changes(there) and (standing is None or pays(there, standing)):
+            does = self._changes(there) and (standing is None or place.name == STAY or pays(there, standing))
+            if there.slowest >= least and does:
                 found = self._told(_Tried(there, loop, member[None]))
                 if found.doubt is None:
                     return found
@@ -217,12 +221,18 @@ class GainChange:
         """At which ends of what is tried its gains lie, in words."""
         return at_ends(tried.loop.settings, self.asked, self.loops[tried.place.name].settings)
 
-    def _lowest(self, fastest: _Tried) -> ChangedGains:
-        """The lowest gains with which a place is nearly as good as with its fastest, worth it, and confirmed."""
+    def _lowest(self, fastest: _Tried, standing: Place | None = None) -> ChangedGains:
+        """The lowest gains with which a place is nearly as good as with its fastest, worth it, and confirmed.
+
+        `standing`: as one would stay, where a move there must be better.
+        """
         (place, best, few), name = fastest, fastest.place.name
 
         def keeps(decay: float) -> bool:
             return decay >= _alike(place.slowest) and self._changes(place._replace(slowest=decay))
+
+        def does(there: Place) -> bool:
+            return keeps(there.slowest) and (standing is None or pays(there, standing))
 
         def at(factor: float) -> _Tried:
             loop = lowered(best, self.asked, factor)
@@ -238,7 +248,7 @@ class GainChange:
             if least * (1 + FASTER) > 1.0:
                 break
             tried = at(least)
-            if keeps(tried.place.slowest):
+            if does(tried.place):
                 lowest = self._told(tried)
                 break
             members = np.concatenate([members, tried.few])
@@ -248,7 +258,7 @@ class GainChange:
         for _ in range(HALVED if lowest is not None and kept.doubt is None else 0):
             middle = math.sqrt(least * high)
             tried = at(middle)
-            if keeps(tried.place.slowest) and (higher := self._told(tried)).doubt is None:
+            if does(tried.place) and (higher := self._told(tried)).doubt is None:
                 kept, high = higher, middle
             else:
                 least = middle
