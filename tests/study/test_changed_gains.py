@@ -146,7 +146,7 @@ def test_where_gains_are_changed(case: Case, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(changed_gains.GainChange, "_with", shared)
     monkeypatch.setattr(changed_gains.GainChange, "_told", lambda _, tried: ran(tried, case.refuted_too))
     loops = dict.fromkeys(case.now, loop)
-    found = GainChange(Loop(), places(case.now), loops, {}, {}, np.zeros((1, 1)), lambda _: None).best()
+    found = GainChange(Loop(), places(case.now), loops, {}, {}, np.zeros((1, 1)), lambda _: None).sought().changed
     if found is None:
         assert not case.place
         return
@@ -236,7 +236,7 @@ def test_gains_that_runs_confirm_in_one_place_are_tried_in_a_nearer_one(top: flo
 
     slowest: Any = dict.fromkeys(hills, SimpleNamespace(member=points[0]))
     asked = Loop(kp_range=(0.1, 100.0))
-    found = GainChange(asked, known, hills, slowest, {}, points, runs).best()
+    found = GainChange(asked, known, hills, slowest, {}, points, runs).sought().changed
     assert found is not None
     kp = float(found.loop.settings.kp[0])
     assert (found.place.name, found.doubt) == (place, None)
@@ -258,7 +258,7 @@ def test_a_present_place_that_grows_is_said_to_grow_with_the_gains_that_were_tri
     drives = {"stay": 0.0, "near": 1.0, "far": 2.0}
     known = {name: Place(name, np.full(20, -1.0), -1.0, drive) for name, drive in drives.items()}
     slowest: Any = dict.fromkeys(hills, SimpleNamespace(member=points[0]))
-    found = GainChange(Loop(), known, hills, slowest, {}, points, lambda _: None).best()
+    found = GainChange(Loop(), known, hills, slowest, {}, points, lambda _: None).sought().changed
     assert found is not None
     assert found.place.name == "far"
     # By their own formula, on the member where that is least; 0.01 to 10 times the present gains are tried.

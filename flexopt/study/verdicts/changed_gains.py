@@ -80,6 +80,20 @@ def doubt_of(runs: Runs | None) -> str | None:
     return None if runs is None or runs.confirming >= MOST else next(filter(None, runs.reasons), "")
 
 
+class Sought(NamedTuple):
+    """What is found of other gains.
+
+    `changed`: the place to be in with others, None where none does better than staying as it is;  fastest: every place
+    with those that are best there;  standing: the present one as one would stay there, None where one would not;
+    doubts: why nonlinear runs do not confirm some of these, by name.
+    """
+
+    changed: ChangedGains | None
+    fastest: Mapping[str, ChangedGains]
+    standing: Place | None
+    doubts: Mapping[str, str]
+
+
 class _Tried(NamedTuple):
     """A place with other gains, and the few members that these were sought for (n, k)."""
 
@@ -109,21 +123,36 @@ class GainChange:
     runs_of: Callable[[PlaceLoops], Runs | None]
     breaks: Callable[[str, PlaceLoops], str] = lambda _name, _loop: ""
 
-    def best(self) -> ChangedGains | None:
+    def sought(self) -> Sought:
+        """The best with other gains, and what else is known of these."""
+        fastest, doubts = {name: self._fastest(name) for name in self.known}, dict[str, str]()
+        each = {
+            name: ChangedGains(tried.place, tried.loop, None, at_end=self._ends(tried))
+            for name, tried in fastest.items()
+        }
+        stay = self._lowest(fastest[STAY]) if STAY in fastest and fastest[STAY].place.holds else None
+        if stay is not None and stay.doubt is not None:
+            doubts[STAY] = stay.doubt
+        standing = self._standing(None if stay is None or stay.doubt is not None else stay.place)
+        return Sought(self._best(fastest, stay, standing, doubts), each, standing, doubts)
+
+    def _best(
+        self, fastest: Mapping[str, _Tried], stay: ChangedGains | None, standing: Place | None, doubts: dict[str, str]
+    ) -> ChangedGains | None:
         """The place to be in, each with the lowest gains that do as well as its fastest; None where none does better.
 
         The present one, unless a move from it pays, as by `RULE`, or runs refute it and confirm another. Of places with
         less to drive that runs refute so, one that does as well with the gains that they confirm.
+
+        Args:
+            fastest: each place with its best gains.
+            stay: the present one, where it is stable with others;  standing: as one would stay there, if one would.
+            doubts: to which it adds why runs do not confirm places with these, by name.
         """
-        fastest = {name: self._fastest(name) for name in self.known}
-        stay = self._lowest(fastest.pop(STAY)) if STAY in fastest and fastest[STAY].place.holds else None
-        refuted = stay is not None and stay.doubt is not None
-        places = [each.place for each in fastest.values()]
-        standing = self._standing(None if stay is None or refuted else stay.place)
+        places = [each.place for name, each in fastest.items() if name != STAY or stay is None]
         others = places if standing is None else [place for place in places if pays(place, standing)]
         # What a move does with the present gains is no merit of others.
         others = [place for place in others if self._changes(place)] or others
-        doubts = {STAY: stay.doubt} if stay is not None and stay.doubt is not None else dict[str, str]()
         other, tried = None, 0
         while others and tried < PLACES and (other is None or other.doubt is not None):
             found, tried = self._lowest(fastest[_nearest(others)], standing), tried + 1
@@ -138,7 +167,7 @@ class GainChange:
             moves = [place for place in places if place.name != STAY]
             ends = {place.name: self._ends(fastest[place.name]) for place in moves}
             told = passed_over(other.place, standing, moves, doubts, ends)
-            grows = self._grows(fastest[STAY]) if STAY in fastest else ""
+            grows = self._grows(fastest[STAY]) if stay is None and STAY in fastest else ""
             other = other._replace(passed_over=told, staying=grows)
         if stay is None or other is None:
             return stay or other
@@ -146,7 +175,7 @@ class GainChange:
         if other.doubt is not None or not (standing is None or (serves and pays(other.place, standing))):
             return stay
         told = f"staying with {stay.in_words} is stable on every ground, too: slowest decay {stay.place.slowest:.3g}/s"
-        return other._replace(staying="" if refuted else told)
+        return other._replace(staying="" if stay.doubt is not None else told)
 
     def _grows(self, stay: _Tried) -> str:
         """That the present place is not stable with the best other gains found for it, in words."""

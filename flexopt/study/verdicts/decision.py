@@ -142,7 +142,7 @@ def decide(
         sought: by what places were sought, in words; empty: that is not told.
     """
     found = f"no place found{sought and f' by {sought}'}{KEEPING * barred}"
-    sound = [place for place in others if place.holds and place.name not in unconfirmed]
+    sound = sound_of(others, unconfirmed)
     best = _best([place for place in sound if stay is None or pays(place, stay)])
     staying = may_stay(stay, unconfirmed)
     every = [*([] if stay is None else [stay]), *others]
@@ -361,6 +361,11 @@ def _best(moves: Sequence[Place]) -> Place | None:
         return None
     most = max(place.slowest for place in moves)
     return _near([place for place in moves if place.slowest >= (1 - FASTER) * most])
+
+
+def sound_of(others: Sequence[Place], unconfirmed: Mapping[str, str]) -> list[Place]:
+    """Those that are stable, and not refuted by runs."""
+    return [place for place in others if place.holds and place.name not in unconfirmed]
 
 
 def may_stay(stay: Place | None, unconfirmed: Mapping[str, str]) -> Place | None:

@@ -93,6 +93,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "reason": sentence(verdict.reason),
         "drawbacks": sentence(verdict.drawbacks),
         "passed_over": sentence(verdict.passed_over),
+        "gains_kept": sentence(verdict.gains_kept),
         "measure": sentence(verdict.measure),
         "stand": _stand(verdict),
         "numbers": _numbers(verdict),

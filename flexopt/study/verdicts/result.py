@@ -69,6 +69,8 @@ class Verdict(Pictured, Printed, Result):
         passed_over: where it sends the machine: of the nearest place with less to drive that is better than staying on
             some grounds, or where there is no staying of any, why it does not send it there, where gains are to be
             changed why not with others, either; else empty.
+        gains_kept: where gains are not to be changed, though the loop has ranges for others: what these do at best, and
+            by what of the rule that is not enough, unless the reason says it; else empty.
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
         gains: those to change to;  with_gains: `place` with these, judged as the places are with the present ones; None
             where none are to be changed;  new_settings: `settings` with these gains, or None.
@@ -113,12 +115,13 @@ class Verdict(Pictured, Printed, Result):
     exclusions: dict[str, str] = field(default_factory=dict[str, str])
     assumes_ground: bool = False
     passed_over: str = ""
+    gains_kept: str = ""
     name: str = ""
     with_gains: PlaceVerdict | None = None
 
     DOCUMENT = """
-    word sentence place reason drawbacks passed_over measure gains new_settings rule targets[m] present_end_point[m]
-    present_off[m] present_breaks places with_gains assumed
+    word sentence place reason drawbacks passed_over gains_kept measure gains new_settings rule targets[m]
+    present_end_point[m] present_off[m] present_breaks places with_gains assumed
     settings uncertainty=_uncertainty members judged excluded exclusions proven provenance
     """
 
@@ -434,7 +437,8 @@ class Verdict(Pictured, Printed, Result):
         lines += [f"  {place.name}: {self._where(place)}" for place in self.places]
         lines += [f"  {sentence}" for sentence in (*on_places(self), *on_the_loop(self), *self.assumed)]
         lines.append(f"verdict: {self.sentence.replace(self.word, self.word.upper(), 1)}")
-        return "\n".join([*lines, *filter(None, (self.drawbacks, self.passed_over, self.measure, self.to_change))])
+        said = (self.drawbacks, self.passed_over, self.gains_kept, self.measure, self.to_change)
+        return "\n".join([*lines, *filter(None, said)])
 
 
 def _gains(names: Sequence[str]) -> str:

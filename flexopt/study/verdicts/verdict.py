@@ -56,6 +56,7 @@ from flexopt.study.verdicts.decision import (
     spoken,
 )
 from flexopt.study.verdicts.gain_search import tried_gains
+from flexopt.study.verdicts.kept_gains import gains_kept
 from flexopt.study.verdicts.place_loops import (
     Chosen,
     Configurations,
@@ -210,7 +211,7 @@ def verdict(
     stay, rest = known.get(STAY), [place for name, place in known.items() if name != STAY]
     doubts = {name: why for name, run in shown.items() if (why := doubt_of(run)) is not None}
     tried = tried_gains(asked) if known and _tries(asked, stay, rest, doubts) else ""
-    changed = (
+    sought = (
         GainChange(
             asked,
             known,
@@ -220,10 +221,11 @@ def verdict(
             points,
             partial(_runs_of, points[:runs], duration),
             lambda name, loop: broken_by_loop(chosen, held[name], loop),
-        ).best()
+        ).sought()
         if tried
         else None
     )
+    changed = sought and sought.changed
     confirmed, refuted = (changed, None) if changed and changed.doubt is None else (None, changed)
     stages.next()
     decision = decide(
@@ -233,6 +235,7 @@ def verdict(
         most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
         sought=_sought(chosen),
     )  # fmt: skip
+    kept = gains_kept(gain_ranges(asked), sought, decision, known, doubts)
     decision = with_barred(
         _with_alternates(_of_gains(decision, confirmed), loops, slowest),
         {name: shares[name] for name in others if STAY in fit and name not in fit},
@@ -254,6 +257,7 @@ def verdict(
         place=decision.place,
         reason=decision.reason,
         passed_over=decision.passed_over,
+        gains_kept=kept,
         measure=_measure(decision, box, points, known, stay, bands, breaks)
         if decision.word == "cannot tell" and known
         else "",
