@@ -140,7 +140,9 @@ def test_a_verdict_that_keeps_its_gains_says_what_others_do(tmp_path: Any, monke
     assert json.loads(json.dumps(found.to_dict()))["gains_kept"] == found.gains_kept
     monkeypatch.setattr(page, "_png", lambda figure: "")
     found.to_html(tmp_path / "verdict.html")
-    assert with_minus(found.gains_kept[1:]) in (tmp_path / "verdict.html").read_text(encoding="utf-8")
+    words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
+    assert with_minus(found.gains_kept[1:]) in words
+    assert "The same controller everywhere: " in words
     told = re.search(rf"at best {NUMBER}/s, at (candidate .) with kp {NUMBER} N m", found.gains_kept)
     assert told
     alone = flexopt.verdict(chosen, loop=loop | {"kp": float(told[3])}, **few)  # type: ignore[arg-type]
