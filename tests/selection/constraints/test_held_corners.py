@@ -161,3 +161,28 @@ def test_near_a_singular_posture_a_machine_on_soft_springs_is_held_as_scipy_hold
     assert continued(plant, posture, nominal, p) is not None
     quantities = flexopt.build_selection(machine, (1.0, 1.6), gravity=True, base=0.0, starts=1).quantities
     assert not_standing(quantities, np.append(0.0, posture), p) == {}
+
+
+# On springs so soft that steps from where these are at rest end elsewhere.
+@pytest.mark.parametrize(("first", "second"), [(-2.0379, 0.0206), (-1.6376, 2.3655)])
+def test_with_its_own_numbers_a_machine_is_held_where_scipy_has_it_hang(first: float, second: float) -> None:
+    machine = excavator_on(4e4)
+    plant, base, posture = flexopt.build_plant(machine), np.zeros(1), np.array([first, second])
+    own = plant.parameter_values.full().ravel()
+    m, stiffness = plant.n_passive, plant.stiffness.call([own])[0].full()
+    stiffness = stiffness[: plant.n_passive, : plant.n_passive]
+    rest = plant.rest.call([base, posture, own])[0].full().ravel()[:m]
+
+    def left(x: Vector) -> Any:
+        weight = plant.gravity.call([np.append(x, posture), base, own])[0].full().ravel()[:m]
+        return (weight + stiffness @ (x - rest)) / stiffness.diagonal()
+
+    found: Any = root(left, rest, tol=1e-12)
+    assert found.success
+    hangs = np.append(found.x, posture)
+    assert np.linalg.eigvalsh(stiffness + plant.gravity_stiffness.call([hangs, base, own])[0].full())[0] > 0
+    sags = plant.deflected.call([base, posture, own])[0].full().ravel()
+    # Both to some 1e-12 of angles of order 1.
+    np.testing.assert_allclose(sags, found.x, rtol=0, atol=1e-9)
+    quantities = flexopt.build_selection(machine, (1.0, 1.6), gravity=True, base=0.0, starts=1).quantities
+    assert not_standing(quantities, np.append(base, posture), own) == {}
