@@ -249,6 +249,27 @@ def test_gains_that_runs_confirm_in_one_place_are_tried_in_a_nearer_one(top: flo
     assert found.passed_over == ("" if place == "near" else told)
 
 
+@pytest.mark.parametrize("broken", [(), ("near",), ("far",), ("near", "far")])
+def test_of_places_with_other_gains_one_that_breaks_constraints_at_rest_is_the_last(broken: tuple[str, ...]) -> None:
+    low = Gains(np.array([1.0]), np.array([1.0]), np.zeros(1))
+    hills: Any = {"near": Hill(low, 2.0, 10.0), "far": Hill(low, 1.9, 10.0)}
+    points = np.linspace(1.0, 1.1, 20)[:, None]
+    slow = {name: hill.decays(points)[0] - 5.0 for name, hill in hills.items()}
+    drives = {"near": 1.0, "far": 2.0}
+    known = {name: Place(name, each, float(each.min()), drives[name]) for name, each in slow.items()}
+    breaks = "breaks limits of boom, 1.3 rad (-1 to 1.2 rad)"
+    found = GainChange(
+        Loop(kp_range=(0.1, 100.0)), known, hills, dict.fromkeys(hills, SimpleNamespace(member=points[0])), {}, points,  # type: ignore[arg-type]
+        lambda _: None, at_rest=lambda name, _: breaks if name in broken else "",
+    ).sought().changed  # fmt: skip
+    assert found is not None
+    # The nearer one, unless that breaks them and the other does not.
+    chosen = "far" if broken == ("near",) else "near"
+    assert (found.place.name, found.doubt, found.breaks_at_rest) == (chosen, None, breaks if chosen in broken else "")
+    why = f"near is nearer, 1 m away, but, with the gains that were tried, it {breaks}, at rest beside its target"
+    assert found.passed_over.startswith(why) == (chosen == "far")
+
+
 @pytest.mark.parametrize(("best", "top"), [(1e-3, 0.1), (1e-3, -0.1), (0.1, -0.1)])
 def test_a_present_place_that_grows_is_said_to_grow_with_the_gains_that_were_tried(best: float, top: float) -> None:
     """It may decay with lower ones than these, and is none of the places passed over."""

@@ -46,7 +46,7 @@ class ChangedGains(NamedTuple):
 
     `staying`: of another place than the present one, what staying with other gains does, in words; empty where runs
     refute it; `passed_over`: why it is no place with less to drive. `at_end`: see `at_ends`, `one_factor`. `breaks`:
-    what it does not do of what it must at least.
+    what it does not do of what it must at least;  breaks_at_rest: see `Breaks`.
     """
 
     place: Place
@@ -56,6 +56,7 @@ class ChangedGains(NamedTuple):
     at_end: str = ""
     breaks: str = ""
     passed_over: str = ""
+    breaks_at_rest: str = ""
 
     @property
     def gains(self) -> dict[str, list[float]]:
@@ -73,6 +74,11 @@ class ChangedGains(NamedTuple):
     def doubt(self) -> str | None:
         """What it breaks, or else see `doubt_of`."""
         return self.breaks or doubt_of(self.runs)
+
+    @property
+    def rank(self) -> int:
+        """2 of a place to go to, 1 of one that breaks constraints at rest beside its target, 0 of one in doubt."""
+        return 0 if self.doubt is not None else 1 if self.breaks_at_rest else 2
 
 
 def doubt_of(runs: Runs | None) -> str | None:
@@ -111,7 +117,8 @@ class GainChange:
         known: the places by name;  loops, slowest: of each, with the present gains.
         doubts: why nonlinear runs do not confirm a place with the present gains, by its name.
         points: members (n, k);  runs_of: nonlinear runs of a place's loop.
-        breaks: of what it must do at least what a place's loop does not do.
+        breaks: of what it must do at least what a place's loop does not do;  at_rest: what a place breaks at rest
+            beside its target with a loop, where that grows nowhere.
     """
 
     asked: Loop
@@ -122,6 +129,7 @@ class GainChange:
     points: Vector
     runs_of: Callable[[PlaceLoops], Runs | None]
     breaks: Callable[[str, PlaceLoops], str] = lambda _name, _loop: ""
+    at_rest: Callable[[str, PlaceLoops], str] = lambda _name, _loop: ""
 
     def sought(self) -> Sought:
         """The best with other gains, and what else is known of these."""
@@ -142,7 +150,8 @@ class GainChange:
         """The place to be in, each with the lowest gains that do as well as its fastest; None where none does better.
 
         The present one, unless a move from it pays, as by `RULE`, or runs refute it and confirm another. Of places with
-        less to drive that runs refute so, one that does as well with the gains that they confirm.
+        less to drive that runs refute so, one that does as well with the gains that they confirm; one that breaks
+        constraints at rest where none of the others that are tried does better.
 
         Args:
             fastest: each place with its best gains.
@@ -153,13 +162,17 @@ class GainChange:
         others = places if standing is None else [place for place in places if pays(place, standing)]
         # What a move does with the present gains is no merit of others.
         others = [place for place in others if self._changes(place)] or others
-        other, tried = None, 0
-        while others and tried < PLACES and (other is None or other.doubt is not None):
+        other, tried, at_rest = None, 0, dict[str, str]()
+        while others and tried < PLACES and (other is None or other.rank < 2):
             found, tried = self._lowest(fastest[_nearest(others)], standing), tried + 1
-            other = found if other is None or found.doubt is None else other
+            other = found if other is None or found.rank > other.rank else other
             others = [place for place in others if place.name != found.place.name]
             if found.doubt is not None:
                 doubts[found.place.name] = found.doubt
+            elif found.breaks_at_rest:
+                at_rest[found.place.name] = f"{found.breaks_at_rest}, at rest beside its target"
+        # Where another breaks nothing there that is why it is none of these.
+        doubts |= at_rest if other is not None and other.rank == 2 else {}
         if other is not None and other.doubt is None:
             other = self._spared(other, _alike(fastest[other.place.name].place.slowest), standing, doubts)
             if other.place.name == STAY:
@@ -209,9 +222,10 @@ class GainChange:
             does = self._changes(there) and (standing is None or place.name == STAY or pays(there, standing))
             if there.slowest >= least and does:
                 found = self._told(_Tried(there, loop, member[None]))
-                if found.doubt is None:
+                if found.rank > 0 and found.rank >= other.rank:
                     return found
-                why = f"{'it ' * found.doubt.startswith(BREAKS)}{found.doubt.split(BETWEEN)[0]}"
+                doubt = found.doubt or f"{found.breaks_at_rest}, at rest beside its target"
+                why = f"{'it ' * doubt.startswith(BREAKS)}{doubt.split(BETWEEN)[0]}"
             doubts[place.name] += f"{BETWEEN}with the gains of {other.place.name} {why}"
         return other
 
@@ -243,8 +257,8 @@ class GainChange:
     def _told(self, tried: _Tried) -> ChangedGains:
         """What runs say of it."""
         loop, at_end = tried.loop, "; ".join(filter(None, (self._ends(tried), one_factor(self.asked))))
-        breaks = self.breaks(tried.place.name, loop)
-        return ChangedGains(tried.place, loop, self.runs_of(loop), at_end=at_end, breaks=breaks)
+        breaks, at_rest = (each(tried.place.name, loop) for each in (self.breaks, self.at_rest))
+        return ChangedGains(tried.place, loop, self.runs_of(loop), at_end=at_end, breaks=breaks, breaks_at_rest=at_rest)
 
     def _ends(self, tried: _Tried) -> str:
         """At which ends of what is tried its gains lie, in words."""

@@ -69,7 +69,8 @@ def gains_kept(
     what += "" if rival is None else f", against {rival.slowest:.3g}/s at {spoken(rival.name)} with the present ones"
     of = f"of other gains within {which}"
     if not best.place.holds:
-        return f"{of} none keeps a place stable on every ground: {what}"
+        where = "a nearer place" if decision.word == "move" else "a place"
+        return f"{of} none keeps {where} stable on every ground: {what}"
     if rival is not None and decision.word == "move" and best.place.slowest < rival.slowest:
         return f"{of} none does as well in a nearer place: {what}"
     if rival is not None and decision.word != "move" and not _much_faster(best.place, rival):

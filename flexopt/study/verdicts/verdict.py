@@ -40,7 +40,7 @@ from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached, with_angles
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.asked import any_problem
-from flexopt.study.verdicts.broken_places import Breaks, breaks_of, broken_by_loop
+from flexopt.study.verdicts.broken_places import Breaks, breaks_of, broken_at_rest, broken_by_loop
 from flexopt.study.verdicts.changed_gains import ChangedGains, GainChange, doubt_of
 from flexopt.study.verdicts.confirmation import Runs
 from flexopt.study.verdicts.decision import (
@@ -221,6 +221,7 @@ def verdict(
             points,
             partial(_runs_of, points[:runs], duration),
             lambda name, loop: broken_by_loop(chosen, held[name], loop),
+            lambda _, loop: broken_at_rest(chosen, loop),
         ).sought()
         if tried
         else None
