@@ -124,18 +124,17 @@ def change_of_rest(plant: Plant, control: Control) -> ca.Function:
 def on_the_way(plant: Plant, other: ca.MX, share: float) -> ca.MX:
     """Parameters (n_par,) at a share of the way from the machine's own to others.
 
-    Springs give way evenly, 1/k goes straight; one that is gone counts as 10⁻⁶ of its own before the end. All else
-    goes straight.
+    The spring of a passive coordinate that softens most gives way evenly, its 1/k goes straight, and other springs' k
+    with its own: between two stiffness matrices. One that is gone counts as 10⁻⁶ of its own. All else goes straight.
     """
-    if share == 1:
-        return other
-    own = plant.parameter_values
-    found: ca.MX = own + (other - own) * share
-    for k in parameters_of((SPRINGS,), plant.machine):
-        if (now := float(own[k])) > 0:
-            there = ca.fmax(other[k], SPENT * now)
-            found[k] = now * there / (there + (now - there) * share)
-    return found
+    own, m = plant.parameter_values, plant.n_passive
+    before = plant.stiffness.call([own])[0].full().diagonal()[:m]
+    now: ca.MX = ca.diag(plant.stiffness(other))
+    factors: list[ca.MX] = [now[k] / before[k] for k in range(m) if before[k] > 0]
+    softest: ca.MX = ca.fmax(ca.mmin(ca.vertcat(1.0, *factors)), SPENT)
+    by = ca.MX(ca.DM([share] * own.shape[0]))
+    by[[*parameters_of((SPRINGS,), plant.machine)]] = share / (softest * (1 - share) + share)
+    return own + (other - own) * by
 
 
 def state_at_rest(

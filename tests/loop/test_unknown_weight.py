@@ -5,6 +5,7 @@ Ensembles of the nonlinear loop judge: they find their own state of rest, from o
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -374,6 +375,44 @@ def test_a_heavy_load_on_soft_springs_leaves_the_arm_on_its_elbow(posture: Any, 
         v = found.x
         there = settings.outcome(EXCAVATOR, base, np.array(posture), gravity=True, parameters=p, own_model=True)
         np.testing.assert_allclose(there.configuration, q_at(v), atol=1e-8)
+
+
+def test_a_rest_is_the_same_in_axes_that_are_turned_by_half_a_turn() -> None:
+    """Of springs that are coupled: with the axes the couplings change their sign."""
+    told = flexopt.load("truck-crane").to_dict() | {"gravity": 9.81, "capsules": [], "support": None, "visuals": []}
+    stiff, away, turn = 2e7, 3.5, np.diag([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
+    told["stiffness_matrix"]["matrix"] = np.array(told["stiffness_matrix"]["matrix"])
+    told["stiffness_matrix"]["matrix"][np.ix_([2, 4], [2, 4])] = [
+        [stiff, stiff * away], [stiff * away, 2.5e7 + stiff * away**2],
+    ]  # fmt: skip
+    rests = list[Vector]()
+    for way in (np.eye(6), turn):
+        data = copy.deepcopy(told)
+        for springs in ("stiffness_matrix", "damping_matrix"):
+            data[springs]["matrix"] = (way @ np.array(data[springs]["matrix"]) @ way).tolist()
+        bodies = {body["name"]: body for body in data["bodies"]}
+        for body, field, entries in (
+            ("truck", "com", (0, 1)),
+            ("truck", "inertia", (4, 5)),
+            ("column", "position", (0, 1)),
+        ):
+            numbers_of = np.array(bodies[body][field])
+            numbers_of[[*entries]] *= way[0, 0]
+            bodies[body][field] = numbers_of.tolist()
+        bodies["column"]["joint"]["limits"] = [-6.0, 6.0]
+        machine = flexopt.tree_from_dict(data)
+        posture = (0.3 + np.pi * (way[0, 0] < 0), 0.6, -0.8, 1.0)
+        loop = {"drive": "torque", "kp": 2e4, "kv": 2e4, "rate": 200.0}
+        p = build_plant(machine).parameter_values.full().ravel()
+        p[["stiffness" in each.name for each in machine.parameters]] *= 0.3
+        base = np.zeros(len(machine.base_coordinates))
+        there = settings_of(machine, posture, loop, "inverse").outcome(
+            machine, base, np.array(posture), gravity=True, parameters=p, own_model=True
+        )
+        assert there.rests
+        # Of x, y, z, yaw, pitch, roll.
+        rests.append(way.diagonal()[[0, 1, 2, 5, 4, 3]] * there.configuration[:6])
+    np.testing.assert_allclose(rests[1], rests[0], atol=1e-9)
 
 
 @pytest.mark.parametrize("factor", [2.5, 5.0, 20.0])
