@@ -269,7 +269,9 @@ class SmallMotions:
         between, at_sample = graphs_about_rest(structure)
         e, n = ca.SX(0, 1), closed_loop(structure).n_continuous
         here = dict(zip(at_sample.name_out(), at_sample.call([x, e, c]), strict=True))
-        _, flow, drive = between.call([x[:n], here["command"], e, c])
+        # What drives a self-motion its damper carries: about a torque that nothing carries masses that change would
+        # count as springs.
+        _, flow, drive = between.call([x[:n], here["command"] + rest.unheld, e, c])
         found = (flow, drive, here["direct"][:, :n], here["spread"], here["by_force"][:, n:], here["by_law"][:, n:])
         return dict(zip(PARTS, (*found, here["by_queue"][:, :n]), strict=True))
 

@@ -7,7 +7,7 @@ involved, so no damping of its own hides a mode.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, cast
 
@@ -97,11 +97,15 @@ def graphs_about_rest(structure: LoopStructure) -> tuple[ca.Function, ca.Functio
     return _between(structure), _at(structure)
 
 
-def tangent(structure: LoopStructure, x: Vector, e: Vector, c: Vector) -> Tangent:
-    """The linear loop about a state x (n_x,), with signals e and constants c."""
+def tangent(structure: LoopStructure, x: Vector, e: Vector, c: Vector, carried: Vector | None = None) -> Tangent:
+    """The linear loop about a state x (n_x,), with signals e and constants c.
+
+    `carried`: torques or forces of the joints (n,) besides the command.
+    """
     between, at = graphs_about_rest(structure)
     command, kept, waiting, by_command, by_kept, by_waiting = (np.array(m) for m in at.call([x, e, c])[:6])
-    rates, flow, drive = (np.array(m) for m in between.call([x[: closed_loop(structure).n_continuous], command, e, c]))
+    whole = command if carried is None else command.ravel() + carried
+    rates, flow, drive = (np.array(m) for m in between.call([x[: closed_loop(structure).n_continuous], whole, e, c]))
     n = len(flow)
     period = float(c[closed_loop(structure).constants.slices["h"]][0]) * structure.substeps
     laws, queue = x[n : n + len(kept)], x[n + len(kept) :]
@@ -131,20 +135,20 @@ def at_rest(
     """The state of rest that Newton's method finds from x, and the linear loop there; None where it finds none.
 
     Where states of rest form a family it is the one nearest to x. `own`: held as if its joints were braked; what would
-    drive it, as a weight that the controller does not know, is left out.
+    drive it, as a weight that the controller does not know, is carried.
     """
     count = 0 if own is None else len(own.held)
     brake = np.zeros(count)
     for _ in range(STEPS):
-        here = tangent(structure, x, e, c)
+        along = np.zeros((0, 0)) if own is None else own.along(x)
+        here = tangent(structure, x, e, c, None if own is None else along @ brake)
         if not np.all(np.isfinite(here.moved)):
             return None
         n = len(here.flow)
         period = float(c[closed_loop(structure).constants.slices["h"]][0]) * structure.substeps
         by_brake = np.zeros((len(x), count))
         if own is not None:
-            by_brake[:n] = period * here.drive @ own.along(x)
-        here = replace(here, moved=here.moved + by_brake @ brake)
+            by_brake[:n] = period * here.drive @ along
         if still(structure, here, x):
             return x, here
         by_x = np.hstack([here.flow, np.zeros((n, len(x) - n))]) + here.drive @ here.command

@@ -24,6 +24,7 @@ from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.plant import build_plant
 from tests.oracles.lagrange import lagrange
+from tests.study.machines import three_links
 
 EXCAVATOR = flexopt.load("excavator")
 POSTURE = (0.6, -1.6)
@@ -375,6 +376,54 @@ def test_a_heavy_load_on_soft_springs_leaves_the_arm_on_its_elbow(posture: Any, 
         v = found.x
         there = settings.outcome(EXCAVATOR, base, np.array(posture), gravity=True, parameters=p, own_model=True)
         np.testing.assert_allclose(there.configuration, q_at(v), atol=1e-8)
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
+def test_a_self_motion_that_is_driven_grows_as_its_drive_does_along_it(factor: float) -> None:
+    """Heavily damped it drifts at −u/D, with u what drives it where the end-point is held, by SciPy: d/ds of that.
+
+    What is left of masses is of the order of rate M/D.
+    """
+    machine = flexopt.machine_from_dict(three_links().to_dict() | {"gravity": 9.81})
+    plant, damping, posture = build_plant(machine), 2e4, np.array([0.7, -1.4, 0.5])
+    loop = {"drive": "torque", "feedback": "pid", "kp": 1e5, "kv": 2e4, "ki": 5e4, "rate": 1000.0}
+    settings = settings_of(machine, tuple(posture), loop | {"nullspace_damping": damping}, "inverse")
+    own, names, m = plant.parameter_values.full().ravel(), [each.name for each in machine.parameters], plant.n_passive
+    p = own.copy()
+    p[["stiffness" in name for name in names]] *= factor
+    p[names.index("stick.mass")] *= 1.6
+    base = np.zeros(1)
+    point = settings.outcome(machine, base, posture, gravity=True, parameters=p, own_model=True)
+    assert np.abs(point.unheld).max() > 50.0
+    sag = plant.deflected.call([base, posture, own])[0].full().ravel()
+    target, rests = point.end_point, point.configuration
+    stiffness, rest = plant.stiffness.call([p])[0].full()[:m, :m], plant.rest.call([base, posture, p])[0].full().ravel()
+
+    def along(q: Vector) -> Vector:
+        jacobian = plant.rigid_jacobian.call([np.append(sag, q[m:]), base, own])[0].full()
+        found = np.linalg.svd(jacobian)[2][-1]
+        return found * np.sign(found[0])
+
+    def drive(s: float) -> float:
+        first = along(rests)
+
+        def off(q: Vector) -> Vector:
+            weight = plant.gravity.call([q, base, p])[0].full().ravel()[:m]
+            away = plant.end_point.call([q, base, p])[0].full().ravel() - target
+            return np.concatenate(
+                [stiffness @ (q[:m] - rest[:m]) + weight, 1e4 * away, [1e4 * (first @ (q - rests)[m:] - s)]]
+            )
+
+        q = root(off, rests, tol=1e-13).x
+        assert np.abs(off(q)).max() < 1e-6
+        known = plant.gravity.call([np.append(sag, q[m:]), base, own])[0].full().ravel()[m:]
+        return float(along(q) @ (plant.gravity.call([q, base, p])[0].full().ravel()[m:] - known))
+
+    step = 1e-3
+    expected = -(drive(step) - drive(-step)) / (2 * step) / damping
+    (found,) = point.loop.drift
+    assert abs(expected) > 1e-3
+    assert found == pytest.approx(expected, rel=1e-3)
 
 
 def test_a_rest_is_the_same_in_axes_that_are_turned_by_half_a_turn() -> None:
