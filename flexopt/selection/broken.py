@@ -117,6 +117,10 @@ def _by_how_much(problem: SelectionProblem, z: Vector, *, asked: bool, p: Vector
     """How far each limit and constraint, the target aside, is beyond its bounds, in units of its scale."""
     told = _told_turns(problem, np.concatenate(held_with(problem.quantities, z, p)))
     outside: Vector = np.maximum(problem.lower - told, told - problem.upper) / problem.scale
+    # Where nobody gave a range a placement's bounds are where the target is reached from: none of the machine's.
+    for k, each in enumerate(problem.variables[: problem.measures.plant.n_base]):
+        if not each.ranged:
+            outside[k] = 0.0
     rows = np.abs(beyond_bounds(problem, z, p))[problem.target.size :]
     falls = falls_within(problem, z) if p is None else {}
     if p is not None and (falls := not_standing(problem.quantities, z, p)):

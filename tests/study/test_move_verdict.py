@@ -348,6 +348,11 @@ def test_what_new_gains_are_worse_by_is_told(tmp_path: Path) -> None:
     room, now = new.allowed_gain.least / found.gains["kp"][0], stay.allowed_gain.least / loop["kp"]
     assert f"bears {room:.4g} instead of {now:.4g} times its gains" in found.drawbacks
     assert found.to_dict()["with_gains"]["delay_margin"]["least"] == new.delay_margin.least
+    # Bars have a row of it, which is told of.
+    for bars in found.bands:
+        assert [row.name for row in bars.rows] == [*(place.name for place in found.places), "new gains"]
+        assert bars.told == "new gains"
+    assert found.bands[0].rows[-1].least == new.decay.least
     found.to_html(tmp_path / "verdict.html")
     words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
     assert "Left of the arrow: stay, with the gains as they are" in words

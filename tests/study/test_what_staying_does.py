@@ -151,3 +151,17 @@ def test_a_distance_that_counts_angles_says_so() -> None:
     upright, point = (SimpleNamespace(task_rows=rows) for rows in (("x", "z", "pitch"), ("x", "z")))
     assert with_angles(cast(Any, upright)) == " (pitch counted as angle times end_point.length)"
     assert with_angles(cast(Any, point)) == ""
+
+
+@pytest.mark.parametrize("target", [(5.0, 1.6), (3.4, 1.6)])
+def test_held_beside_a_target_that_is_out_of_reach_there_is_no_staying(target: tuple[float, float]) -> None:
+    """In whichever posture the arm is held; and what bounds a search is no limit of a machine."""
+    machine, held = flexopt.load("excavator"), (0.0448, -2.0499)
+    with pytest.raises(flexopt.UnreachableTarget):
+        flexopt.inverse_kinematics(machine, target, base=0.0)
+    few: dict[str, Any] = {"base": 0.0, "loop": LOOP, "members": 2, "runs": 0, "starts": 2}
+    found = flexopt.verdict(machine, target, posture=held, **few)
+    assert found.stay is None
+    assert "from the present placement the arm does not reach the target within its limits" in found.sentence
+    assert found.word == flexopt.verdict(machine, target, **few).word == "move"
+    assert "limits of base" not in repr(found) + repr(found.selection)

@@ -18,7 +18,7 @@ from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
 from flexopt.study.page import PageTable, Picture, begun, coordinate, number, picture, sentence, with_minus
 from flexopt.study.verdicts.decision import BETTER, percent
-from flexopt.study.verdicts.places import MOVE, STAY, allowed, told
+from flexopt.study.verdicts.places import MOVE, NEW_GAINS, STAY, allowed, told
 from flexopt.study.verdicts.remarks import on_places, on_the_loop
 
 if TYPE_CHECKING:
@@ -67,19 +67,18 @@ def bands_of(verdict: Verdict) -> list[Bands]:
     from flexopt.plotting.bands import Bands, Row  # noqa: PLC0415  (matplotlib is slow to import)
 
     found, kp = list[Bands](), verdict.settings.kp
+    sent = NEW_GAINS if verdict.with_gains else verdict.place
     borders = {"decay": (0.0, "grows")}
     if kp.any():
         which = "chosen" if verdict.settings.sources.get("kp") == CHOSEN else "now"
         borders["allowed_gain"] = (float(kp[kp > 0][0]), f"Kp {which}")
     for m in measures(verdict):
         rows = list[Row]()
-        for place in verdict.places:
+        for place in verdict.rows:
             band = getattr(place, m.attribute)
             least, nominal, greatest = (m.factor * value for value in (band.least, band.nominal, band.greatest))
             rows.append(Row(place.name, least, nominal, greatest, _worst(place, m).text))
-        found.append(
-            Bands(m.label, m.unit, m.worst == "least", tuple(rows), STAY, verdict.place, borders.get(m.attribute))
-        )
+        found.append(Bands(m.label, m.unit, m.worst == "least", tuple(rows), STAY, sent, borders.get(m.attribute)))
     return found
 
 

@@ -28,7 +28,7 @@ from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
 from flexopt.selection.outcomes.result import ChosenByLoop, OutcomeSelection
 from flexopt.selection.places import FEASIBLE
-from flexopt.selection.problem import value_at
+from flexopt.selection.problem import elsewhere, value_at
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import held_by_loop
@@ -172,7 +172,11 @@ def found_in(chosen: Chosen) -> int:
 
 def _present(chosen: Chosen) -> Configurations | None:
     if isinstance(chosen, Selection):
-        return None if chosen.initial is None else (held_now(chosen.problem, chosen.initial),)
+        problem, now = chosen.problem, chosen.initial
+        # Held beside a target that is reached from nowhere there it is no staying, either.
+        if now is None or (elsewhere(problem, now.z) and held_from([problem], now.base, allowed=False) is None):
+            return None
+        return (held_now(problem, now),)
     now = chosen.problems[0].present_base
     if now is None:
         return None

@@ -9,6 +9,8 @@ from flexopt.loop.borders import LOW
 
 # Where the machine stands now, and the best of the selection.
 STAY, FIRST = "stay", "candidate 1"
+# The place of a verdict with other gains, in a row of places.
+NEW_GAINS = "new gains"
 # How many of the places judged are told of, besides these two.
 TOLD = 3
 # Length of the standard move, m.

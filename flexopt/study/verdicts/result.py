@@ -32,6 +32,7 @@ from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import (
     FIRST,
     MOVE,
+    NEW_GAINS,
     NO_GAIN,
     NO_GAIN_LOOKED_AT,
     STAY,
@@ -50,8 +51,6 @@ GROUND_ASSUMED = (
     "assumed (uncertainty): all springs may be half or twice as stiff, and all else is as the machine's file has it, "
     "for no [[uncertainty]] is given"
 )
-# The place of a verdict with other gains, in a row of places.
-NEW_GAINS = "new gains"
 # Why a place is told of that is none of the best, if it is not the selection's first.
 MOST_OFTEN = "decays faster than the present place on the most grounds"
 

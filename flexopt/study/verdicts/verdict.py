@@ -71,8 +71,8 @@ from flexopt.study.verdicts.place_loops import (
     unreached,
 )
 from flexopt.study.verdicts.place_verdict import Band, PlaceVerdict
-from flexopt.study.verdicts.places import FIRST, MOVE, STAY
-from flexopt.study.verdicts.result import NEW_GAINS, Verdict
+from flexopt.study.verdicts.places import FIRST, MOVE, NEW_GAINS, STAY
+from flexopt.study.verdicts.result import Verdict
 from flexopt.study.verdicts.told_places import first_places, fit_places, overlooked, shares_better
 
 # Members that decays are computed of, and nonlinear runs.
