@@ -96,14 +96,15 @@ def broken_at_rest(chosen: Chosen, place: PlaceLoops) -> str:
         # An integral part takes it to the target.
         if not loop.gravity or loop.settings.ki.all():
             continue
-        unasked = _unasked_broken(problem, np.append(loop.base, loop.posture))
+        # What is broken with the file's numbers is told as that.
+        standing = broken_names(problem, np.append(loop.base, loop.posture))
         for u in loop.box.corners(FEW):
             point = loop.outcome(u)
             if not (point.rests and point.loop.growth_rate <= 0 and loop.off_target(point) > 0):
                 continue
             posture, p = point.configuration[problem.measures.plant.n_passive :], loop.box.numbers(u)[0]
             for name, (off, value) in broken_held(problem, loop.base, posture, p).items():
-                if name not in unasked and off > worst.get(name, (0.0,))[0]:
+                if name not in standing and off > worst.get(name, (0.0,))[0]:
                     worst[name] = off, value, told_numbers(loop.box.machine, p.tolist())
     if not worst:
         return ""

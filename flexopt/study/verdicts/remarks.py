@@ -31,14 +31,14 @@ STAYS = 3600.0
 
 
 def on_places(verdict: Verdict) -> list[str]:
-    """Of each place: where it rests, what it goes beyond and breaks, why a run does not confirm it."""
-    unconfirmed = doubts(verdict)
-    return [
-        each
-        for place in verdict.places
-        for each in (place.rest, place.beyond_limits, place.broken, place.broken_at_rest, unconfirmed.get(place.name))
-        if each
-    ]
+    """Of each place: where it rests, what it goes beyond and breaks, if it is none to go to, why no run confirms it."""
+    unconfirmed, found = doubts(verdict), list[str]()
+    for place in verdict.places:
+        found += [place.rest, place.beyond_limits, place.broken, place.broken_at_rest]
+        if place.name in verdict.exclusions:
+            found.append(f"{place.name} is none to go to: there is a place that keeps what it breaks")
+        found.append(unconfirmed.get(place.name, ""))
+    return [*filter(None, found)]
 
 
 def on_the_loop(verdict: Verdict) -> list[str]:
