@@ -166,6 +166,12 @@ def _of_variables(problem: SelectionProblem, z: Vector) -> dict[str, ConstraintV
     return found
 
 
+def joint_margins(problem: SelectionProblem, z: Vector) -> dict[str, ConstraintValue]:
+    """Of a margin that was asked for, how far each joint that has limits is from these."""
+    told = _of_variables(problem, z).items()
+    return {name: value for name, value in told if name.startswith(JOINT_MARGIN) and math.isfinite(value.value)}
+
+
 def cornerless(problem: SelectionProblem) -> dict[str, str]:
     """Of all that counts at corners of `constraints.within`: by its name that without the corner."""
     found = {row.name: row.name.removesuffix(row.corner) for row in problem.constraints if row.corner}

@@ -610,6 +610,19 @@ def test_rounding_of_a_constraint_is_no_number_of_the_page() -> None:
     )
 
 
+@pytest.mark.parametrize("margin", [0.0, 0.1])
+def test_an_asked_margin_of_joints_has_a_row_for_each(margin: float) -> None:
+    digger = flexopt.load("boom-stick-bucket")
+    found = flexopt.select(digger, (7.0, 1.0), base=0.0, constraints={"joint_margin": margin}, starts=1, workers=1)
+    told = tables.constraints(SimpleNamespace(selection=found, about=found, verdict=None))  # type: ignore[arg-type]
+    assert told is not None
+    rows = {name: values for name, *values in told.near[1]}
+    for joint, q, (low, high) in zip(digger.joints, found.best.evaluation.posture, digger.limits, strict=True):
+        allowed, room = rows[f"joint margin of {joint}"]
+        assert allowed == f"at least {margin:g} rad"
+        assert float(room) == pytest.approx(min(q - low, high - q), abs=5e-4)
+
+
 def test_the_caption_says_where_the_drawn_present_one_is() -> None:
     """A present posture beside the target is drawn with the others, and none where there is none."""
     machine, posture = flexopt.load("excavator"), (0.9, -2.4)
