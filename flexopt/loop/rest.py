@@ -6,7 +6,7 @@ for a run and from symbols for a model whose parameters a master sets.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple, TypeVar
 
 import casadi as ca
@@ -121,8 +121,8 @@ def change_of_rest(plant: Plant, control: Control) -> ca.Function:
     return ca.Function("change_of_rest", list(inputs.values()), [change], list(inputs), ["change"], {"cse": True})
 
 
-def on_the_way(plant: Plant, other: ca.MX, share: float) -> ca.MX:
-    """Parameters (n_par,) at a share of the way from the machine's own to others.
+def parameters_along(plant: Plant, other: ca.MX) -> Callable[[float], ca.MX]:
+    """From a share of the way from the machine's own parameters to others to those there (n_par,).
 
     The spring of a passive coordinate that softens most gives way evenly, its 1/k goes straight, and other springs' k
     with its own: between two stiffness matrices. One that is gone counts as 10⁻⁶ of its own. All else goes straight.
@@ -132,9 +132,14 @@ def on_the_way(plant: Plant, other: ca.MX, share: float) -> ca.MX:
     now: ca.MX = ca.diag(plant.stiffness(other))
     factors: list[ca.MX] = [now[k] / before[k] for k in range(m) if before[k] > 0]
     softest: ca.MX = ca.fmax(ca.mmin(ca.vertcat(1.0, *factors)), SPENT)
-    by = ca.MX(ca.DM([share] * own.shape[0]))
-    by[[*parameters_of((SPRINGS,), plant.machine)]] = share / (softest * (1 - share) + share)
-    return own + (other - own) * by
+    springs = ca.DM.zeros(own.shape)
+    springs[[*parameters_of((SPRINGS,), plant.machine)]] = 1
+
+    def at(share: float) -> ca.MX:
+        of_springs = share / (softest * (1 - share) + share)
+        return own + (other - own) * (share + (of_springs - share) * springs)
+
+    return at
 
 
 def state_at_rest(

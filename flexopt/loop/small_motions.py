@@ -31,7 +31,7 @@ from flexopt.loop.rest import (
     design_constants,
     design_of,
     held_at,
-    on_the_way,
+    parameters_along,
     placed,
     state_at_rest,
 )
@@ -204,9 +204,10 @@ class SmallMotions:
         s = dict(zip(names, given, strict=True))
         m, length = plant.n_passive, arm_length(plant)
         scale = ca.DM([1.0 if unit == "rad" else length for unit in plant.graph.coordinate_units])
+        way = parameters_along(plant, s["other"])
         v, size, over = ca.vertcat(s["deflection"], ca.MX.zeros(v0.shape[0] - m, 1)), ca.MX(0), ca.MX(0)
         for stage in range(1, stages + 1):
-            there = s | {"other": on_the_way(plant, s["other"], stage / stages)}
+            there = s | {"other": way(stage / stages)}
             for _ in range(LAST if stage == stages else 1):
                 change = step.call([v, *there.values()])[0]
                 v += change
