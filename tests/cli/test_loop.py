@@ -121,6 +121,7 @@ def test_least_outcomes_of_a_file(command: Command) -> None:
     assert shown["measure"] == "w1"
 
 
+@pytest.mark.long
 def test_an_option_asks_for_another_objective_than_the_file(command: Command) -> None:
     """By the loop where the file asks for none of it, and not by it where the file does; the loop is the file's."""
     text = (

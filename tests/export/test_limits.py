@@ -108,6 +108,7 @@ def test_whole_turns_of_a_free_hinge_change_nothing(library: BundleLibrary, turn
     assert status == "OUT_OF_RANGE"
 
 
+@pytest.mark.long("float")
 @GCC
 def test_the_simulated_machine_turns_on(library: BundleLibrary) -> None:
     plant = flexopt.build_plant(flexopt.load("slewing-excavator"))

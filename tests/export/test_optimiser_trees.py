@@ -234,6 +234,7 @@ def test_equal_bounds_hold_a_coordinate(excavator, some):
         np.testing.assert_array_equal(more.z[:3], case.start[:3])
 
 
+@pytest.mark.long
 def test_every_budget_gives_a_feasible_point_and_more_never_a_worse_one(excavator, some):
     """What a call does is the beginning of what it does with more budget, but for ties."""
     case, values = some[0], list[float]()

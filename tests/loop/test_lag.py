@@ -240,6 +240,7 @@ def test_what_no_feedback_excites_decays_as_the_machine_does() -> None:
     assert not lagged_modes(plain.motions).is_unseen(plain.numbers, plain.decay().value, 0.0)
 
 
+@pytest.mark.long
 def test_who_chooses_by_the_decay_hears_that_no_loop_changes_it() -> None:
     """Where the roll decays slowest at the best place; with more damping the loop's own motions are slower."""
     loop = {"kp": 1e3, "kv": 1e3, "drive": "torque"}

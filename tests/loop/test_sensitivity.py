@@ -52,6 +52,7 @@ def test_slopes_bound_the_indices(found: flexopt.Sensitivity) -> None:
     assert 0.8 < found.first[3].sum() < 1.1  # little happens together
 
 
+@pytest.mark.long
 def test_modes_that_change_places_are_not_judged() -> None:
     """A yaw spring moves its mode past others: their w_i jump, and what moves it there would seem to matter."""
     data = flexopt.load("mobile-manipulator").to_dict()

@@ -322,6 +322,7 @@ def test_an_elastic_root_of_the_arm_is_not_the_base() -> None:
     assert swings[1] == pytest.approx(swings[0], rel=0.5)
 
 
+@pytest.mark.long
 def test_a_base_whose_axles_have_masses_turns_as_one_without() -> None:
     """Bodies between its springs are the base's, too, as light as these are."""
     data, posture = flexopt.load("truck-crane").to_dict(), (0.61, 0.8256, -0.939, 0.7858)

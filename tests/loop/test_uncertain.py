@@ -136,6 +136,7 @@ rows = ["x", "y", "z"]
     return flexopt.load(folder / "sprayer.toml")
 
 
+@pytest.mark.long
 def test_a_pocket_in_which_two_frequencies_meet_is_found(tmp_path: Path) -> None:
     """At a stiffness of 1.2 a mode of the base comes to the frequency of the loop's own motion, which then grows.
 
@@ -295,7 +296,7 @@ def test_springs_that_hold_the_base_no_more_are_refused() -> None:
         assert told == ([] if word is None else [f"the dampers' matrix is not positive semidefinite where {word}"])
 
 
-@pytest.mark.long("posture2-8209.0-344.0")
+@pytest.mark.long("posture0-5839.0-336.0", "posture2-8209.0-344.0")
 @pytest.mark.parametrize(
     ("posture", "kp", "kv"),
     [((1.2894, -1.7237), 5839.0, 336.0), ((1.1378, -0.9658), 1156.0, 664.0), ((1.0962, -1.2049), 8209.0, 344.0)],
@@ -318,6 +319,7 @@ def test_the_least_delay_margin_lies_between_members(posture: tuple[float, float
     assert loop.outcome(at).delay_margin().value == pytest.approx(least, rel=1e-9)
 
 
+@pytest.mark.long("posture0-9300000.0-1060000.0", "posture2-8100000.0-990000.0")
 @pytest.mark.parametrize(
     ("posture", "kp", "kv"),
     [

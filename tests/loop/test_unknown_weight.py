@@ -70,6 +70,13 @@ def at(machine: AnyMachine, posture: tuple[float, ...], count: int) -> dict[str,
     return {"base": base, "posture": np.repeat(np.array(posture)[:, None], count, axis=1)}
 
 
+@pytest.mark.long(
+    "velocity, integral-stick.mass",
+    "damped-stick.mass",
+    "integral, filter, dead time-stick.mass",
+    "transpose-stick.mass",
+    "servos that lag-stick.mass",
+)
 @pytest.mark.parametrize("varied", VARIED)
 @pytest.mark.parametrize("name", LOOPS)
 def test_decays_are_those_of_runs_that_find_their_own_rest(name: str, varied: str) -> None:
@@ -269,6 +276,7 @@ def test_what_drives_a_self_motion_under_an_unknown_weight() -> None:
     assert loaded.unheld == {}
 
 
+@pytest.mark.long("truck-crane")
 @pytest.mark.parametrize("name", ["slewing-excavator", "truck-crane"])
 def test_no_weight_turns_a_slew_along_the_machine_whatever_its_heading(name: str) -> None:
     """By mirror symmetry: a machine whose arm lies in its plane sags in it, so that its slew carries nothing at all."""

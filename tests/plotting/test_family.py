@@ -334,6 +334,7 @@ def test_all_that_a_sensitivity_draws_has_a_name():
     assert names == ["at most, by slopes", "alone", "in all", "95 % interval"]
 
 
+@pytest.mark.long
 def test_what_may_stand_where_is_said_and_marked():
     figure = made("problem pipe-laying").plot()  # holds = "point"
     above = figure.axes[1]

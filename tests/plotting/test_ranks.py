@@ -31,6 +31,7 @@ def test_what_travel_costs_is_said_on_the_axis_of_ranks() -> None:
     assert lines[-1][0] == pytest.approx(chosen.initial.w[0] - less)
 
 
+@pytest.mark.long
 def test_rounding_is_no_difference_between_ranks() -> None:
     """A machine held in its plane of symmetry: a mode out of the plane has w = 0 everywhere, to rounding."""
     machine, posture = flexopt.load("slewing-excavator"), [0.0, 0.5, -1.2, -0.5]

@@ -462,6 +462,7 @@ def test_in_a_crowd_the_machines_outlines_are_asked_only_for_places_that_may_be_
     assert 0 < len(calls) < 100 * count
 
 
+@pytest.mark.long("screen")
 @pytest.mark.parametrize("size", ["screen", "paper"])
 def test_names_along_walls_and_of_what_stands_before_them_lie_on_no_other(size):
     """Of two walls one behind the other and two boxes before them, the higher one's name above."""

@@ -332,6 +332,7 @@ def test_the_ground_names_joints_by_their_own_names() -> None:
     assert "telescope" not in named
 
 
+@pytest.mark.long("0.1")
 @pytest.mark.parametrize("margin", [0.0, 0.1])
 def test_a_joint_margin_is_kept_whatever_is_assumed(margin):
     machine = flexopt.load("slewing-excavator")
@@ -346,6 +347,7 @@ def test_a_joint_margin_is_kept_whatever_is_assumed(margin):
         assert np.all(q <= high - margin + 1e-9)
 
 
+@pytest.mark.long
 def test_answers_to_any_question_say_what_was_assumed_in_their_provenance() -> None:
     """By modes, by the loop, of several targets: else a comparison tells a difference that is none."""
     machine = flexopt.load("boom-stick-bucket")

@@ -115,7 +115,7 @@ def test_a_selection_names_each_continuum_once() -> None:
     assert [len(c["continuum"]) for c in document] == [len(c.continuum) for c in found.candidates]
 
 
-@pytest.mark.long("decay--1")
+@pytest.mark.long("decay-1", "decay--1")
 @pytest.mark.filterwarnings("ignore::flexopt.ImplausibleMachine")
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("objective", ["w1", "decay"])

@@ -36,6 +36,7 @@ def test_no_solver_is_built_ahead_of_what_it_cannot_solve() -> None:
     assert program.solve(starting_points(problem)[0], quick=True)[1] > 0
 
 
+@pytest.mark.long("epsilon_max")
 @pytest.mark.parametrize("last", ["w2", "epsilon_max"])
 def test_what_the_last_objective_decided_was_no_tie(last: str) -> None:
     """All candidates have w1 = 0; those behind the best have less of the last objective."""

@@ -341,6 +341,7 @@ def test_no_joint_is_held_whole_turns_away() -> None:
     assert np.abs([candidate.z[1:] for candidate in found.candidates]).max() <= math.pi
 
 
+@pytest.mark.long
 def test_the_present_configuration_is_climbed_from() -> None:
     """A choice from where its own optimum stands has no less than that."""
     options: dict[str, Any] = {"objective": "decay", "loop": FIXED | {"dead_time": 0.02}, "starts": 1}

@@ -100,6 +100,7 @@ def test_robust_margins_beside_what_a_loop_must_do() -> None:
     assert bounded.best.evaluation.outcome.decay >= 0.0155 * (1 - 1e-5)
 
 
+@pytest.mark.long
 def test_who_compares_choices_is_told_what_else_was_asked() -> None:
     """Weights and slack of what is kept, too."""
     given = [

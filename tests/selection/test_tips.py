@@ -72,6 +72,7 @@ def test_an_optimum_at_a_equal_to_zero() -> None:
     assert no_better_nearby(selection.problem, selection.best.z, 1) >= 10
 
 
+@pytest.mark.long
 def test_a_kink_does_not_prove_what_can_be_left_upwards() -> None:
     """With other weights the same point has multipliers that are too large, or a gradient along the kink."""
     problem, best = pipe_laid(0).problem, pipe_laid(0).best.z

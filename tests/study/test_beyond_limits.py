@@ -127,6 +127,7 @@ def test_where_no_limits_hold_a_posture_runs_say_so(bucket: float) -> None:
     assert cast(str, runs.reasons[0]).startswith("no run holds the arm beyond its limits: ")
 
 
+@pytest.mark.long
 def test_a_report_has_gains_for_what_limits_hold_where_they_do_not_hold_what_is_chosen() -> None:
     asked: dict[str, Any] = {"base": 0.0, "assume": "ground,reach", "starts": 4, "seed": 0}
     problem = flexopt.build_selection(BUCKET, (4.0, 0.5), **asked)

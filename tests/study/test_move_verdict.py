@@ -73,6 +73,7 @@ def test_the_articles_machine_moves() -> None:
     assert -ensemble.linear_growth_rate.max() == pytest.approx(chosen.decay.least, rel=1e-3)
 
 
+@pytest.mark.long
 def test_a_move_says_which_joint_moves_most() -> None:
     held, loop = np.array([0.9929, -2.6306]), {"kp": 1e4, "kv": 1e3}
     few: dict[str, Any] = {"starts": 4, "members": 4, "runs": 0}
@@ -263,6 +264,7 @@ def test_no_border_of_the_gain_is_one_above_the_highest_that_was_tried() -> None
     assert told(math.inf, 1e3, " ms") == "no border"
 
 
+@pytest.mark.long
 def test_runs_take_dead_times_between_samples() -> None:
     """Of 2 ms; with a whole sample, 20 ms, the same loop grows."""
     machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
@@ -1267,6 +1269,7 @@ def test_what_is_left_out_says_what_it_breaks(count: int, end: str) -> None:
     assert not any(part in told for part in each[3:])
 
 
+@pytest.mark.long
 def test_a_broken_constraint_is_told_where_it_is_broken_most() -> None:
     """By the weight's torque at every corner: of loads that break either bound, and of a bucket never the file's."""
     machine = flexopt.load("boom-stick-bucket")
@@ -1400,6 +1403,7 @@ def test_what_a_choice_keeps_at_corners_no_verdict_finds_broken_there() -> None:
     assert found.exclusions == {}
 
 
+@pytest.mark.long
 def test_staying_where_every_place_breaks_constraints_is_told() -> None:
     """Rows at corners of `within` have their numbers beside those of the ranges."""
     machine = flexopt.load("boom-stick-bucket")
@@ -1431,7 +1435,7 @@ def test_drives_without_a_speed_have_no_full_lever() -> None:
     assert not any("full lever" in why for why in reasons)
 
 
-@pytest.mark.long("0.003")
+@pytest.mark.long
 @pytest.mark.parametrize("softer", [0.01, 0.003])
 def test_runs_of_slow_machines_last_ten_periods(softer: float) -> None:
     """Of 3 s nothing can be told of them, which is said."""

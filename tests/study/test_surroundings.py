@@ -113,6 +113,7 @@ def behind_wall(joints: int, seed: int, *, gravity: bool) -> tuple[dict[str, Any
     return data, chosen, height, side
 
 
+@pytest.mark.long("1-True")
 @pytest.mark.parametrize("gravity", [False, True])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_map_of_end_points_is_blank_where_a_constraint_is_broken(seed: int, *, gravity: bool) -> None:

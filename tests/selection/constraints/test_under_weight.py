@@ -61,6 +61,7 @@ def held(machine: Any, base: np.ndarray, posture: np.ndarray, numbers: np.ndarra
     return posture + np.array(slopes) @ found.x
 
 
+@pytest.mark.long("slewing-excavator")
 @pytest.mark.parametrize("name", SHIPPED)
 def test_volumes_and_the_centre_of_mass_are_those_of_the_sagged_machine(name: str) -> None:
     machine = supported(name)
@@ -128,6 +129,7 @@ SPRINGS = {
 }
 
 
+@pytest.mark.long("slewing-excavator")
 @pytest.mark.parametrize("name", SPRINGS)
 def test_where_a_spring_only_lets_the_base_down_the_arm_that_is_held_on_its_target_turns(name: str) -> None:
     """Its angle counts at the ends of that spring, too: at the same joint angles it would not know of it."""

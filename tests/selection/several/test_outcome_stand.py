@@ -130,6 +130,7 @@ def test_where_the_base_stands_the_arm_is_held_for_the_gains_that_were_chosen(mo
             assert worth("decay", base, tuple(e.posture), found.gains) == pytest.approx(max(each), rel=1e-9)
 
 
+@pytest.mark.long
 def test_another_placement_and_staying_have_the_loop_of_the_chosen_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """The default gains follow from a posture: those of the chosen stand are kept elsewhere, beside both elbows."""
     monkeypatch.setattr(Decay, "looked", 100)
@@ -296,6 +297,7 @@ def test_a_slot_between_keep_outs_is_looked_into() -> None:
     assert between.worth == pytest.approx(inside.worth, rel=1e-6)
 
 
+@pytest.mark.long("0.083244")
 @pytest.mark.parametrize("tolerance", [0.083244, 0.05])
 def test_a_wider_tool_angle_has_no_worse_an_answer(tolerance: float) -> None:
     """Few placements of a sample keep a thin angle: beside an even thinner one, and configurations that keep both."""
