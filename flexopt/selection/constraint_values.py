@@ -134,19 +134,18 @@ def nearest_told(
 ) -> str:
     """A sentence on the constraint of each kind that is nearest to its bound, over all targets.
 
-    Empty where nobody asked for any. A margin of joints, which narrows their limits, has no value of its own.
+    Empty where nobody asked for any.
 
     Args:
         asked: the constraints as they were given.
         places: at each target, by name; the same names at all.
         cornerless: as of `flexopt.selection.broken.cornerless`.
     """
-    margin = f"joint margin at least {asked.joint_margin:g} rad (slides: m)" if asked.joint_margin is not None else ""
-    if not any(getattr(asked, field, None) is not None for field in (*KINDS, "own")):
-        return margin and f"constraints: {margin}"
+    if not any(getattr(asked, field, None) is not None for field in (*KINDS, "joint_margin", "own")):
+        return ""
     told = list[str]()
     for names in by_kind(places[0], cornerless).values():
         _, k, name = min((values[name].nearness, k, name) for k, values in enumerate(places) for name in names)
         at = f" at target {k + 1}" if len(places) > 1 else ""
         told.append(f"{name} {places[k][name]}{at}")
-    return f"constraints, of each kind that nearest to its bound: {'; '.join([*told, *filter(None, [margin])])}"
+    return f"constraints, of each kind that nearest to its bound: {'; '.join(told)}"

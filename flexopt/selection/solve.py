@@ -27,6 +27,7 @@ from flexopt.model.uncertainty import RangesLike
 from flexopt.plant.inverse_kinematics import inverse_kinematics
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.plausibility import warn_implausible
+from flexopt.selection.broken import joint_margins
 from flexopt.selection.build import build_selection, only_notes
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.continua import grouped, nearest, same, travel
@@ -278,14 +279,14 @@ def _spread(problem: SelectionProblem, z: Vector, others: list[Vector]) -> list[
 
 
 def constraint_values(problem: SelectionProblem, z: Vector) -> dict[str, ConstraintValue]:
-    """Every constraint besides the target: its value and bounds."""
+    """Every constraint besides the target, an asked margin of joints among them: its value and bounds."""
     at, n_task = problem.quantities.at(z), problem.target.size
     values = [float(problem.measures.plant.singularity_sine_squared.call(at)[0])]
     if problem.constraint_set is not None:
         reported = problem.constraint_set.report.call([*at, problem.constraint_set.constants])[0]
         values += reported.full().ravel().tolist()
     values += problem.own_values(z).tolist()
-    return {
+    return joint_margins(problem, z) | {
         constraint.name: ConstraintValue(value, constraint.lower, constraint.upper, constraint.unit)
         for constraint, value in zip((*problem.constraints[n_task:], *problem.own_constraints), values, strict=True)
     }

@@ -86,11 +86,25 @@ def test_nothing_is_told_where_nothing_was_asked() -> None:
     places = [{"singularity margin": ConstraintValue(0.5, 0.03, np.inf, "sin²")}]
     for asked in ({}, {"travel": {"cost": 0.1}}):
         assert nearest_told(read_constraints(asked), places, {}) == ""
-    margin = "joint margin at least 0.1 rad (slides: m)"
-    assert nearest_told(read_constraints({"joint_margin": 0.1}), places, {}) == f"constraints: {margin}"
-    both = nearest_told(read_constraints({"joint_margin": 0.1, "manipulability": 1.0}), places, {})
-    assert both.startswith("constraints, of each kind that nearest to its bound: singularity margin 0.5 sin²")
-    assert both.endswith(f"; {margin}")
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.1])
+def test_an_asked_margin_of_joints_has_a_value_for_each(margin: float) -> None:
+    digger = flexopt.load("boom-stick-bucket")
+    found = flexopt.select(digger, (7.0, 1.0), base=0.0, constraints={"joint_margin": margin}, starts=1, workers=1)
+    values, held = found.to_dict()["best"]["constraints"], found.best.evaluation.posture
+    least = min(
+        (
+            (min(q - low, high - q), name)
+            for name, q, (low, high) in zip(digger.joints, held, digger.limits, strict=True)
+        )
+    )
+    for name, q, (low, high) in zip(digger.joints, held, digger.limits, strict=True):
+        row = values[f"joint margin of {name}"]
+        assert (row["lower"], row["unit"]) == (margin, "rad")
+        # Two differences of numbers of some rad.
+        assert row["value"] == pytest.approx(min(q - low, high - q), abs=1e-14)
+    assert f"joint margin of {least[1]} {least[0]:.4g} rad (at least {margin:g} rad)" in repr(found)
 
 
 def test_a_weighted_sum_has_its_own_column() -> None:

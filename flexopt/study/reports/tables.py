@@ -16,7 +16,7 @@ from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import Evaluation, unreached
 from flexopt.robustness.residues import residue_unit, written_unit
 from flexopt.selection import Selection
-from flexopt.selection.broken import cornerless, joint_margins
+from flexopt.selection.broken import cornerless
 from flexopt.selection.constraint_values import by_kind
 from flexopt.selection.several import BasePlan, Stand, TargetConfiguration
 from flexopt.study.page import PageTable, number, with_minus
@@ -63,14 +63,12 @@ def constraints(report: Report) -> ConstraintTables | None:
         numbered = [(k, each) for k, each in enumerate(selection.candidates) if k in looked]
     else:
         numbered = some(selection, COMPARED)
-    problems = [selection.problem if isinstance(selection, Selection) else selection.problems[k] for k, _ in numbered]
-    shown = [
-        joint_margins(problem, each.evaluation.z) | each.constraints
-        for problem, (_, each) in zip(problems, numbered, strict=True)
-    ]
+    shown = [each.constraints for _, each in numbered]
     if not shown[0]:
         return None
-    kinds = by_kind(shown[0], cornerless(problems[0]))
+    kinds = by_kind(
+        shown[0], cornerless(selection.problem if isinstance(selection, Selection) else selection.problems[0])
+    )
     near, far = list[str](), list[str]()
     for names in kinds.values():
         if len(names) > MANY:
