@@ -6,15 +6,16 @@ for a run and from symbols for a model whose parameters a master sets.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple, TypeVar
 
 import casadi as ca
+import numpy as np
 
 from flexopt.algebra import apply_pseudo_inverse, solve_spd
+from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
 from flexopt.loop.closed import ClosedLoop
-from flexopt.model.uncertainty import SPRINGS, parameters_of
 from flexopt.plant import Plant
 from flexopt.plant.control import task_to_joints
 from flexopt.plant.motion import Motion
@@ -23,11 +24,11 @@ T = TypeVar("T")
 # Stages from the design's parameters to those of the machine, along which the rest is followed by a Newton step each,
 # steps at the end, and how many times as many stages follow it where these lose it.
 STAGES, LAST, FINER = 24, 5, 4
+# Of a spring's stiffness, added where two are weighed, that what nothing holds divides nothing by zero.
+UNSPRUNG = 1e-14
 # How far a step moves a coordinate at most, and how much more than twice as far as the one before, rad, or of the arm's
 # length: longer ones are where the rest ends, and lead to another elbow. How far the last one may.
 FARTHEST, SUDDEN, ARRIVED = 0.1, 0.01, 1e-6
-# Of a spring's stiffness, as little as none on the way there.
-SPENT = 1e-6
 
 
 def design_constants(motion: Motion, passive: ca.SX, base: ca.SX) -> dict[str, ca.SX]:
@@ -100,46 +101,47 @@ def held_at(plant: Plant, control: Control, design: Design, p: ca.SX, v: ca.SX, 
 
 
 def change_of_rest(plant: Plant, control: Control) -> ca.Function:
-    """(v, the fields of `Design`, other, kp, ki) -> by what Newton's method changes v towards where it rests.
+    """(v, the fields of `Design`, other, springs, kp, ki) -> by what Newton's method changes v towards where it rests.
 
-    v as of `held_at`, `other` the parameters p of the machine. There K_p (q_p − q_p,rest) + g_p(q) = 0, and the
-    end-point is e short of its target.
+    v as of `held_at`, `other` the parameters p of the machine, `springs` K_p of its passive coordinates. There
+    K_p (q_p − q_p,rest) + g_p(q) = 0, and the end-point is e short of its target.
     """
     g, r = plant.graph, plant.n_task
     sizes = {"deflection": plant.n_passive, "target": r, "kp": r, "ki": r, "other": g.p.shape[0]}
     s = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+    springs = ca.SX.sym("springs", plant.n_passive, plant.n_passive)
     toward, v = ca.SX.sym("toward", plant.n_actuated, r), ca.SX.sym("v", plant.n_passive + r)
     design = Design(g.base, g.posture, g.p, s["deflection"], s["target"], toward)
     held = held_at(plant, control, design, s["other"], v, s["kp"], s["ki"])
     m, p = plant.n_passive, s["other"]
-    pulls = plant.stiffness(p)[:m, :m] @ (v[:m] - plant.rest(g.base, g.posture, p)[:m])
+    pulls = springs @ (v[:m] - plant.rest(g.base, g.posture, p)[:m])
     off = ca.vertcat(
         pulls + plant.gravity(held.q, g.base, p)[:m], plant.end_point(held.q, g.base, p) + held.error - design.target
     )
     change = ca.densify(-ca.solve(ca.jacobian(off, v), off))
-    inputs = {"v": v} | design._asdict() | {name: s[name] for name in ("other", "kp", "ki")}
+    inputs = {"v": v} | design._asdict() | {"other": p, "springs": springs, "kp": s["kp"], "ki": s["ki"]}
     return ca.Function("change_of_rest", list(inputs.values()), [change], list(inputs), ["change"], {"cse": True})
 
 
-def parameters_along(plant: Plant, other: ca.MX) -> Callable[[float], ca.MX]:
-    """From a share of the way from the machine's own parameters to others to those there (n_par,).
+def springs_along(plant: Plant) -> ca.Function:
+    """(share, other) -> K_p (m, m) of passive coordinates, that share of the way from the machine's own to another p.
 
-    The spring of a passive coordinate that softens most gives way evenly, its 1/k goes straight, and other springs' k
-    with its own: between two stiffness matrices. One that is gone counts as 10⁻⁶ of its own. All else goes straight.
+    What a load does to springs goes evenly, K_p⁻¹ (share) = (1 − share) K_own⁻¹ + share K_other⁻¹, so that no spring
+    gives way before others, in whatever axes: K_other ((1 − share) K_other + share K_own)⁻¹ K_own. Where the machine
+    itself has no spring the other's is there from the start.
     """
-    own, m = plant.parameter_values, plant.n_passive
-    before = plant.stiffness.call([own])[0].full().diagonal()[:m]
-    now: ca.MX = ca.diag(plant.stiffness(other))
-    factors: list[ca.MX] = [now[k] / before[k] for k in range(m) if before[k] > 0]
-    softest: ca.MX = ca.fmax(ca.mmin(ca.vertcat(1.0, *factors)), SPENT)
-    springs = ca.DM.zeros(own.shape)
-    springs[[*parameters_of((SPRINGS,), plant.machine)]] = 1
-
-    def at(share: float) -> ca.MX:
-        of_springs = share / (softest * (1 - share) + share)
-        return own + (other - own) * (share + (of_springs - share) * springs)
-
-    return at
+    share, other, m = ca.SX.sym("share"), ca.SX.sym("other", plant.parameter_values.shape[0]), plant.n_passive
+    own: Vector = plant.stiffness.call([plant.parameter_values])[0].full()[:m, :m]
+    to: ca.SX = plant.stiffness(other)[:m, :m]
+    sizes, directions = np.linalg.eigh(own)
+    free = directions[:, sizes <= UNSPRUNG * sizes.max(initial=0.0)]
+    kept = ca.DM(free @ free.T)
+    before: ca.SX = ca.SX(own) + kept @ to @ kept
+    between = (1 - share) * to + share * before
+    # What neither has a spring along stays free.
+    between += ca.diag(ca.if_else(ca.diag(between) > 0, UNSPRUNG * ca.diag(between), 1))
+    along = to @ solve_spd(between, before)
+    return ca.Function("springs_along", [share, other], [along], ["share", "other"], ["springs"], {"cse": True})
 
 
 def state_at_rest(

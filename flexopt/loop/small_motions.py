@@ -31,8 +31,8 @@ from flexopt.loop.rest import (
     design_constants,
     design_of,
     held_at,
-    parameters_along,
     placed,
+    springs_along,
     state_at_rest,
 )
 from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
@@ -200,22 +200,23 @@ class SmallMotions:
         """
         step, plant = self._change_of_rest, self.plant
         v0, *given = step.mx_in()
-        names = step.name_in()[1:]
-        s = dict(zip(names, given, strict=True))
+        s = dict(zip(step.name_in()[1:], given, strict=True))
+        del s["springs"]
         m, length = plant.n_passive, arm_length(plant)
         scale = ca.DM([1.0 if unit == "rad" else length for unit in plant.graph.coordinate_units])
-        way = parameters_along(plant, s["other"])
+        own, springs = plant.parameter_values, springs_along(plant)
         v, size, over = ca.vertcat(s["deflection"], ca.MX.zeros(v0.shape[0] - m, 1)), ca.MX(0), ca.MX(0)
         for stage in range(1, stages + 1):
-            there = s | {"other": way(stage / stages)}
+            share = stage / stages
+            there = s | {"other": own + share * (s["other"] - own), "springs": springs(share, s["other"])}
             for _ in range(LAST if stage == stages else 1):
-                change = step.call([v, *there.values()])[0]
+                change = step.call({"v": v} | there)["change"]
                 v += change
                 most = FARTHEST if stage == 1 else ca.fmin(FARTHEST, SUDDEN + 2 * size)
                 size = ca.norm_inf(ca.vertcat(change[:m], s["toward"] @ change[m:]) / scale)
                 over = ca.fmax(over, size - most)
         followed = ca.logic_and(size <= ARRIVED, over <= 0)
-        return ca.Function("followed", given, [v, followed], names, ["v", "followed"])
+        return ca.Function("followed", [*s.values()], [v, followed], [*s], ["v", "followed"])
 
     def _into_forces(self, s: Mapping[str, Symbol]) -> tuple[Symbol, Symbol]:
         """Kp and Ki that make forces of errors: of velocity-served joints, whose gains ask for rates, Kp by servos."""
@@ -233,9 +234,10 @@ class SmallMotions:
             return _Rest(at.q, at.q[:m], at.end_point, None, ca.SX.zeros(plant.n_actuated))
         design, v = design_of(plant, s["base"], s["posture"], s["held"][:m]), s["held"][m:]
         kp, ki = self._into_forces(s)
+        springs = plant.stiffness(p)[:m, :m]
         # From where iteration ends two more steps, that first and second derivatives are exact.
         for _ in range(2):
-            v += self._change_of_rest.call([v, *design, p, kp, ki])[0]
+            v += self._change_of_rest.call([v, *design, p, springs, kp, ki])[0]
         held = held_at(plant, self.control, design, p, v, kp, ki)
         law = held.force - kp * held.error if self.integral else None
         return _Rest(held.q, design.deflection, design.target, law, held.unheld)

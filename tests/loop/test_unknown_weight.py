@@ -472,6 +472,23 @@ def test_a_rest_is_the_same_in_axes_that_are_turned_by_half_a_turn() -> None:
     np.testing.assert_allclose(rests[1], rests[0], atol=1e-9)
 
 
+@pytest.mark.parametrize("turned", [0.06, 0.08, 0.045])
+@pytest.mark.parametrize("along", [1e-5, 1e-3, 1e3])
+def test_a_spring_that_carries_nothing_changes_no_rest(turned: float, along: float) -> None:
+    """Along a level ground no weight pulls: however that spring softens, others give way as without it."""
+    names, base, posture = [each.name for each in EXCAVATOR.parameters], np.zeros(1), np.array([0.6, -1.6])
+    own = np.array([each.value for each in EXCAVATOR.parameters])
+    settings, rests = settings_of(EXCAVATOR, (0.6, -1.6), TORQUE, "inverse"), list[Vector]()
+    for factor in (1.0, along):
+        p = own.copy()
+        p[[names.index("base.stiffness.x"), names.index("base.stiffness.rotation")]] *= factor, turned
+        there = settings.outcome(EXCAVATOR, base, posture, gravity=True, parameters=p, own_model=True)
+        assert there.rests
+        rests.append(there.configuration)
+    # Angles of about 1 rad, of two solves.
+    np.testing.assert_allclose(rests[1], rests[0], rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("factor", [2.5, 5.0, 20.0])
 def test_where_a_rest_ends_none_is_found_beyond(factor: float) -> None:
     """Weak feedback under a stick of twice its weight: up to there slopes by its mass grow without bound."""
