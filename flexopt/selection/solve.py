@@ -279,17 +279,21 @@ def _spread(problem: SelectionProblem, z: Vector, others: list[Vector]) -> list[
 
 
 def constraint_values(problem: SelectionProblem, z: Vector) -> dict[str, ConstraintValue]:
-    """Every constraint besides the target, an asked margin of joints among them: its value and bounds."""
+    """Every constraint besides the target, an asked margin of joints among them: its value and bounds.
+
+    Of rows of one name, such as a joint's distances from both of its limits, that with the least room.
+    """
     at, n_task = problem.quantities.at(z), problem.target.size
     values = [float(problem.measures.plant.singularity_sine_squared.call(at)[0])]
     if problem.constraint_set is not None:
         reported = problem.constraint_set.report.call([*at, problem.constraint_set.constants])[0]
         values += reported.full().ravel().tolist()
     values += problem.own_values(z).tolist()
-    return joint_margins(problem, z) | {
-        constraint.name: ConstraintValue(value, constraint.lower, constraint.upper, constraint.unit)
-        for constraint, value in zip((*problem.constraints[n_task:], *problem.own_constraints), values, strict=True)
-    }
+    found = joint_margins(problem, z)
+    for row, value in zip((*problem.constraints[n_task:], *problem.own_constraints), values, strict=True):
+        told = ConstraintValue(value, row.lower, row.upper, row.unit)
+        found[row.name] = min(found.get(row.name, told), told, key=lambda each: each.least_room)
+    return found
 
 
 def _ranked(problem: SelectionProblem, candidates: list[Candidate]) -> list[Candidate]:

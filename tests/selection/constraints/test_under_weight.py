@@ -198,6 +198,23 @@ def test_a_choice_keeps_joints_within_their_limits_on_other_springs(margin: floa
     assert room(flexopt.select(machine, (0.0, 1.6), constraints=asked | springs, **few)) > (margin or 0.0) - 1e-6
 
 
+def test_a_margin_at_corners_is_told_of_the_nearer_end_of_each_joint() -> None:
+    machine, factors = flexopt.load("boom-stick-bucket"), (0.5, 2.0)
+    asked = {"joint_margin": 0.1, "within": [{"of": "stiffness", "factor": list(factors)}]}
+    found = flexopt.select(machine, (7.0, 1.0), base=0.0, gravity=True, constraints=asked, starts=1, workers=1).best
+    names = [each.name for each in machine.parameters]
+    low, high = np.array(machine.limits).T
+    for factor in factors:
+        p = build_plant(machine).parameter_values.full().ravel()
+        p[["stiffness" in name for name in names]] *= factor
+        there = held(machine, found.evaluation.base, found.evaluation.posture, p)
+        told = [
+            found.constraints[f"joint margin of {name} where stiffness is {factor:g} of the file's"].value
+            for name in machine.joints
+        ]
+        np.testing.assert_allclose(told, np.minimum(there - low, high - there), atol=1e-6)
+
+
 @pytest.mark.long
 def test_a_choice_keeps_the_angle_on_every_pair_of_springs() -> None:
     """Of one target and of several, by w and by the loop; without `within` it would not."""
