@@ -11,6 +11,7 @@ import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -28,6 +29,7 @@ WIDTH = 3.9  # inches
 # Panels of a verdict beside each other: below each other, or in rows on a sheet that is wider than high.
 COLUMNS = (1, 2, 3)
 LETTERS = 12  # of a title, on an inch
+TOP = -0.6  # of a panel: half a row and a little above its first
 VEIL = 0.16  # of the colour of what grows, over where it does
 
 
@@ -35,7 +37,7 @@ VEIL = 0.16  # of the colour of what grows, over where it does
 class Row:
     """A choice: its name, the measure's least, nominal and greatest value; what is written of its worst.
 
-    NaN is a value that there is none of, infinite one without a border.
+    NaN is a value that there is none of, infinite one without a border. `border`: its own, in place of that of all.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Row:
     nominal: float
     greatest: float
     worst: str
+    border: float | None = None
 
 
 @dataclass(frozen=True)
@@ -107,15 +110,16 @@ def _draw(axes: Axes, bands: Bands) -> None:
     """A bar from least to greatest in each row, a ring at the nominal value, and the worst as text."""
     inks = colors()
     finite = [v for row in bands.rows for v in (row.least, row.nominal, row.greatest) if math.isfinite(v)]
-    border = None if bands.border is None else bands.border[0]
-    finite += [] if border is None else [border]
+    borders = _borders(bands)
+    finite += [at for at, _, _ in borders]
     if finite and min(finite) > 0 and max(finite) > LOG_FROM * min(finite):
         axes.set_xscale("log")
     low, high = _limits(axes, finite)
     axes.set_xlim(low, high)
+    for at, first, last in borders:
+        axes.fill_betweenx([first, last], low, at, color=inks.grows, alpha=VEIL, linewidth=0, zorder=0)
+        axes.plot([at, at], [first, last], color=inks.grows, linewidth=0.9, zorder=1)
     if bands.border is not None:
-        axes.axvspan(low, bands.border[0], color=inks.grows, alpha=VEIL, linewidth=0, zorder=0)
-        axes.axvline(bands.border[0], color=inks.grows, linewidth=0.9, zorder=1)
         axes.annotate(
             f"{bands.border[1]} ", (bands.border[0], 1.0), xycoords=("data", "axes fraction"), ha="right", va="bottom",
             fontsize="x-small", color=inks.grows,
@@ -141,7 +145,7 @@ def _draw(axes: Axes, bands: Bands) -> None:
         worst = row.worst.removesuffix(f" {bands.unit}") if " or " in bands.unit else row.worst
         axes.text(1.04, k, worst, transform=across, va="center", fontsize="small")
     axes.set_yticks([])
-    axes.set_ylim(len(bands.rows) - 0.4, -0.6)
+    axes.set_ylim(_bottom(bands), TOP)
     # A power of ten stands beside the axis: under its end it met the label of a narrow panel.
     axes.xaxis.get_offset_text().set_horizontalalignment("left")
     if bands.heading:
@@ -165,6 +169,23 @@ def _draw(axes: Axes, bands: Bands) -> None:
     label = f"{labelled(bands.label, unit)}\n{better.strip()}" if apart else labelled(f"{bands.label}{better}", unit)
     axes.set_xlabel(label)
     open_frame(axes, "x")
+
+
+def _borders(bands: Bands) -> list[tuple[float, float, float]]:
+    """Borders, and from where to where down the picture each is that of rows below each other."""
+    if bands.border is None:
+        return []
+    common, found, done, first = bands.border[0], list[tuple[float, float, float]](), 0, TOP
+    for at, rows in groupby(common if row.border is None else row.border for row in bands.rows):
+        done += len([*rows])
+        last = done - 0.5 if done < len(bands.rows) else _bottom(bands)
+        found.append((at, first, last))
+        first = last
+    return found
+
+
+def _bottom(bands: Bands) -> float:
+    return len(bands.rows) - 0.4
 
 
 def _limits(axes: Axes, finite: Sequence[float]) -> tuple[float, float]:

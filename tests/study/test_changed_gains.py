@@ -17,6 +17,7 @@ from flexopt.study.verdicts import changed_gains
 from flexopt.study.verdicts.changed_gains import ChangedGains, GainChange
 from flexopt.study.verdicts.decision import Place
 from flexopt.study.verdicts.gain_search import at_ends
+from flexopt.study.verdicts.places import STAY
 
 GROUNDS = np.linspace(1.0, 1.2, 40)
 
@@ -268,6 +269,47 @@ def test_of_places_with_other_gains_one_that_breaks_constraints_at_rest_is_the_l
     assert (found.place.name, found.doubt, found.breaks_at_rest) == (chosen, None, breaks if chosen in broken else "")
     why = f"near is nearer, 1 m away, but, with the gains that were tried, it {breaks}, at rest beside its target"
     assert found.passed_over.startswith(why) == (chosen == "far")
+
+
+@pytest.mark.parametrize("broken", [(), (STAY,), (STAY, "1"), (STAY, "1", "2", "3"), (STAY, "1", "2", "3", "4")])
+def test_where_one_keeps_constraints_at_rest_none_that_breaks_them_is_told(broken: tuple[str, ...]) -> None:
+    """Alike places, so that it is the nearest of those; however many break them, and the present one as others."""
+    low, names = Gains(np.array([1.0]), np.array([1.0]), np.zeros(1)), (STAY, "1", "2", "3", "4")
+    hills: Any = {name: Hill(low, 2.0, 10.0) for name in names}
+    points = np.linspace(1.0, 1.1, 20)[:, None]
+    known = {name: Place(name, each, float(each.min()), float(k))
+             for k, (name, hill) in enumerate(hills.items())
+             for each in [hill.decays(points)[0] - 5.0]}  # fmt: skip
+    breaks, slowest = "breaks limits of boom, 1.3 rad (-1 to 1.2 rad)", SimpleNamespace(member=points[0])
+    found = GainChange(
+        Loop(kp_range=(0.1, 100.0)), known, hills, dict.fromkeys(hills, slowest), {}, points,  # type: ignore[arg-type]
+        lambda _: None, at_rest=lambda name, _: breaks if name in broken else "",
+    ).sought().changed  # fmt: skip
+    assert found is not None
+    kept = [name for name in names if name not in broken]
+    assert (found.place.name, found.breaks_at_rest) == ((kept[0], "") if kept else (STAY, breaks))
+    told = f"staying with {found.in_words} {breaks}, at rest beside its target"
+    assert found.staying.startswith(told) == bool(kept and broken)
+
+
+@pytest.mark.parametrize("keeps_from", [3.0, 30.0, 200.0])
+def test_gains_with_which_a_place_breaks_nothing_at_rest_are_sought(keeps_from: float) -> None:
+    """Higher ones than the fastest, as a weight draws an arm less far then; up to the end of what is tried."""
+    low = Gains(np.array([1.0]), np.array([1.0]), np.zeros(1))
+    hills: Any = {STAY: Hill(low, 2.0, 10.0)}
+    points = np.linspace(1.0, 1.1, 20)[:, None]
+    slow = hills[STAY].decays(points)[0] - 5.0
+    known = {STAY: Place(STAY, slow, float(slow.min()), 0.0)}
+    breaks, slowest = "breaks limits of boom, 1.3 rad (-1 to 1.2 rad)", SimpleNamespace(member=points[0])
+    found = GainChange(
+        Loop(kp_range=(0.1, 100.0)), known, hills, {STAY: slowest}, {}, points,  # type: ignore[arg-type]
+        lambda _: None, at_rest=lambda _, loop: breaks if loop.settings.kp[0] < keeps_from else "",
+    ).sought().changed  # fmt: skip
+    assert found is not None
+    assert (found.breaks_at_rest == "") == (keeps_from < 100.0)
+    # The decay falls away from 10, so that of those that keep them the lowest are the fastest; to where they are told.
+    if 10.0 < keeps_from < 100.0:
+        assert keeps_from <= float(found.loop.settings.kp[0]) < 1.2 * keeps_from
 
 
 @pytest.mark.parametrize(("best", "top"), [(1e-3, 0.1), (1e-3, -0.1), (0.1, -0.1)])

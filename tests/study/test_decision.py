@@ -17,7 +17,7 @@ from flexopt.study.verdicts.broken_places import Breaks
 from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, faster, ranked
 from flexopt.study.verdicts.gain_search import tried_gains
 from flexopt.study.verdicts.places import gains_in_words
-from flexopt.study.verdicts.told_places import first_places, fit_places, overlooked, shares_better
+from flexopt.study.verdicts.told_places import first_places, overlooked, shares_better, with_barring
 from flexopt.study.verdicts.verdict import with_barred
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
@@ -42,30 +42,37 @@ def test_a_place_that_is_better_everywhere_is_moved_to() -> None:
 
 
 def test_places_that_break_constraints_on_some_ground_count_where_all_do() -> None:
-    def holds(name: str) -> bool:
-        return name != grows_at
+    def fit(breaks: dict[str, Breaks]) -> list[str]:
+        judged = with_barring(breaks, lambda name: name != grows_at)
+        return [name for name, each in judged.items() if not each.barring]
 
     grows_at, kept, broken = "", Breaks(), Breaks(somewhere="breaks holding of boom where payload.mass is 3000 kg")
-    assert fit_places({"stay": kept, "candidate 1": broken, "candidate 2": kept}, holds) == ["stay", "candidate 2"]
-    assert fit_places({"stay": broken, "candidate 1": broken}, holds) == ["stay", "candidate 1"]
+    assert fit({"stay": kept, "candidate 1": broken, "candidate 2": kept}) == ["stay", "candidate 2"]
+    assert fit({"stay": broken, "candidate 1": broken}) == ["stay", "candidate 1"]
     standing = Breaks(standing="breaks clearance of boom")
-    assert fit_places({"stay": standing, "candidate 1": broken}, holds) == ["candidate 1"]
-    assert fit_places({"stay": standing}, holds) == []
+    assert fit({"stay": standing, "candidate 1": broken}) == ["candidate 1"]
+    assert fit({"stay": standing}) == []
     beside = Breaks(at_rest="breaks tool angle, 0.3 rad, where payload.mass is 3000 kg")
-    assert fit_places({"stay": beside, "candidate 1": broken, "candidate 2": kept}, holds) == ["candidate 2"]
-    assert fit_places({"stay": beside, "candidate 1": broken, "candidate 2": beside}, holds) == ["stay", "candidate 2"]
-    assert fit_places({"stay": broken, "candidate 1": broken._replace(at_rest=beside.at_rest)}, holds) == ["stay"]
+    assert fit({"stay": beside, "candidate 1": broken, "candidate 2": kept}) == ["candidate 2"]
+    assert fit({"stay": beside, "candidate 1": broken, "candidate 2": beside}) == ["stay", "candidate 2"]
+    assert fit({"stay": broken, "candidate 1": broken._replace(at_rest=beside.at_rest)}) == ["stay"]
     # What grows is nowhere at rest, and no better than what breaks something there.
     grows_at = "candidate 2"
-    assert fit_places({"stay": beside, "candidate 2": kept}, holds) == ["stay", "candidate 2"]
-    assert fit_places({"stay": beside, "candidate 1": kept, "candidate 2": kept}, holds) == [
+    assert fit({"stay": beside, "candidate 2": kept}) == ["stay", "candidate 2"]
+    assert fit({"stay": beside, "candidate 1": kept, "candidate 2": kept}) == [
         "candidate 1",
         "candidate 2",
     ]
     by_loop = Breaks(by_loop="breaks decay 0.01 1/s (at least 0.02 1/s)")
-    assert fit_places({"stay": by_loop, "candidate 1": broken, "candidate 2": kept}, holds) == ["candidate 2"]
+    assert fit({"stay": by_loop, "candidate 1": broken, "candidate 2": kept}) == ["candidate 2"]
+    # By what each is: one that breaks several kinds by the first that others keep.
+    many = {"stay": standing, "candidate 1": by_loop._replace(at_rest=beside.at_rest), "candidate 2": broken}
+    for kind, of in (({"candidate 1": by_loop}, "by_loop"), ({"candidate 1": beside}, "at_rest")):
+        judged = with_barring({"stay": standing, "candidate 2": kept} | kind, lambda _: True)
+        assert [judged[name].barring for name in ("stay", "candidate 1", "candidate 2")] == ["standing", of, ""]
+    assert [each.barring for each in with_barring(many, lambda _: True).values()] == ["standing", "by_loop", ""]
     # Where no loop does what it must, that tells no place from another.
-    assert fit_places({"stay": by_loop, "candidate 1": by_loop}, holds) == ["stay", "candidate 1"]
+    assert fit({"stay": by_loop, "candidate 1": by_loop}) == ["stay", "candidate 1"]
     assert "no place found that keeps the constraints dec" in decide(STAY, [], barred=True).reason
     assert decide(STAY, [], sought="w1").reason.startswith("no place found by w1 decays")
     grows = place("stay", GROUNDS - 1.0)

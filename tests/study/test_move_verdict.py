@@ -354,6 +354,8 @@ def test_what_new_gains_are_worse_by_is_told(tmp_path: Path) -> None:
     for bars in found.bands:
         assert [row.name for row in bars.rows] == [*(place.name for place in found.places), "new gains"]
         assert bars.told == "new gains"
+        own = found.gains["kp"][0] if bars.label == "allowed Kp" else None
+        assert [row.border for row in bars.rows] == [*(None for _ in found.places), own]
     assert found.bands[0].rows[-1].least == new.decay.least
     found.to_html(tmp_path / "verdict.html")
     words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
@@ -1706,7 +1708,10 @@ def test_limits_that_are_assumed_count_on_other_springs_and_at_rest() -> None:
     assert rests, first.breaks_at_rest
     assert float(rests[1]) == pytest.approx(float(runs.dataset["q"].to_numpy()[0, -1, 3]), abs=6e-4)
     assert found.place != "candidate 1"
-    assert "candidate 1 is none to go to: there is a place that keeps what it breaks" in repr(found)
+    assert first.breaking.barring == "somewhere"
+    assert "candidate 1 is none to go to: another place keeps constraints on every ground, its end-point on" in repr(
+        found
+    )
     integral = flexopt.verdict(chosen, loop=loop | {"feedback": "pid", "ki": 2e3}, **judged)
     there = next(place for place in integral.places if place.name == "candidate 1")
     assert (there.breaks, there.breaks_at_rest) == (first.breaks, "")

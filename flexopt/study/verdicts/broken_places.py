@@ -41,12 +41,14 @@ class Breaks(NamedTuple):
         by_loop: what the loop that is judged does not do of what it must at least.
         somewhere: at corners of what is uncertain.
         at_rest: where feedback holds the end-point beside its target.
+        barring: by which of these it is none to go to or to stay at; see `with_barring`.
     """
 
     standing: str = ""
     by_loop: str = ""
     somewhere: str = ""
     at_rest: str = ""
+    barring: str = ""
 
     @property
     def now(self) -> str:

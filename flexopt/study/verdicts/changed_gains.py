@@ -35,9 +35,9 @@ from flexopt.study.verdicts.places import STAY, gains_in_words
 
 # So often gains are sought again for a member that was not among the few.
 EXCHANGES = 3
-# So many places to move to are run with other gains, until they are confirmed in one.
+# In so many places to move to other gains are refuted at most, until they are confirmed in one.
 PLACES = 3
-# So often runs halve the way from gains that they do not confirm to higher ones that they do.
+# So often the way is halved from gains that runs do not confirm, or that break something, to higher that do not.
 HALVED = 2
 
 
@@ -139,6 +139,14 @@ class GainChange:
             for name, tried in fastest.items()
         }
         stay = self._lowest(fastest[STAY]) if STAY in fastest and fastest[STAY].place.holds else None
+        if stay is not None and stay.rank == 1:
+            # It is none to stay at where another, with its own other gains, breaks nothing at rest.
+            beside = {STAY: f"{stay.breaks_at_rest}, at rest beside its target"}
+            standing = self._standing(None)
+            elsewhere = self._best({name: fastest[name] for name in fastest if name != STAY}, None, standing, beside)
+            if elsewhere is not None and elsewhere.rank == 2:
+                told = f"staying with {stay.in_words} {beside[STAY]}" * (elsewhere.place.name != STAY)
+                return Sought(elsewhere._replace(staying=told), each, standing, beside)
         if stay is not None and stay.doubt is not None:
             doubts[STAY] = stay.doubt
         standing = self._standing(None if stay is None or stay.doubt is not None else stay.place)
@@ -164,11 +172,11 @@ class GainChange:
         others = [place for place in others if self._changes(place)] or others
         other, tried, at_rest = None, 0, dict[str, str]()
         while others and tried < PLACES and (other is None or other.rank < 2):
-            found, tried = self._lowest(fastest[_nearest(others)], standing), tried + 1
+            found = self._lowest(fastest[_nearest(others)], standing)
             other = found if other is None or found.rank > other.rank else other
             others = [place for place in others if place.name != found.place.name]
             if found.doubt is not None:
-                doubts[found.place.name] = found.doubt
+                doubts[found.place.name], tried = found.doubt, tried + 1
             elif found.breaks_at_rest:
                 at_rest[found.place.name] = f"{found.breaks_at_rest}, at rest beside its target"
         # Where another breaks nothing there that is why it is none of these.
@@ -241,10 +249,18 @@ class GainChange:
         return self.known[name]._replace(decays=decays.min(axis=0), slowest=worst.decay, otherwise=""), worst.member
 
     def _fastest(self, name: str) -> _Tried:
+        """A place with its best gains; of those with which it breaks nothing at rest, where it is stable with any."""
+        found = self._fastest_of(name, lambda loop: not self.breaks(name, loop))
+        if not (found.place.holds and self.at_rest(name, found.loop)):
+            return found
+        keeping = self._fastest_of(name, lambda loop: not (self.breaks(name, loop) or self.at_rest(name, loop)))
+        return keeping if keeping.place.holds and not self.at_rest(name, keeping.loop) else found
+
+    def _fastest_of(self, name: str, does: Callable[[PlaceLoops], bool]) -> _Tried:
         loop, tried = self.loops[name], list[_Tried]()
         few = np.concatenate([loop.box.corners(FEW), self.slowest[name].member[None]])
         for _ in range(EXCHANGES):
-            best = best_gains(loop, self.asked, few, lambda tried: not self.breaks(name, tried))
+            best = best_gains(loop, self.asked, few, does)
             place, member = self._with(name, best)
             tried.append(_Tried(place, best, few))
             # With other gains another member may be the slowest: then gains are sought for it, too.
@@ -265,7 +281,7 @@ class GainChange:
         return at_ends(tried.loop.settings, self.asked, self.loops[tried.place.name].settings)
 
     def _lowest(self, fastest: _Tried, standing: Place | None = None) -> ChangedGains:
-        """The lowest gains with which a place is nearly as good as with its fastest, worth it, and confirmed.
+        """The lowest gains with which a place is nearly as good as with its fastest, worth it, and of its highest rank.
 
         `standing`: as one would stay, where a move there must be better.
         """
@@ -295,13 +311,16 @@ class GainChange:
                 lowest = self._told(tried)
                 break
             members = np.concatenate([members, tried.few])
-        if lowest is not None and lowest.doubt is None:
+        if lowest is not None and lowest.rank == 2:
             return lowest
         kept, high = self._told(fastest), 1.0
-        for _ in range(HALVED if lowest is not None and kept.doubt is None else 0):
+        if lowest is not None and kept.rank <= lowest.rank > 0:
+            return lowest
+        best_rank = kept.rank
+        for _ in range(HALVED if lowest is not None and best_rank > 0 else 0):
             middle = math.sqrt(least * high)
             tried = at(middle)
-            if does(tried.place) and (higher := self._told(tried)).doubt is None:
+            if does(tried.place) and (higher := self._told(tried)).rank >= best_rank:
                 kept, high = higher, middle
             else:
                 least = middle

@@ -6,7 +6,7 @@ In: a `Verdict`. Out: sentences. Every number is the verdict's own.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -50,7 +50,7 @@ def _worse(verdict: Verdict, there: PlaceVerdict, stay: PlaceVerdict) -> list[st
     if verdict.with_gains:
         # Of other gains it is the room above them that counts.
         kp = verdict.settings.kp.tolist()
-        bears, unit, highest = "bears {}", "times its gains", highest / _first(kp)
+        bears, unit, highest = "bears {}", "times its gains", highest / first_gain(kp)
         there, stay = _in_gains(there, verdict.gains["kp"]), _in_gains(stay, kp)
     compared = (
         ("decays at {}", "decay", "least", 1.0, "1/s", ""),
@@ -95,12 +95,12 @@ def _no_better(verdict: Verdict, there: PlaceVerdict) -> str:
     return "; ".join(filter(None, (by_gains and f"with the new gains {name} {by_gains}", every)))
 
 
-def _first(kp: Sequence[float]) -> float:
+def first_gain(kp: Iterable[float]) -> float:
     """That of the first row that has one, of which an allowed gain is."""
-    return next((x for x in kp if x > 0), 1.0)
+    return next((float(x) for x in kp if x > 0), 1.0)
 
 
 def _in_gains(place: PlaceVerdict, kp: Sequence[float]) -> PlaceVerdict:
     """The place with its least allowed gain in times its own."""
     band = place.allowed_gain
-    return replace(place, allowed_gain=replace(band, least=band.least / _first(kp)))
+    return replace(place, allowed_gain=replace(band, least=band.least / first_gain(kp)))

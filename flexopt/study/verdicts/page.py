@@ -18,6 +18,7 @@ from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
 from flexopt.study.page import PageTable, Picture, begun, coordinate, number, picture, sentence, with_minus
 from flexopt.study.verdicts.decision import BETTER, percent
+from flexopt.study.verdicts.drawbacks import first_gain
 from flexopt.study.verdicts.places import MOVE, NEW_GAINS, STAY, allowed, told
 from flexopt.study.verdicts.remarks import on_places, on_the_loop
 
@@ -68,16 +69,19 @@ def bands_of(verdict: Verdict) -> list[Bands]:
 
     found, kp = list[Bands](), verdict.settings.kp
     sent = NEW_GAINS if verdict.with_gains else verdict.place
-    borders = {"decay": (0.0, "grows")}
+    borders, own = {"decay": (0.0, "grows")}, dict[tuple[str, str], float]()
     if kp.any():
         which = "chosen" if verdict.settings.sources.get("kp") == CHOSEN else "now"
-        borders["allowed_gain"] = (float(kp[kp > 0][0]), f"Kp {which}")
+        borders["allowed_gain"] = (first_gain(kp), f"Kp {which}")
+    if verdict.new_settings is not None:
+        own["allowed_gain", NEW_GAINS] = first_gain(verdict.new_settings.kp)
     for m in measures(verdict):
         rows = list[Row]()
         for place in verdict.rows:
             band = getattr(place, m.attribute)
             least, nominal, greatest = (m.factor * value for value in (band.least, band.nominal, band.greatest))
-            rows.append(Row(place.name, least, nominal, greatest, _worst(place, m).text))
+            border = own.get((m.attribute, place.name))
+            rows.append(Row(place.name, least, nominal, greatest, _worst(place, m).text, border))
         found.append(Bands(m.label, m.unit, m.worst == "least", tuple(rows), STAY, sent, borders.get(m.attribute)))
     return found
 

@@ -26,6 +26,13 @@ if TYPE_CHECKING:
 
 # What has decayed by so many e-folds has settled, whatever the transient: to 2 % of a two thousandth part.
 DECAYED = 11.5
+# Why a place is none to go to, by what of `Breaks` bars it.
+BARRED = {
+    "standing": "it breaks constraints as it stands",
+    "by_loop": "in another place the loop does what it must",
+    "somewhere": "another place keeps constraints on every ground, its end-point on the target",
+    "at_rest": "another place, which is stable on every ground, keeps constraints at rest beside its target, too",
+}
 # A self-motion that takes longer than this to e-fold, s, stays where it is while a machine works.
 STAYS = 3600.0
 
@@ -36,7 +43,7 @@ def on_places(verdict: Verdict) -> list[str]:
     for place in verdict.places:
         found += [place.rest, place.beyond_limits, place.broken, place.broken_at_rest]
         if place.name in verdict.exclusions:
-            found.append(f"{place.name} is none to go to: there is a place that keeps what it breaks")
+            found.append(f"{place.name} is none to go to: {BARRED[place.breaking.barring]}")
         found.append(unconfirmed.get(place.name, ""))
     return [*filter(None, found)]
 

@@ -15,18 +15,21 @@ from flexopt.study.verdicts.decision import MOST, faster
 from flexopt.study.verdicts.places import STAY, TOLD
 
 
-def fit_places(breaks: Mapping[str, Breaks], holds: Callable[[str], bool]) -> list[str]:
-    """To which one may move, or stay at: those that break nothing, where there is one.
+def with_barring(breaks: Mapping[str, Breaks], holds: Callable[[str], bool]) -> dict[str, Breaks]:
+    """What each place breaks, and by which of it it is none to move to or to stay at: others break nothing of the kind.
 
-    None that breaks something as it stands. Of the others those whose loops do what they must, where there is one; of
-    these those that break nothing on any ground; of these those that break nothing beside their targets, where one of
-    them `holds`, which is to say whether it is stable wherever that was looked at: what grows is nowhere at rest.
+    None that breaks something as it stands is one. Of the others those whose loops do what they must are, where there
+    is one; of these those that break nothing on any ground; of these those that break nothing beside their targets,
+    where one of them `holds`, which is to say whether it is stable wherever that was looked at: what grows is nowhere
+    at rest.
     """
-    places = [name for name, each in breaks.items() if not each.standing]
-    for kind in ("by_loop", "somewhere"):
-        places = [name for name in places if not getattr(breaks[name], kind)] or places
-    keeping = [name for name in places if not breaks[name].at_rest]
-    return keeping if len(keeping) < len(places) and any(map(holds, keeping)) else places
+    found = {name: "standing" for name, each in breaks.items() if each.standing}
+    for kind in ("by_loop", "somewhere", "at_rest"):
+        broken = {name: kind for name, each in breaks.items() if name not in found and getattr(each, kind)}
+        keeping = [name for name in breaks if name not in found | broken]
+        if broken and (any(map(holds, keeping)) if kind == "at_rest" else keeping):
+            found |= broken
+    return {name: each._replace(barring=found.get(name, "")) for name, each in breaks.items()}
 
 
 def shares_better(decays: Mapping[str, Vector]) -> dict[str, float]:

@@ -73,7 +73,7 @@ from flexopt.study.verdicts.place_loops import (
 from flexopt.study.verdicts.place_verdict import Band, PlaceVerdict
 from flexopt.study.verdicts.places import FIRST, MOVE, NEW_GAINS, STAY
 from flexopt.study.verdicts.result import Verdict
-from flexopt.study.verdicts.told_places import first_places, fit_places, overlooked, shares_better
+from flexopt.study.verdicts.told_places import first_places, overlooked, shares_better, with_barring
 
 # Members that decays are computed of, and nonlinear runs.
 MEMBERS, RUNS = 64, 16
@@ -179,13 +179,16 @@ def verdict(
     decays: dict[str, Vector] = {name: own.min(axis=0) for name, own in each.items()}
     others = [name for name in ranked(decays) if name != STAY]
     held = {name: [(each.base, each.posture) for each in stand] for name, stand in stands.items()}
-    breaks = {name: breaks_of(chosen, loops[name], at) for name, at in held.items()}
 
     @cache
     def search(name: str) -> Slowest:
         return loops[name].slowest(points, each[name])
 
-    fit = fit_places(breaks, lambda name: decays[name].min() > 0 and search(name).decay > 0)
+    breaks = with_barring(
+        {name: breaks_of(chosen, loops[name], at) for name, at in held.items()},
+        lambda name: decays[name].min() > 0 and search(name).decay > 0,
+    )
+    fit = [name for name, broken in breaks.items() if not broken.barring]
     first_ones = first_places(
         [name for name in others if name in fit] or others, decays, lambda name: search(name).decay
     )
