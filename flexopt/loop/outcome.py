@@ -163,7 +163,10 @@ class LoopPoint:
     @cached_property
     def _own(self) -> OwnMotion:
         of, motions = self.numbers, self.motions
-        return OwnMotion.at(motions.plant, self.configuration, of["base"], of["p"], motions.loop.to_q)
+        rows: Vector | None = None
+        if motions.gravity:
+            rows = motions.resting_rows.call([of[name] for name in (*AT_REST, "held")])[0].full()
+        return OwnMotion.at(motions.plant, self.configuration, of["base"], of["p"], motions.loop.to_q, rows)
 
     def spectrum_of(self, matrix: Vector) -> SampledLoop:
         """Eigenvalues of a Φ of this loop."""

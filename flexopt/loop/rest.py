@@ -89,9 +89,13 @@ def design_of(plant: Plant, base: ca.SX, posture: ca.SX, deflection: ca.SX) -> D
 
 def held_at(plant: Plant, control: Control, design: Design, p: ca.SX, v: ca.SX, kp: ca.SX, ki: ca.SX) -> Held:
     """Where v = [q_p; y] says: passive coordinates (m,), joints turned by Jv⁺ y. Kp and Ki (n_task,) make forces."""
+    q = ca.vertcat(v[: plant.n_passive], design.posture + design.toward @ v[plant.n_passive :])
+    return _held_in(plant, control, design, p, q, kp, ki)
+
+
+def _held_in(plant: Plant, control: Control, design: Design, p: ca.SX, q: ca.SX, kp: ca.SX, ki: ca.SX) -> Held:
     m, base = plant.n_passive, design.base
-    turned = design.posture + design.toward @ v[m:]
-    q, taken = ca.vertcat(v[:m], turned), ca.vertcat(design.deflection, turned)
+    taken = ca.vertcat(design.deflection, q[m:])
     into = task_to_joints(plant.rigid_jacobian(taken, base, design.p), control, ca.SX.eye(plant.n_task))
     more = plant.gravity(q, base, p)[m:] - plant.gravity(taken, base, design.p)[m:]
     force = solve_spd(into.T @ into, into.T @ more)
@@ -100,27 +104,51 @@ def held_at(plant: Plant, control: Control, design: Design, p: ca.SX, v: ca.SX, 
     return Held(q, force, error, more - into @ force)
 
 
+def _off(plant: Plant, design: Design, held: Held, p: ca.SX, springs: ca.SX) -> ca.SX:
+    """K_p (q_p − q_p,rest) + g_p(q), and how far the end-point is from e short of its target: 0 at rest."""
+    m, base, q = plant.n_passive, design.base, held.q
+    pulls = springs @ (q[:m] - plant.rest(base, design.posture, p)[:m])
+    aside = plant.end_point(q, base, p) + held.error - design.target
+    return ca.vertcat(pulls + plant.gravity(q, base, p)[:m], aside)
+
+
 def change_of_rest(plant: Plant, control: Control) -> ca.Function:
     """(v, the fields of `Design`, other, springs, kp, ki) -> by what Newton's method changes v towards where it rests.
 
-    v as of `held_at`, `other` the parameters p of the machine, `springs` K_p of its passive coordinates. There
-    K_p (q_p − q_p,rest) + g_p(q) = 0, and the end-point is e short of its target.
+    v as of `held_at`, `other` the parameters p of the machine, `springs` K_p of its passive coordinates.
     """
-    g, r = plant.graph, plant.n_task
-    sizes = {"deflection": plant.n_passive, "target": r, "kp": r, "ki": r, "other": g.p.shape[0]}
+    g, r, m = plant.graph, plant.n_task, plant.n_passive
+    sizes = {"deflection": m, "target": r, "kp": r, "ki": r, "other": g.p.shape[0]}
     s = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
-    springs = ca.SX.sym("springs", plant.n_passive, plant.n_passive)
-    toward, v = ca.SX.sym("toward", plant.n_actuated, r), ca.SX.sym("v", plant.n_passive + r)
+    springs = ca.SX.sym("springs", m, m)
+    toward, v = ca.SX.sym("toward", plant.n_actuated, r), ca.SX.sym("v", m + r)
     design = Design(g.base, g.posture, g.p, s["deflection"], s["target"], toward)
-    held = held_at(plant, control, design, s["other"], v, s["kp"], s["ki"])
-    m, p = plant.n_passive, s["other"]
-    pulls = springs @ (v[:m] - plant.rest(g.base, g.posture, p)[:m])
-    off = ca.vertcat(
-        pulls + plant.gravity(held.q, g.base, p)[:m], plant.end_point(held.q, g.base, p) + held.error - design.target
-    )
+    off = _off(plant, design, held_at(plant, control, design, s["other"], v, s["kp"], s["ki"]), s["other"], springs)
     change = ca.densify(-ca.solve(ca.jacobian(off, v), off))
-    inputs = {"v": v} | design._asdict() | {"other": p, "springs": springs, "kp": s["kp"], "ki": s["ki"]}
+    inputs = {"v": v} | design._asdict() | {"other": s["other"], "springs": springs, "kp": s["kp"], "ki": s["ki"]}
     return ca.Function("change_of_rest", list(inputs.values()), [change], list(inputs), ["change"], {"cse": True})
+
+
+def resting_rows(plant: Plant, control: Control) -> ca.Function:
+    """(q, base, deflection, file, p, kp, ki) -> rows (m + n_task, n_q) along whose kernel a loop rests, too.
+
+    What is 0 at rest (`change_of_rest`), by q: along its self-motion, which no feedback holds, a redundant arm creeps
+    from one rest to another, on its base and with its end-point as they then are.
+
+    q (n_q,) where it rests; `deflection`, `file`: of its `Design`, sag and parameters; Kp and Ki make forces.
+    """
+    g, r, m = plant.graph, plant.n_task, plant.n_passive
+    q, sag, kp, ki = (
+        ca.SX.sym(name, n) for name, n in (("q", m + plant.n_actuated), ("deflection", m), ("kp", r), ("ki", r))
+    )
+    file = ca.SX.sym("file", g.p.shape[0])
+    # What a design aims at, and along what it is turned, moves no rest.
+    design = Design(g.base, q[m:], file, sag, ca.SX.zeros(r), ca.SX.zeros(plant.n_actuated, r))
+    held = _held_in(plant, control, design, g.p, q, kp, ki)
+    rows = ca.jacobian(_off(plant, design, held, g.p, plant.stiffness(g.p)[:m, :m]), q)
+    names = ["q", "base", "deflection", "file", "p", "kp", "ki"]
+    given = [q, g.base, sag, file, g.p, kp, ki]
+    return ca.Function("resting_rows", given, [ca.densify(rows)], names, ["rows"], {"cse": True})
 
 
 def springs_along(plant: Plant) -> ca.Function:

@@ -32,6 +32,7 @@ from flexopt.loop.rest import (
     design_of,
     held_at,
     placed,
+    resting_rows,
     springs_along,
     state_at_rest,
 )
@@ -225,6 +226,16 @@ class SmallMotions:
     @cached_property
     def _change_of_rest(self) -> ca.Function:
         return change_of_rest(self.plant, self.control)
+
+    @cached_property
+    def resting_rows(self) -> ca.Function:
+        """(…, held) -> rows (m + n_task, n_q) along whose kernel it rests, too; … are `AT_REST`. See `resting_rows`."""
+        s = {name: self.symbols[name] for name in (*AT_REST, "held")}
+        p, sag = s["p"], s["held"][: self.plant.n_passive]
+        file = ca.SX(self.plant.parameter_values) if self.own_model else p
+        at = [self._rest(s, p).q, s["base"], sag, file, p, *self._into_forces(s)]
+        rows = resting_rows(self.plant, self.control).call(at)
+        return ca.Function("resting_rows", [*s.values()], rows, [*s], ["rows"], {"cse": True})
 
     def _rest(self, s: Mapping[str, ca.SX], p: ca.SX) -> _Rest:
         """Where the loop rests, with p."""

@@ -201,31 +201,47 @@ class OwnMotion:
 
     Attributes:
         directions: orthonormal in the joints, in all coordinates, (n_q, n − n_task).
+        creeping: the like of one so slow that the loop comes to rest all along it, the base and the end-point as they
+            then are, (n_q, n − n_task).
         mass: M (n_q, n_q).
         to_q: q = A u + constant, (n_q, n_q).
     """
 
     directions: Vector
+    creeping: Vector
     mass: Vector
     to_q: Vector
 
     @classmethod
-    def at(cls, plant: Plant, q: Vector, base: Vector, p: Any, to_q: Vector) -> OwnMotion:
-        """Of a machine in a configuration, with parameters p (n_par,)."""
+    def at(
+        cls, plant: Plant, q: Vector, base: Vector, p: Any, to_q: Vector, resting_rows: Vector | None = None
+    ) -> OwnMotion:
+        """Of a machine in a configuration, with parameters p (n_par,).
+
+        `resting_rows` (m + n_task, n_q): along whose kernel its loop rests; None where no weight acts, and joints alone
+        move along it.
+        """
         m = plant.n_passive
         jacobian: Vector = plant.rigid_jacobian.call([q, base, p])[0].full()
         joints = np.linalg.svd(jacobian)[2][plant.n_task :].T
         own = np.vstack([np.zeros((m, joints.shape[1])), joints])
-        return cls(own, plant.mass.call([q, base, p])[0].full(), to_q)
+        creeping: Vector = own
+        if resting_rows is not None and np.all(np.isfinite(resting_rows)):
+            # Rows have units of their own.
+            rows = resting_rows / np.linalg.norm(resting_rows, axis=1, keepdims=True)
+            creeping = np.linalg.svd(rows)[2][len(rows) :].T
+        return cls(own, creeping, plant.mass.call([q, base, p])[0].full(), to_q)
 
     def shares(self, vectors: ComplexArray) -> Vector:
-        """Which share of the kinetic energy of each eigenvector is its."""
-        n, own = len(self.to_q), self.directions
+        """Which share of the kinetic energy of each eigenvector is its, as it moves alone, or creeps: the greater."""
+        n = len(self.to_q)
         rates = np.asarray(self.to_q @ vectors[n : 2 * n], dtype=np.complex128)
-        along: ComplexArray = own.T @ self.mass @ rates
-        part = np.einsum("ik,ik->k", along.conj(), np.linalg.solve(own.T @ self.mass @ own, along)).real
         whole = np.einsum("ik,ij,jk->k", rates.conj(), self.mass, rates).real
-        return np.asarray(part / np.maximum(whole, np.finfo(float).tiny), dtype=np.float64)
+        parts = list[Vector]()
+        for own in (self.directions, self.creeping):
+            along: ComplexArray = own.T @ self.mass @ rates
+            parts.append(np.einsum("ik,ik->k", along.conj(), np.linalg.solve(own.T @ self.mass @ own, along)).real)
+        return np.asarray(np.fmax(*parts) / np.maximum(whole, np.finfo(float).tiny), dtype=np.float64)
 
 
 def _drifting(values: ComplexArray, shares: Vector, most: int) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, Unpack
 
 import casadi as ca
@@ -19,10 +19,12 @@ from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import PostureLike, Vector
 from flexopt.foundation.boundary import Keywords, number, public
+from flexopt.foundation.control import Control
 from flexopt.loop.borders import HIGH, LOW, stable_intervals
 from flexopt.loop.closed import closed_loop
 from flexopt.loop.gains import rigid_gains_at
 from flexopt.loop.outcome import UNDAMPED
+from flexopt.loop.rest import resting_rows
 from flexopt.loop.spectrum import EXACT, OwnMotion, SampledLoop, neutral_directions, spectrum
 from flexopt.loop.structure import LoopStructure
 from flexopt.loop.tangent import SelfMotion, Tangent, still, tangent
@@ -183,8 +185,22 @@ def _spectrum(scenario: Scenario, x: Vector, matrix: Vector, integrator: str) ->
     most = neutral_directions(s.loop.structure, s.loop.shape.n_joints, s.parts.get("kp"), s.parts.get("ki"))
     excess = s.loop.shape.n_joints - s.loop.shape.n_task
     plant, q = build_plant(s.machine), _coordinates(s, x)
-    own = partial(OwnMotion.at, plant, q, s.base, s.p, s.loop.to_q)
+
+    def own() -> OwnMotion:
+        rows: Vector | None = None
+        if s.options.gravity:
+            m, file = plant.n_passive, plant.parameter_values if s.loop.structure.own_model else s.p
+            gains = (s.parts.get(name, np.zeros(plant.n_task)) for name in ("kp", "ki"))
+            at = [q, s.base, s.q_design[:m], file, s.p, *gains]
+            rows = _resting_rows(s.machine, s.options.control).call(at)[0].full()
+        return OwnMotion.at(plant, q, s.base, s.p, s.loop.to_q, rows)
+
     return spectrum(matrix, s.period, most, excess, own, integrator)
+
+
+@lru_cache(maxsize=16)
+def _resting_rows(machine: AnyMachine, control: Control) -> ca.Function:
+    return resting_rows(build_plant(machine), control)
 
 
 def _coordinates(scenario: Scenario, x: Vector) -> Vector:

@@ -83,6 +83,34 @@ def test_what_modes_have_become_is_pythons(name: str, loop: dict[str, Any], grav
 
 
 @pytest.mark.needs("node")
+@pytest.mark.parametrize("gravity", [False, True])
+@pytest.mark.parametrize(
+    "loop",
+    [TORQUES, TORQUES | {"nullspace_damping": 1e3}, SERVED | {"servo_gain": 1e5, "nullspace_damping": 5e3, "dead_time": 0.03}],
+    ids=["torque", "braked", "served"],
+)  # fmt: skip
+def test_what_a_redundant_arm_drifts_by_is_pythons(loop: dict[str, Any], gravity: bool) -> None:
+    machine, rng = flexopt.load("boom-stick-bucket"), np.random.default_rng(3)
+    page = flexopt.explore(machine, loop=loop, gravity=gravity).page
+    low, high = np.clip(np.array(machine.limits), -2, 2).T
+    postures = rng.uniform(low, high, (12, low.size))
+    text = f"{model_script(page)}\nconst model = new Model(DATA, GRAPHS), loop = new Loop(model);\n"
+    text += "const numbers = { ...DATA.loop.numbers, dead_time: DATA.loop.dead_time };\n"
+    text += f"const found = {json.dumps(postures.tolist())}.map((x) => loop.verdict(new Float64Array(1), Float64Array.from(x), numbers));\n"
+    text += "console.log(JSON.stringify(found.map(({ decay, drift }) => ({ decay, drift }))));"
+    done = subprocess.run(["node", "-"], input=text, capture_output=True, text=True, check=True)
+    told = 0
+    for posture, each in zip(postures, json.loads(done.stdout), strict=True):
+        known = flexopt.outcome(machine, posture, base=0.0, loop=loop, gravity=gravity)
+        # Rates are logarithms of eigenvalues near 1.
+        assert each["decay"] == pytest.approx(known.decay, rel=1e-7, abs=10 * known.decay_rounding)
+        drift = sorted(each["drift"], reverse=True)
+        assert drift == pytest.approx(list(known.drift), rel=1e-6, abs=10 * known.decay_rounding)
+        told += len(drift)
+    assert told > 0 or not gravity
+
+
+@pytest.mark.needs("node")
 def test_an_assignment_is_scipys() -> None:
     """Rows fewer and more than columns, and none."""
     rng = np.random.default_rng(5)

@@ -226,6 +226,49 @@ def test_a_self_motion_that_swings_on_soft_springs_is_no_part_of_the_decay():
     assert 0 < swinging < len(factors)
 
 
+@pytest.mark.parametrize("posture", [(-0.51, -0.866, -0.634), (-0.666, -0.629, -0.809)])
+def test_what_creeps_is_the_self_motion_whatever_the_load(posture: tuple[float, ...]) -> None:
+    """Slowly the base and the end-point go with it to where they then rest: by a tenth of its energy and more."""
+    loop = {"drive": "velocity", "kp": 1.0, "kv": 0.1, "servo_gain": 2.5e5, "nullspace_damping": 5e3, "rate": 100.0}
+    settings = settings_of(BUCKET, posture, loop | {"dead_time": 0.03}, "inverse")
+    for p in numbers(BUCKET, "payload.mass", np.linspace(0.0, 3000.0, 7)).T:
+        point = settings.outcome(BUCKET, np.zeros(1), np.array(posture), gravity=True, parameters=p, own_model=True)
+        rates = np.sort(-np.log(np.abs(np.linalg.eigvals(point.sample.matrix)) + 1e-300) * settings.rate)
+        # One that takes minutes, and apart from it what takes seconds.
+        assert abs(rates[0]) < 0.01 < 0.1 < rates[1]
+        assert point.loop.drift == pytest.approx([-rates[0]], rel=1e-6, abs=point.loop.rounding)
+        assert point.rate().value == pytest.approx(rates[1], rel=1e-6)
+
+
+@pytest.mark.parametrize("loop", [{"drive": "torque", "kp": 2e5, "kv": 3e4}, {"drive": "velocity", "kp": 1.0}])
+def test_along_what_a_loop_rests_is_a_kernel_of_what_is_zero_there(loop: dict[str, Any]) -> None:
+    """By central differences of the equations, written out by themselves."""
+    settings = settings_of(BUCKET, HELD_OUT, loop, "inverse")
+    own = np.array([each.value for each in BUCKET.parameters])
+    p = numbers(BUCKET, "payload.mass", np.array([1500.0]))[:, 0]
+    point = settings.outcome(BUCKET, np.zeros(1), np.array(HELD_OUT), gravity=True, parameters=p, own_model=True)
+    plant, m = point.motions.plant, 3
+    kp = settings.kp * (settings.servo_gain if loop["drive"] == "velocity" else 1.0)
+    sag = plant.deflected([0.0], HELD_OUT, own).full().ravel()
+    target = plant.end_point(np.append(sag, HELD_OUT), [0.0], own).full().ravel()
+
+    def off(q: Vector) -> Vector:
+        taken = np.append(sag, q[m:])
+        into = np.linalg.pinv(plant.rigid_jacobian(taken, [0.0], own).full())
+        weight = plant.gravity(q, [0.0], p).full().ravel()
+        more = weight[m:] - plant.gravity(taken, [0.0], own).full().ravel()[m:]
+        pulls = plant.stiffness(p).full()[:m, :m] @ (q - plant.rest([0.0], q[m:], p).full().ravel())[:m]
+        error = np.linalg.lstsq(into, more)[0] / kp
+        return np.append(pulls + weight[:m], plant.end_point(q, [0.0], p).full().ravel() + error - target)
+
+    rows, q = point._own.creeping, point.configuration
+    assert np.abs(off(q)[m:]).max() < 1e-9
+    step = 1e-5 * rows[:, 0]
+    scale = np.array([np.abs(off(q + 1e-5 * e) - off(q - 1e-5 * e)) for e in np.eye(len(q))]).max(axis=0)
+    # Differences are off by the square of the step.
+    assert np.all(np.abs(off(q + step) - off(q - step)) < 1e-7 * scale)
+
+
 @pytest.mark.parametrize("loop", [{"drive": "torque"}, {"drive": "velocity", "kp": 1.0}], ids=["torque", "velocity"])
 def test_an_integral_without_gain_is_none(loop: dict[str, Any]) -> None:
     """Of an arm that drifts, too: what its integral keeps is not taken for the self-motion."""

@@ -214,9 +214,7 @@ class Loop {
   // One sample's Φ of x = [s, law, forces on their way], how many states s and the law have, forces there are, and samples
   // they are on their way.
   sample(base, posture, numbers) {
-    const { graphs, p, data } = this.model, { run, inputs, outputs } = graphs.motions;
-    const given = { base, posture, p, held: this.model.deflection(base, posture), period: [this.data.period], ...this.data.numbers, ...numbers };
-    const values = run(inputs.map(([name, size]) => given[name] ?? new Float64Array(size)));
+    const { outputs } = this.model.graphs.motions, values = this.graph("motions", base, posture, numbers);
     const P = Object.fromEntries(outputs.map(([name, m, n]) => [name, new Matrix(m, n, values[name].slice())]));
     const { flow, drive, direct, spread, force, law, measured } = P, T = this.data.period;
     const n = flow.m, k = law.m, r = force.m, [waiting, early] = this.waiting(numbers.dead_time);
@@ -241,6 +239,13 @@ class Loop {
     F.put(0, 0, drawn.times(ofState)).put(0, n, force.columns(0, k));
     if (oldest) F.put(0, n + k, drawn.times(ofForce));
     return { matrix: open.plus(into.times(F)), states: n + k, r, waiting };
+  }
+
+  // What a graph of the loop gives.
+  graph(name, base, posture, numbers) {
+    const { graphs, p } = this.model, { run, inputs } = graphs[name];
+    const given = { base, posture, p, held: this.model.deflection(base, posture), period: [this.data.period], ...this.data.numbers, ...numbers };
+    return run(inputs.map(([name, size]) => given[name] ?? new Float64Array(size)));
   }
 
   waiting(deadTime) {
@@ -269,7 +274,7 @@ class Loop {
     // Other directions that rest anywhere are of integrals and rows without gain.
     const removed = Math.max(size - M.n - (this.data.neutral - this.data.excess), 0), drift = [];
     if (this.data.excess > 0 && removed < 2 * this.data.excess) {
-      const own = this.drifting(base, posture, M, U, scale, values, 2 * this.data.excess - removed);
+      const own = this.drifting(base, posture, numbers, M, U, scale, values, 2 * this.data.excess - removed);
       own.forEach((k) => drift.push(Math.log(values[k][0]) / T));
       values = values.filter((_, k) => !own.includes(k));
     }
@@ -331,21 +336,35 @@ class Loop {
 
   // Which eigenvalues belong to an arm that drifts along its self-motion: real ones, and its the kinetic energy. Pairs are
   // none where the controller knows the weight, as here.
-  drifting(base, posture, M, U, scale, values, most) {
+  drifting(base, posture, numbers, M, U, scale, values, most) {
     const { m, r, n } = this.model, data = this.model.data, q = m + n;
     const at = this.model.about("own", base, posture), mass = new Matrix(q, q, at.M.slice());
     const square = new Matrix(n, n).put(0, 0, new Matrix(r, n, at.Jv.slice()));
-    const own = new Matrix(q, n - r).put(m, 0, new Matrix(n, n, Linear.singular(square.a, n).vectors).columns(r, n));
-    const toQ = new Matrix(q, q, Float64Array.from(data.loop.to_q)), inner = own.T.times(mass).times(own);
+    const alone = new Matrix(q, n - r).put(m, 0, new Matrix(n, n, Linear.singular(square.a, n).vectors).columns(r, n));
+    const sets = [alone, ...this.creeping(base, posture, numbers)].map((own) => ({ own, inner: own.T.times(mass).times(own) }));
+    const toQ = new Matrix(q, q, Float64Array.from(data.loop.to_q));
     const shares = values.map(([x, y], index) => {
       if (y !== 0 || x <= 0) return { index, share: 0 };
       const v = Linear.eigenvector(M.a, M.n, x, 0).subarray(0, M.n);
       const lifted = U.T.times(new Matrix(M.n, 1, v)).a.map((z, k) => z * scale[k]);
-      const rates = toQ.times(new Matrix(q, 1, lifted.slice(q, 2 * q))), along = own.T.times(mass).times(rates);
-      const part = along.T.times(new Matrix(n - r, 1, Linear.solve(inner.a, along.a, n - r, 1))).a[0];
-      const whole = rates.T.times(mass).times(rates).a[0];
-      return { index, share: part / Math.max(whole, Number.MIN_VALUE) };
+      const rates = toQ.times(new Matrix(q, 1, lifted.slice(q, 2 * q))), whole = rates.T.times(mass).times(rates).a[0];
+      const parts = sets.map(({ own, inner }) => {
+        const along = own.T.times(mass).times(rates);
+        return along.T.times(new Matrix(n - r, 1, Linear.solve(inner.a, along.a, n - r, 1))).a[0];
+      });
+      return { index, share: Math.max(...parts) / Math.max(whole, Number.MIN_VALUE) };
     });
     return shares.filter(({ share }) => share > data.loop.own).sort((x, y) => y.share - x.share).slice(0, most).map((x) => x.index);
+  }
+
+  // Under the weight along what the loop comes to rest all the way, the base and the end-point as they then are.
+  creeping(base, posture, numbers) {
+    if (!this.model.graphs.resting_rows) return [];
+    const { m, r, n } = this.model, q = m + n, square = new Float64Array(q * q), { rows } = this.graph("resting_rows", base, posture, numbers);
+    for (let i = 0; i < m + r; i++) {
+      const row = Array.from({ length: q }, (_, j) => rows[i + j * (m + r)]), size = Math.hypot(...row);
+      row.forEach((x, j) => { square[i + j * q] = x / size; });
+    }
+    return square.every(Number.isFinite) ? [new Matrix(q, q, Linear.singular(square, q).vectors).columns(m + r, q)] : [];
   }
 }
