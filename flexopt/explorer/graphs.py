@@ -25,8 +25,9 @@ def explorer_functions(measures: Measures, motions: SmallMotions, *, frames: boo
     the static deflection, `held`, about which all others are: `rest`: q; `reach`: r and its derivative by base and
     posture; `reduced`: K_p, M̄ and F of the modes, `screen`, how far from singular (`screened`), and `left_over` of the
     deflection; `more` besides: follow, D; `own`: M and Jv, for the self-motion and what modes have become; `motions`:
-    the linear loop; under the weight `resting_rows`, along whose kernel a redundant arm creeps; `first_order`: the decay of its modes to first order, see `LaggedModes.of_known`. `measure`
-    and `symmetric`: w_i of f, whose first columns are the mode, and what its eigenvectors `vectors` are of.
+    the linear loop; under the weight `resting_rows`, along whose kernel a redundant arm creeps; `first_order`: the
+    decay of its modes to first order, see `LaggedModes.of_known`. `measure` and `symmetric`: w_i of f, whose first
+    columns are the mode, and what its eigenvectors `vectors` are of.
     """
     plant, expansion, g = measures.plant, measures.expansion, measures.plant.graph
     point, (stiffness, mass, factors) = expansion.point, expansion.graphs

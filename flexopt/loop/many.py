@@ -43,9 +43,11 @@ class Decays(NamedTuple):
     frequency_hz: Vector
 
 
-def expect_decays(count: int, machine: AnyMachine, settings: LoopSettings, *, gravity: bool) -> None:
+def expect_decays(
+    count: int, machine: AnyMachine, settings: LoopSettings, *, gravity: bool, own_model: bool = False
+) -> None:
     """Begin to compile what `decays` calls, where that is worth it for so many loops."""
-    _stacked_matrices(settings.motions(machine, gravity=gravity)).expect(count)
+    _stacked_matrices(settings.motions(machine, gravity=gravity, own_model=own_model)).expect(count)
 
 
 def decays(

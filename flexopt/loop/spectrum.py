@@ -25,6 +25,8 @@ EXACT = "exact"
 INVARIANT = 1e-10
 # Share of its kinetic energy in the self-motion above which a motion is that.
 OWN = 0.9
+# From which share on that is told.
+MOSTLY = 0.5
 # The like of one that swings: the rest of the machine takes next to no part in it.
 SWINGS_ALONE = 0.99
 # Of unit eigenvectors, |yᴴx| below which two eigenvalues meet: there is no derivative.
@@ -94,6 +96,12 @@ def slow_self_motion(drift: Sequence[float], decay: float) -> list[str]:
     slowest = -max(drift, default=0.0)
     lasts = 0 < slowest < decay
     return [f"the arm's self-motion, no part of the decay, dies away at {slowest:.3g}/s"] if lasts else []
+
+
+def mostly_self_motion(share: float) -> list[str]:
+    """That a motion of the loop is more a redundant arm's self-motion than anything else, within a sentence."""
+    counts = f"which below {100 * OWN:g} % counts as the loop's and is no drift"
+    return [f"to {100 * share:.3g} % of its kinetic energy the arm's self-motion, {counts}"] if share > MOSTLY else []
 
 
 def driven_self_motion(unheld: Mapping[str, float], units: Sequence[str], where: str) -> list[str]:
@@ -205,12 +213,14 @@ class OwnMotion:
             then are, (n_q, n − n_task).
         mass: M (n_q, n_q).
         to_q: q = A u + constant, (n_q, n_q).
+        joints: n, how many of the coordinates, the last, are the arm's.
     """
 
     directions: Vector
     creeping: Vector
     mass: Vector
     to_q: Vector
+    joints: int
 
     @classmethod
     def at(
@@ -230,18 +240,24 @@ class OwnMotion:
             # Rows have units of their own.
             rows = resting_rows / np.linalg.norm(resting_rows, axis=1, keepdims=True)
             creeping = np.linalg.svd(rows)[2][len(rows) :].T
-        return cls(own, creeping, plant.mass.call([q, base, p])[0].full(), to_q)
+        return cls(own, creeping, plant.mass.call([q, base, p])[0].full(), to_q, plant.n_actuated)
 
     def shares(self, vectors: ComplexArray) -> Vector:
-        """Which share of the kinetic energy of each eigenvector is its, as it moves alone, or creeps: the greater."""
-        n = len(self.to_q)
+        """Which share of the kinetic energy of each eigenvector is its: as it moves alone, or as it creeps.
+
+        Of what creeps the end-point may take a part, but the base, which the arm may tip over with, none of the share.
+        """
+        n, m = len(self.to_q), len(self.to_q) - self.joints
         rates = np.asarray(self.to_q @ vectors[n : 2 * n], dtype=np.complex128)
         whole = np.einsum("ik,ij,jk->k", rates.conj(), self.mass, rates).real
         parts = list[Vector]()
         for own in (self.directions, self.creeping):
             along: ComplexArray = own.T @ self.mass @ rates
             parts.append(np.einsum("ik,ik->k", along.conj(), np.linalg.solve(own.T @ self.mass @ own, along)).real)
-        return np.asarray(np.fmax(*parts) / np.maximum(whole, np.finfo(float).tiny), dtype=np.float64)
+        alone, creeping = parts
+        base = np.einsum("ik,ij,jk->k", rates[:m].conj(), self.mass[:m, :m], rates[:m]).real
+        part = np.fmax(alone, np.minimum(creeping, whole - base))
+        return np.asarray(part / np.maximum(whole, np.finfo(float).tiny), dtype=np.float64)
 
 
 def _drifting(values: ComplexArray, shares: Vector, most: int) -> NDArray[np.bool_]:

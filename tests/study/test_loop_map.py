@@ -62,6 +62,33 @@ def test_over_soil_and_payload_the_machine_is_another() -> None:
         assert float(field.dataset["decay"][row, column]) == pytest.approx(alone.decay, rel=1e-8, abs=1e-9)
 
 
+def test_under_gravity_the_controller_knows_its_own_load_alone() -> None:
+    """As runs have it that find their own rest; where feedback holds no such load the map is blank."""
+    crane, posture = flexopt.load("truck-crane"), (0.0, 0.9, -1.0, 1.0)
+    vary = {"payload.mass": (0.0, 2000.0), "stiffness": (0.5, 1.0)}
+    field = flexopt.map_loop(crane, posture, vary, gravity=True, loop="default", points=(3, 2))
+    names = [each.name for each in crane.parameters if "stiffness" in each.name]
+    own = {each.name: each.value for each in crane.parameters}
+    for row, column in ((0, 0), (1, 2)):
+        factor, mass = float(field.dataset["stiffness"][row]), float(field.dataset["payload.mass"][column])
+        runs = flexopt.simulate_ensemble(
+            crane, posture, loop="default", gravity=True, duration=0.05,
+            vary={"payload.mass": [mass]} | {name: [factor * own[name]] for name in names},
+        )  # fmt: skip
+        assert float(field.dataset["decay"][row, column]) == pytest.approx(-runs.linear_growth_rate[0], rel=1e-7)
+    assert "falls" not in repr(field)
+    assert field.to_dict()["falls"] == 0.0
+    weak = flexopt.map_loop(crane, posture, vary, gravity=True, loop={"kp": 2000.0}, points=(3, 2))
+    blank = np.isnan(weak.dataset["decay"].values)
+    assert 0 < blank.mean() < 1
+    assert weak.to_dict()["falls"] == blank.mean()
+    assert f"at {100 * blank.mean():.1f} % of them the arm falls" in repr(weak)
+    # The load that it knows is held.
+    assert not np.isnan(flexopt.map_loop(
+        crane, posture, vary | {"payload.mass": (1199.9, 1200.1)}, gravity=True, loop={"kp": 2000.0}, points=(2, 2)
+    ).dataset["decay"].values[1]).any()  # fmt: skip
+
+
 @pytest.mark.long
 def test_over_postures_the_loop_stays_and_what_is_left_out_is_told() -> None:
     field = flexopt.map_workspace(EXCAVATOR, over="posture", points=(6, 5), epsilon_max=False, loop={"dead_time": 0.01})

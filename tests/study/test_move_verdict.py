@@ -361,6 +361,8 @@ def test_what_new_gains_are_worse_by_is_told(tmp_path: Path) -> None:
     words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
     assert "Left of the arrow: stay, with the gains as they are" in words
     assert "The same controller everywhere but in the row of new gains: " in words
+    assert re.search(r'<tr class="told"><th scope="row">new gains</th>', words)
+    assert len(re.findall(r'<tr class="told">', words)) == 2
     # What breaks whatever the gains is no matter of the new ones.
     load, late = "breaks tool angle, 0.3 rad, where payload.mass is 0 kg", "breaks decay 0.01 1/s (at least 0.02 1/s)"
     told = replace(found, with_gains=replace(new, breaking=Breaks(by_loop=late, somewhere=load))).drawbacks

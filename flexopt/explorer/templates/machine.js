@@ -348,11 +348,12 @@ class Loop {
       const v = Linear.eigenvector(M.a, M.n, x, 0).subarray(0, M.n);
       const lifted = U.T.times(new Matrix(M.n, 1, v)).a.map((z, k) => z * scale[k]);
       const rates = toQ.times(new Matrix(q, 1, lifted.slice(q, 2 * q))), whole = rates.T.times(mass).times(rates).a[0];
-      const parts = sets.map(({ own, inner }) => {
+      const [part, ...creeps] = sets.map(({ own, inner }) => {
         const along = own.T.times(mass).times(rates);
         return along.T.times(new Matrix(n - r, 1, Linear.solve(inner.a, along.a, n - r, 1))).a[0];
       });
-      return { index, share: Math.max(...parts) / Math.max(whole, Number.MIN_VALUE) };
+      const onBase = new Matrix(q, 1).put(0, 0, rates.block(0, 0, m, 1)), base = onBase.T.times(mass).times(onBase).a[0];
+      return { index, share: Math.max(part, ...creeps.map((x) => Math.min(x, whole - base))) / Math.max(whole, Number.MIN_VALUE) };
     });
     return shares.filter(({ share }) => share > data.loop.own).sort((x, y) => y.share - x.share).slice(0, most).map((x) => x.index);
   }

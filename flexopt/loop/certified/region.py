@@ -24,7 +24,13 @@ from flexopt.loop.certified.certificate import BOXES, DECAY, RegionProof, certif
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.outcome import FALLS_AT, NOWHERE_HELD
 from flexopt.loop.settings import LoopSettings
-from flexopt.loop.spectrum import OWN, UNBRAKED, drifting_self_motion, driven_self_motion, slow_self_motion
+from flexopt.loop.spectrum import (
+    UNBRAKED,
+    drifting_self_motion,
+    driven_self_motion,
+    mostly_self_motion,
+    slow_self_motion,
+)
 from flexopt.loop.uncertain import MEMBERS, UncertainLoop, UncertaintyBox, member_in_words
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike
@@ -35,7 +41,6 @@ LARGEST, EXACT, POINTS = 10.0, 1e-3, 64
 # How often the box that a guaranteed radius is looked for in is halved, as long as a smaller one may prove more.
 TRIES = 4
 # Share of the kinetic energy from which on a motion is told to be of the self-motion.
-MOSTLY = 0.5
 
 
 @dataclass(frozen=True)
@@ -108,7 +113,7 @@ class Region(Result):
         verb = "decays" if self.decay > 0 else "grows"
         how = f"{verb} at {abs(self.decay):.4g}/s" if self.decay else "does not decay"
         lines = [f"{word}, {'guaranteed' if self.guaranteed else 'not guaranteed'}: {self.rests_on}"]
-        where = member_in_words(self.critical) + _own(self.self_motion)
+        where = member_in_words(self.critical) + _told_own(self.self_motion)
         lines.append(f"  slowest found: {how}, {self.frequency_hz:.4g} Hz, at {where}")
         if -self.decay >= FALLS_AT * self.settings.rate:
             lines.append(f"  that rate stands for an arm that falls: there {NOWHERE_HELD}")
@@ -118,7 +123,7 @@ class Region(Result):
             first = member_in_words(self.radius_critical)
             ends = "as it is in the file it does not decay"
             ends = f"none grows up to {self.radius:.4g}" if self.radius > 1 else ends
-            own = _own(self.radius_self_motion)
+            own = _told_own(self.radius_self_motion)
             ends = f"grows just outside {self.radius:.4g}, at {first}{own}" if first else ends
             proven = self.radius_guaranteed
             bound = f"guaranteed up to a factor of {proven:.4g}" if proven > 1 else "no factor is guaranteed"
@@ -137,12 +142,8 @@ class Region(Result):
         return [UNBRAKED] * self.settings.lets_drift + [f"{each}, {where}" for each in worst] + driven
 
 
-def _own(share: float) -> str:
-    """What the slowest motion is where it is mostly the self-motion; else empty."""
-    if not share > MOSTLY:
-        return ""
-    told = f"to {share:.0%} of its kinetic energy the arm's self-motion"
-    return f" ({told}, which below {OWN:.0%} counts as the loop's and is no drift)"
+def _told_own(share: float) -> str:
+    return "".join(f" ({told})" for told in mostly_self_motion(share))
 
 
 @public(points=whole(2, 1_000_000), boxes=whole(0, 1_000_000))

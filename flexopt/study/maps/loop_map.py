@@ -21,6 +21,7 @@ from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import Quantity, pair
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.many import decays, expect_decays
+from flexopt.loop.outcome import FALLS_AT
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.uncertain import UncertaintyBox
@@ -118,7 +119,8 @@ def map_loop(
 
     The decay of the slowest motion, −ln max|μ| / T with the multipliers μ of the exact sampled loop, as of
     `flexopt.outcome`; positive where the loop is stable. Points are looked at one by one: what lies between them is not
-    proven.
+    proven. Under gravity the controller carries the weight of the machine's own numbers, whatever load or springs a
+    point has, as of `flexopt.stable_region`: another load draws the arm to where feedback holds it.
 
     Args:
         machine, posture, base, control, gravity, loop: as of `flexopt.outcome`; without a loop, the machine's own
@@ -131,7 +133,8 @@ def map_loop(
         progress: called with the number of loops done and of all.
 
     Returns:
-        A map with `decay`, 1/s, and `loop_frequency_hz`, of the slowest motion, over the two axes.
+        A map with `decay`, 1/s, and `loop_frequency_hz`, of the slowest motion, over the two axes; NaN where the arm
+        falls, for feedback is not found to hold the load.
 
     Raises:
         InputError, SingularPosture, NoSolutionFound: as `flexopt.outcome`, and where a parameter moves the end-point.
@@ -154,14 +157,17 @@ def map_loop(
     x, y = (replace(each, unit=gain_units.get(each.name, each.unit) or "1") for each in (x, y))
     columns, rows = x.axis(size[0]), y.axis(size[1])
     count = columns.values.size * rows.values.size
-    expect_decays(count, machine, settings, gravity=gravity)
+    expect_decays(count, machine, settings, gravity=gravity, own_model=True)
     over = {x: np.tile(columns.values, rows.values.size), y: np.repeat(rows.values, columns.values.size)}
     p, late = box.numbers_at(np.array([values for each, values in over.items() if each.of]).reshape(-1, count))
     varied = {"p": p, DEAD_TIME: late[None]}
     varied |= {each.name: np.tile(values, (getattr(settings, each.name).size, 1))
                for each, values in over.items() if not each.of}  # fmt: skip
     varied |= {"base": np.tile(placed[:, None], count), "posture": np.tile(held[:, None], count)}
-    result = decays(machine, settings, varied, gravity=gravity, threads=threads, progress=progress)
+    result = decays(machine, settings, varied, gravity=gravity, own_model=True, threads=threads, progress=progress)
+    # The rate that stands for an arm that falls is no rate to draw.
+    falls = -result.decay >= FALLS_AT * settings.rate
+    result.decay[falls] = result.frequency_hz[falls] = math.nan
     shape = rows.values.size, columns.values.size
     where = np.broadcast_to(held[:, None, None], (held.size, *shape))
     grid = Grid(

@@ -26,6 +26,7 @@ from flexopt.foundation.quantities import whole_number
 from flexopt.foundation.results import Tabled
 from flexopt.foundation.rounding import ROUNDING
 from flexopt.loop.many import Decays
+from flexopt.loop.outcome import NOWHERE_HELD
 from flexopt.model import AnyMachine
 from flexopt.robustness.residues import posture_unit, residue_unit
 from flexopt.study.maps.grid import Grid
@@ -128,7 +129,8 @@ class WorkspaceMap(Gridded, Tabled):
 
     @property
     def _mapped(self) -> Any:
-        return np.isfinite(self.array("condition" if "condition" in self.dataset else "decay"))
+        # Of one posture every point counts, those at which it falls, too.
+        return np.isfinite(self.array("condition")) if "condition" in self.dataset else self.array("reachable") > 0
 
     @public(modes=_modes)
     def in_phase_fraction(self, *modes: int, strict: bool = False) -> float:
@@ -205,6 +207,8 @@ class WorkspaceMap(Gridded, Tabled):
         if "decay" in self.dataset:
             document["stable"] = self.fraction(self.array("decay") > 0)
             document["loop"] = self.options["loop"]
+        if self.options["over"] == "loop":
+            document["falls"] = self.fraction(np.isnan(self.array("decay")))
         for name, key in (("epsilon_max", "best_epsilon_max"), ("w", "best_w1"), ("decay", "best_decay")):
             if name in self.dataset and mapped.any():
                 document[key] = self._best(self.array(name) if name != "w" else self.array(name)[0])
@@ -243,6 +247,8 @@ class WorkspaceMap(Gridded, Tabled):
                 lines.append(f"  {title}: modes {each}{both}")
         if "stable" in document:
             lines.append(f"  the sampled loop is stable at {100 * document['stable']:.1f} % of these points")
+        if document.get("falls"):
+            lines.append(f"  at {100 * document['falls']:.1f} % of them the arm falls: there {NOWHERE_HELD}")
         return "\n".join(lines)
 
     def _shares(self, modes: range, *, strict: bool) -> dict[str, Any]:

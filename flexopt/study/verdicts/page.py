@@ -67,8 +67,7 @@ def bands_of(verdict: Verdict) -> list[Bands]:
     """What the picture shows."""
     from flexopt.plotting.bands import Bands, Row  # noqa: PLC0415  (matplotlib is slow to import)
 
-    found, kp = list[Bands](), verdict.settings.kp
-    sent = NEW_GAINS if verdict.with_gains else verdict.place
+    found, kp, sent = list[Bands](), verdict.settings.kp, _sent(verdict)
     borders, own = {"decay": (0.0, "grows")}, dict[tuple[str, str], float]()
     if kp.any():
         which = "chosen" if verdict.settings.sources.get("kp") == CHOSEN else "now"
@@ -86,12 +85,18 @@ def bands_of(verdict: Verdict) -> list[Bands]:
     return found
 
 
+def _sent(verdict: Verdict) -> str:
+    """The row of what the word speaks of."""
+    return NEW_GAINS if verdict.with_gains else verdict.place
+
+
 def judged(verdict: Verdict) -> dict[str, Any]:
     """What the template of a verdict takes."""
     return {
         "verdict": verdict,
         "head": begun(verdict.advice),
         "stay": STAY,
+        "sent": _sent(verdict),
         "sends": verdict.word in ("move", "change gains"),
         "reason": sentence(verdict.reason),
         "drawbacks": sentence(verdict.drawbacks),

@@ -39,6 +39,8 @@ class PlaceVerdict(Result):
         slowest_at: the member with the slowest decay: factors and values by name;  slowest_hz: its frequency;
             slowest_target: at which target, from 0;  unseen: whether that is a mode which neither moves the end-point
             nor is excited by any feedback: its rate is the machine's own.
+        self_motion: share of its kinetic energy that the slowest motion has in a redundant arm's self-motion; NaN where
+            nothing acts on that, or there is none.
         drift: the largest growth rate found of a redundant arm's self-motion, which is no part of the decay, among the
             members and by a search from there, 1/s; NaN where nothing acts on it, or there is none.
         drift_at: the member where that is: factors and values by name.
@@ -78,6 +80,7 @@ class PlaceVerdict(Result):
     slowest_hz: float
     slowest_target: int
     unseen: bool
+    self_motion: float
     drift: float
     drift_at: dict[str, float]
     unheld: dict[str, float]
@@ -98,8 +101,8 @@ class PlaceVerdict(Result):
 
     DOCUMENT = """
     name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target unseen
-    drift[1/s] drift_at unheld unheld_at rests_off[m] rests_off_at better allowed_gain delay_margin[s] settling[s]
-    swing swing_unit runs rests_on breaks breaks_at_rest
+    self_motion drift[1/s] drift_at unheld unheld_at rests_off[m] rests_off_at better allowed_gain delay_margin[s]
+    settling[s] swing swing_unit runs rests_on breaks breaks_at_rest
     beyond_limits
     """
 

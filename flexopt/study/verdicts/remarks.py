@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from flexopt.foundation.plain import listed
 from flexopt.loop.evaluation import unseen_told
 from flexopt.loop.outcome import FALLS_AT, NOWHERE_HELD
-from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion
+from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion, mostly_self_motion
 from flexopt.loop.standard_move import LONGEST, SETTLED
 from flexopt.loop.uncertain import member_in_words
 from flexopt.selection.problem import with_angles
@@ -50,7 +50,7 @@ def on_places(verdict: Verdict) -> list[str]:
 
 def on_the_loop(verdict: Verdict) -> list[str]:
     """What the numbers of the loop do not say, or stand for."""
-    said = (servo_proposed, drifts, lingers, driven, rests_beside, falls, unseen, weightless)
+    said = (servo_proposed, drifts, counted, lingers, driven, rests_beside, falls, unseen, weightless)
     return [sentence for each in said if (sentence := each(verdict))]
 
 
@@ -91,6 +91,13 @@ def drifts(verdict: Verdict) -> str:
         where = "neither in these runs nor in the linear loop"
     brakes = f"the controller does not brake the arm's self-motion, {where}; loop.nullspace_damping brakes it"
     return "; ".join(filter(None, (brakes, told)))
+
+
+def counted(verdict: Verdict) -> str:
+    """Of which places the slowest decay is mostly that of the self-motion, a sentence; empty where of none."""
+    own = [(place.name, told) for place in verdict.rows for told in mostly_self_motion(place.self_motion)]
+    each = "; ".join(f"the slowest motion of {spoken(name)} is {told}" for name, told in own)
+    return each and f"{each}; loop.nullspace_damping brakes it"
 
 
 def lingers(verdict: Verdict) -> str:

@@ -508,6 +508,7 @@ def _place(
         swing_unit=swing_unit(looked[0][0][0]),
         runs=runs,
         unseen=_is_unseen(place.loops[slowest.target], slowest),
+        self_motion=looked[slowest.target][-1][0].loop.self_motion,
         rests_on=tuple(resting_at(chosen, place.settings, held)),
         breaking=breaks,
         beyond_limits=beyond_limits_told(place.box.machine, spoken(name), [posture for _, posture in held]),
