@@ -6,7 +6,7 @@ for a run and from symbols for a model whose parameters a master sets.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple, TypeVar
 
 import casadi as ca
@@ -23,7 +23,9 @@ from flexopt.plant.motion import Motion
 T = TypeVar("T")
 # Stages from the design's parameters to those of the machine, along which the rest is followed by a Newton step each,
 # steps at the end, and how many times as many stages follow it where these lose it.
-STAGES, LAST, FINER = 24, 5, 4
+STAGES, LAST, FINER = 32, 5, 4
+# The share of that way on which the machine is relieved, before it is loaded.
+RELIEVED = 0.5
 # Of a spring's stiffness, added where two are weighed, that what nothing holds divides nothing by zero.
 UNSPRUNG = 1e-14
 # How far a step moves a coordinate at most, and how much more than twice as far as the one before, rad, or of the arm's
@@ -151,25 +153,44 @@ def resting_rows(plant: Plant, control: Control) -> ca.Function:
     return ca.Function("resting_rows", given, [ca.densify(rows)], names, ["rows"], {"cse": True})
 
 
-def springs_along(plant: Plant) -> ca.Function:
-    """(share, other) -> K_p (m, m) of passive coordinates, that share of the way from the machine's own to another p.
+def way_to_rest(plant: Plant, other: ca.MX) -> Callable[[float], tuple[ca.MX, ca.MX]]:
+    """From a share of the way from the machine's own parameters to others to those there (n_par,), and K_p (m, m).
 
-    What a load does to springs goes evenly, K_p⁻¹ (share) = (1 − share) K_own⁻¹ + share K_other⁻¹, so that no spring
-    gives way before others, in whatever axes: K_other ((1 − share) K_other + share K_own)⁻¹ K_own. Where the machine
-    itself has no spring the other's is there from the start.
+    In the first half what relieves the machine: every parameter goes to the lower of both, as weights do, and springs
+    to K_own + K_other − 2 K_other (K_own + K_other)⁻¹ K_own, the contraharmonic mean, which is near the stiffer of
+    both. In the second what loads it: weights grow, and springs give way. Each time compliances K_p⁻¹ go straight. So
+    nothing sags farther on the way than at its ends, and no spring gives way before others, in whatever axes. Where the
+    machine itself has no spring the other's is there from the start.
     """
-    share, other, m = ca.SX.sym("share"), ca.SX.sym("other", plant.parameter_values.shape[0]), plant.n_passive
-    own: Vector = plant.stiffness.call([plant.parameter_values])[0].full()[:m, :m]
-    to: ca.SX = plant.stiffness(other)[:m, :m]
-    sizes, directions = np.linalg.eigh(own)
+    m, own = plant.n_passive, plant.parameter_values
+    before: Vector = plant.stiffness.call([own])[0].full()[:m, :m]
+    sizes, directions = np.linalg.eigh(before)
     free = directions[:, sizes <= UNSPRUNG * sizes.max(initial=0.0)]
-    kept = ca.DM(free @ free.T)
-    before: ca.SX = ca.SX(own) + kept @ to @ kept
-    between = (1 - share) * to + share * before
+    kept, after = ca.DM(free @ free.T), plant.stiffness(other)[:m, :m]
+    start, between, least = ca.DM(before) + kept @ after @ kept, _springs_between(m), ca.fmin(own, other)
+    stiffest = start + after - between(start, after, 0.5)
+
+    def at(share: float) -> tuple[ca.MX, ca.MX]:
+        if share <= RELIEVED:
+            part = share / RELIEVED
+            return own + part * (least - own), between(start, stiffest, part)
+        part = (share - RELIEVED) / (1 - RELIEVED)
+        return least + part * (other - least), after if share == 1 else between(stiffest, after, part)
+
+    return at
+
+
+def _springs_between(m: int) -> ca.Function:
+    """(first, second, share) -> springs (m, m) whose compliance is that share of the way from one's to the other's.
+
+    K_2 ((1 − share) K_2 + share K_1)⁻¹ K_1.
+    """
+    first, second, share = ca.SX.sym("first", m, m), ca.SX.sym("second", m, m), ca.SX.sym("share")
+    mean = (1 - share) * second + share * first
     # What neither has a spring along stays free.
-    between += ca.diag(ca.if_else(ca.diag(between) > 0, UNSPRUNG * ca.diag(between), 1))
-    along = to @ solve_spd(between, before)
-    return ca.Function("springs_along", [share, other], [along], ["share", "other"], ["springs"], {"cse": True})
+    mean += ca.diag(ca.if_else(ca.diag(mean) > 0, UNSPRUNG * ca.diag(mean), 1))
+    found = second @ solve_spd(mean, first)
+    return ca.Function("springs_between", [first, second, share], [found], {"cse": True})
 
 
 def state_at_rest(

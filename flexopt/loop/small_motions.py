@@ -25,6 +25,7 @@ from flexopt.loop.rest import (
     FARTHEST,
     FINER,
     LAST,
+    RELIEVED,
     STAGES,
     SUDDEN,
     change_of_rest,
@@ -33,8 +34,8 @@ from flexopt.loop.rest import (
     held_at,
     placed,
     resting_rows,
-    springs_along,
     state_at_rest,
+    way_to_rest,
 )
 from flexopt.loop.structure import JACOBIAN_DAMPING, MODEL, LoopStructure
 from flexopt.loop.tangent import graphs_about_rest
@@ -205,15 +206,15 @@ class SmallMotions:
         del s["springs"]
         m, length = plant.n_passive, arm_length(plant)
         scale = ca.DM([1.0 if unit == "rad" else length for unit in plant.graph.coordinate_units])
-        own, springs = plant.parameter_values, springs_along(plant)
+        way, begins = way_to_rest(plant, s["other"]), (1, round(RELIEVED * stages) + 1)
         v, size, over = ca.vertcat(s["deflection"], ca.MX.zeros(v0.shape[0] - m, 1)), ca.MX(0), ca.MX(0)
         for stage in range(1, stages + 1):
-            share = stage / stages
-            there = s | {"other": own + share * (s["other"] - own), "springs": springs(share, s["other"])}
+            p, springs = way(stage / stages)
+            there = s | {"other": p, "springs": springs}
             for _ in range(LAST if stage == stages else 1):
                 change = step.call({"v": v} | there)["change"]
                 v += change
-                most = FARTHEST if stage == 1 else ca.fmin(FARTHEST, SUDDEN + 2 * size)
+                most = FARTHEST if stage in begins else ca.fmin(FARTHEST, SUDDEN + 2 * size)
                 size = ca.norm_inf(ca.vertcat(change[:m], s["toward"] @ change[m:]) / scale)
                 over = ca.fmax(over, size - most)
         followed = ca.logic_and(size <= ARRIVED, over <= 0)

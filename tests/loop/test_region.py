@@ -402,7 +402,7 @@ def test_without_a_drift_none_is_told() -> None:
     assert "  the loop does not brake the arm's self-motion" in repr(free)
     # Which motion the radius ends with is told where it is mostly the arm's self-motion.
     ends = replace(found, radius=3.0, radius_critical={"stiffness": 0.33}, radius_self_motion=0.85)
-    assert "at stiffness 0.33 (to 85% of its kinetic energy the arm's self-motion" in repr(ends)
+    assert "at stiffness 0.33 (to 85 % of its kinetic energy the arm's self-motion" in repr(ends)
     assert "self-motion" not in repr(replace(ends, radius_self_motion=0.2))
 
 

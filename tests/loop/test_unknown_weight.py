@@ -532,6 +532,44 @@ def test_a_spring_that_carries_nothing_changes_no_rest(turned: float, along: flo
     np.testing.assert_allclose(rests[1], rests[0], rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("load", [500.0, 1000.0])
+def test_stiffer_springs_carry_a_load_before_it_comes(load: float) -> None:
+    """On its own springs the machine would fall over under it, as with half of both; by SciPy from the rest without it."""
+    data = EXCAVATOR.to_dict()
+    data["base"] |= {"mass": 150.0, "inertia": 30.0}
+    data["base"]["stiffness"]["rotation"] = 5e3
+    data["links"] = [link | {"mass": 0.2 * link["mass"], "inertia": 0.2 * link["inertia"]} for link in data["links"]]
+    machine, posture = flexopt.machine_from_dict(data | {"payload": {"mass": 1.0}}), (0.6, -1.6)
+    settings = settings_of(machine, posture, {"kp": 1e5, "kv": 1e4, "drive": "torque"}, "inverse")
+    names, own = zip(*((each.name, each.value) for each in machine.parameters), strict=True)
+    plant, base, m = build_plant(machine), np.zeros(1), 3
+    sag = plant.deflected(base, posture, own).full().ravel()
+    target = plant.end_point(np.append(sag, posture), base, own).full().ravel()
+
+    def numbers_at(factor: float, mass: float) -> Vector:
+        stiff = [value * (factor if "stiffness" in name else 1.0) for name, value in zip(names, own, strict=True)]
+        return np.array([mass if name == "payload.mass" else value for name, value in zip(names, stiff, strict=True)])
+
+    def left(q: Vector, p: Vector) -> Vector:
+        taken = np.append(sag, q[m:])
+        weight, known = plant.gravity(q, base, p).full().ravel(), plant.gravity(taken, base, own).full().ravel()
+        into = np.linalg.pinv(plant.rigid_jacobian(taken, base, own).full())
+        force = np.linalg.lstsq(into, weight[m:] - known[m:])[0]
+        rest = plant.rest(base, q[m:], p).full().ravel()
+        pulls = (plant.stiffness(p).full() @ (q - rest) + weight)[:m] / 1e4
+        return np.append(pulls, plant.end_point(q, base, p).full().ravel() + force / settings.kp - target)
+
+    q = np.append(sag, posture)
+    steps = [numbers_at(factor, 1.0) for factor in np.geomspace(1.0, 10.0, 60)]
+    for p in [*steps, *(numbers_at(10.0, mass) for mass in np.linspace(1.0, load, 120))]:
+        found = root(left, q, args=(p,), tol=1e-12)
+        assert np.abs(found.x - q).max() < 0.1
+        q = found.x
+    there = settings.outcome(machine, base, np.array(posture), gravity=True, parameters=p, own_model=True)
+    assert there.rests
+    np.testing.assert_allclose(there.configuration, q, atol=1e-6)
+
+
 @pytest.mark.parametrize("factor", [2.5, 5.0, 20.0])
 def test_where_a_rest_ends_none_is_found_beyond(factor: float) -> None:
     """Weak feedback under a stick of twice its weight: up to there slopes by its mass grow without bound."""

@@ -96,8 +96,7 @@ def drifts(verdict: Verdict) -> str:
 def counted(verdict: Verdict) -> str:
     """Of which places the slowest decay is mostly that of the self-motion, a sentence; empty where of none."""
     own = [(place.name, told) for place in verdict.rows for told in mostly_self_motion(place.self_motion)]
-    each = "; ".join(f"the slowest motion of {spoken(name)} is {told}" for name, told in own)
-    return each and f"{each}; loop.nullspace_damping brakes it"
+    return "; ".join(f"the slowest motion of {spoken(name)} is {told}" for name, told in own)
 
 
 def lingers(verdict: Verdict) -> str:
