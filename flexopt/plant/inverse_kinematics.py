@@ -95,7 +95,7 @@ def inverse_kinematics(
             reached += list(postures[:, reaches].T)
     if gravity and reached:
         settled = [_under_gravity(plant, point, placement, posture) for posture in reached]
-        reached = list(_into_limits(machine, np.array(settled).T).T)
+        reached = list(into_limits(machine, np.array(settled).T).T)
     found = [posture for posture in reached if inside_limits(machine, posture[:, None])[0]]
     if not found and reached and free:
         # Narrow limits may lie between the points of the sample: Newton steps lead into them.
@@ -122,7 +122,7 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
             raise missed(plant, target, base, 0.0, "every posture that reaches it breaks a joint limit under gravity")
     if not reached:
         raise missed(plant, target, base, float(left.min()))
-    turned = list(_into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
+    turned = list(into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
     return _distinct(sorted(turned, key=lambda posture: float(np.abs(posture - (low + high) / 2).max())), SAME)
 
 
@@ -212,7 +212,7 @@ def branch(plant: Plant, target: Vector, bases: Vector, unit: Vector, sign: floa
 
     Args:
         plant: the machine's plant.
-        target: (2,), m, inertial frame.
+        target: (2,) or (2, N), m, inertial frame.
         bases: (n_b, N) placements.
         unit: (n − 2, N) coordinates in [0, 1] of the joints before the last two, see `InverseKinematicsGraph`.
         sign: −1 elbow up, +1 elbow down.
@@ -221,13 +221,13 @@ def branch(plant: Plant, target: Vector, bases: Vector, unit: Vector, sign: floa
         postures (n, N), shifted by 2π into the joint limits where possible, and a mask (N,) of those that reach.
     """
     count = bases.shape[1]
-    targets, signs = np.repeat(target[:, None], count, axis=1), np.full((1, count), sign)
+    targets, signs = np.broadcast_to(target.reshape(2, -1), (2, count)), np.full((1, count), sign)
     out = plant.posture_at.call([targets, bases, unit, signs, plant.parameter_values])
     postures, cosine = out[0].full(), out[1].full().ravel()
-    return _into_limits(plant.machine, postures), np.abs(cosine) <= 1 + EDGE
+    return into_limits(plant.machine, postures), np.abs(cosine) <= 1 + EDGE
 
 
-def _into_limits(machine: AnyMachine, postures: Vector) -> Vector:
+def into_limits(machine: AnyMachine, postures: Vector) -> Vector:
     """The same postures (n, N), turned by multiples of 2π into the joint limits where they can be, to their middle."""
     turned = postures.copy()
     for row, (unit, (low, high)) in enumerate(zip(machine.joint_units, machine.limits, strict=True)):

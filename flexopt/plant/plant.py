@@ -326,6 +326,17 @@ class Plant:
         inputs = {"q": g.q, "base": g.base, "p": g.p, "target": target}
         return self._function("held_step", inputs, [ca.densify(stepped)], ["next"])
 
+    @cached_property
+    def sagging_jacobian(self) -> ca.Function:
+        """∂r/∂q_a where springs hold the weight and give way as the arm turns, (n_task, n).
+
+        Jv − J_p K_t⁻¹ ∂g_p/∂q_a, J_p = ∂r/∂q_p, at a static equilibrium q. Inputs q, base, p.
+        """
+        g, m = self.graph, self.n_passive
+        jacobian = self.jacobian(g.q, g.base, g.p)
+        sags = ca.solve(self._tangent(g.q, g.base, g.p), self._gravity_coupling(g.q, g.base, g.p))
+        return self._of_configuration("sagging_jacobian", ca.densify(jacobian[:, m:] - jacobian[:, :m] @ sags), "J_s")
+
     def _toward(self, q: ca.SX) -> ca.SX:
         """Jv⁺, (n, n_task)."""
         jv = self.rigid_jacobian(q, self.graph.base, self.graph.p)

@@ -32,6 +32,7 @@ BATCHED: dict[str, Callable[[AnyMachine], Batch]] = {
     "distance from singularity": lambda machine: batch(build_plant(machine).singularity_sine_squared),
     "measures of maps": lambda machine: batch(points._measure_function(flexopt.build_measures(machine))),
     "task at rest": lambda machine: batch(follow._task_at_rest(machine).function),
+    "task as it sags": lambda machine: batch(follow._task_as_it_sags(machine).function),
 }
 
 

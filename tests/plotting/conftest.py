@@ -15,7 +15,7 @@ from flexopt.study.maps import follow, points
 # What holds graphs that are compiled, or now are not: other rooms in this process make their own.
 HELD = (
     measures.measures_of, margin.build_margin, plant._built, points._batches, run._runner, run._baked_runner,
-    follow._task_at_rest, many._stacked_matrices,
+    follow._task_at_rest, follow._task_as_it_sags, many._stacked_matrices,
 )  # fmt: skip
 
 

@@ -418,13 +418,13 @@ def test_a_cell_beside_a_joints_limit_is_reached_from_its_other_side():
 
 
 def test_no_cell_is_tried_twice_from_the_same_neighbour(monkeypatch):
-    tried, solve = [], follow._Solver.solve
+    tried, solve = [], follow.Solver.solve
 
     def noted(self, target, base, start):
         tried.extend(map(bytes, np.vstack([target, base, start]).T.copy()))
         return solve(self, target, base, start)
 
-    monkeypatch.setattr(follow._Solver, "solve", noted)
+    monkeypatch.setattr(follow.Solver, "solve", noted)
     crane = flexopt.load("truck-crane")
     found = flexopt.map_workspace(crane, posture=(0.6, 0.5, -1.0, 0.8), epsilon_max=False, points=(12, 12))
     assert not found.dataset.reachable.values.all()

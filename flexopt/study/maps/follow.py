@@ -1,6 +1,7 @@
 """Postures followed from cell to cell over a grid of targets and placements, where no closed form names them.
 
-In: a plant, a target and a placement for each cell, and a reference posture. Out: a posture for each cell, at rest.
+In: a plant, a target and a placement for each cell, and a reference posture. Out: a posture for each cell, with which
+the machine at rest, or under gravity as it sags, has its end-point on the target.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from flexopt.foundation.arrays import Mask, Vector
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.inverse_kinematics import solve_postures
+from flexopt.plant.statics import STATIC_TOLERANCE, left_over
 
 ITERATIONS = 60
 # Largest step of a coordinate, rad or m; what is left over where a cell counts as reached, and of the nearest posture.
@@ -65,17 +67,25 @@ class Followed:
     miss: float
 
 
-def follow(plant: Plant, cells: MapPoints, reference: Vector, told: Callable[[int], None] = lambda _: None) -> Followed:
-    """The posture of each cell: on its target, inside the joint limits, at rest.
+def follow(
+    plant: Plant,
+    cells: MapPoints,
+    reference: Vector,
+    told: Callable[[int], None] = lambda _: None,
+    *,
+    gravity: bool = False,
+) -> Followed:
+    """The posture of each cell: inside the joint limits, the end-point on its target, at rest or as the machine sags.
 
     The reference leads to the start, that to the nearest cell that is reached; every other starts from a neighbour
     that is done. An arm without redundancy stays in the reference's branch: the sign of det Jv is kept. A redundant arm
     takes the posture nearest to the reference, |q_a − q_ref|² least over the postures on the target (rad and m alike),
-    at least locally: each step is Jv⁺ (r_d − r) + α (I − Jv⁺ Jv)(q_ref − q_a), joints that rest against their limits
-    left out. `told` is called with how many cells are done.
+    at least locally: each step is J⁺ (r_d − r) + α (I − J⁺ J)(q_ref − q_a), joints that rest against their limits left
+    out, where J = ∂r/∂q_a is Jv at rest, and under gravity has the springs give way as the arm turns. `told` is called
+    with how many cells are done.
     """
     shape = cells.distance.shape
-    solver = _Solver(plant, reference)
+    solver = Solver(plant, reference, gravity=gravity)
     posture, done = np.full((reference.size, *shape), np.nan), np.zeros(shape, dtype=bool)
     target, base = (part[:, None] for part in cells.start)
     held, held_there, miss = solver.solve(target, base, reference[:, None])
@@ -142,48 +152,73 @@ def _beside(
     return rows, columns, start[:, rows, columns]
 
 
-class _Solver:
-    """Many targets at once, N columns each."""
+class Solver:
+    """Many targets at once, N columns each, none of which depends on another."""
 
-    def __init__(self, plant: Plant, reference: Vector) -> None:
-        self.plant, self.reference = plant, reference
+    def __init__(self, plant: Plant, reference: Vector, *, gravity: bool, limited: bool = True) -> None:
+        """`limited`: whether joints keep their limits."""
+        self.plant, self.reference, self.gravity = plant, reference, gravity
         self.p = plant.parameter_values.full().ravel()
-        self.function = _task_at_rest(plant.machine)
-        low, high = np.array(plant.machine.limits).T
+        self.function = _task_as_it_sags(plant.machine) if gravity else _task_at_rest(plant.machine)
+        low, high = np.array(plant.machine.limits).T if limited else np.inf * np.outer([-1, 1], np.ones(reference.size))
         self.low, self.high = low[:, None], high[:, None]
         self.redundant = plant.n_actuated > plant.n_task
-        self.sign = 0.0 if self.redundant else float(np.sign(np.linalg.det(self._jacobian(reference)[0])))
+        # Of the placement it has the sign of no determinant.
+        self.sign = 0.0 if self.redundant else float(self._branch(np.zeros((plant.n_base, 1)), reference[:, None])[0])
 
-    def _jacobian(self, posture: Vector) -> Vector:
-        """(1, n_task, n); of the placement it has the sign of no determinant."""
-        return self._task(np.zeros((self.plant.n_base, 1)), posture[:, None])[1]
-
-    def _task(self, base: Vector, posture: Vector) -> tuple[Vector, Vector]:
-        """Task r (n_task, N) and Jv (N, n_task, n)."""
+    def _task(self, base: Vector, posture: Vector) -> list[Vector]:
+        """Of N columns: r, ∂r/∂q_a, and under gravity what tells whether springs hold, see `_task_as_it_sags`."""
         self.function.expect(posture.shape[1])
-        r, flat = self.function(base, posture, self.p)
-        return r, flat.T.reshape(-1, self.plant.n_actuated, self.plant.n_task).transpose(0, 2, 1)
+        r, slopes, *more = self.function(base, posture, self.p)
+        return [r, self._matrices(slopes), *more]
+
+    def _matrices(self, flat: Vector) -> Vector:
+        """(N, n_task, n) from columns below each other."""
+        return flat.T.reshape(-1, self.plant.n_actuated, self.plant.n_task).transpose(0, 2, 1)
+
+    def _branch(self, base: Vector, posture: Vector) -> Vector:
+        """The sign of det Jv, (N,)."""
+        _, slopes, *more = self._task(base, posture)
+        return np.sign(np.linalg.det(self._matrices(more[0]) if self.gravity else slopes))
+
+    def end_point(self, base: Vector, posture: Vector) -> Vector:
+        """The end-point r (n_task, N), m; no number where no equilibrium is found."""
+        return self._task(base, posture)[0]
 
     def solve(self, target: Vector, base: Vector, start: Vector) -> tuple[Vector, Mask, Vector]:
         """Postures (n, N), which of them reach, and the errors left over (N,), m."""
-        near = self._nearest(target, base, start) if self.redundant else start
-        q, left = solve_postures(self.plant, target, base, near)
+        near = self._moved(target, base, start, pulled=True) if self.redundant else start
+        if self.gravity:
+            q = self._moved(target, base, near, pulled=False)
+            left = self._left(target, base, q)
+        else:
+            q, left = solve_postures(self.plant, target, base, near)
         reached = left <= 100 * TOLERANCE * (1 + np.abs(target).max(axis=0))
         if self.sign:
-            reached &= np.sign(np.linalg.det(self._task(base, q)[1])) == self.sign
+            reached &= self._branch(base, q) == self.sign
         return q, reached, left
 
-    def _nearest(self, target: Vector, base: Vector, start: Vector) -> Vector:
-        """Postures (n, N) about the targets, nearest to the reference."""
-        q, share = start.clip(self.low, self.high), np.ones(target.shape[1])
+    def _left(self, target: Vector, base: Vector, q: Vector) -> Vector:
+        """The largest row of r − target, (N,), m; infinite where the springs do not hold the machine."""
+        r, _, _, left_over, pivot = self._task(base, q)
+        held = (left_over[0] <= STATIC_TOLERANCE) & (pivot[0] > 0)
+        return np.where(held, np.abs(r - target).max(axis=0), np.inf)
+
+    def _moved(self, target: Vector, base: Vector, start: Vector, *, pulled: bool) -> Vector:
+        """Postures (n, N) about the targets; `pulled`: those nearest to the reference."""
+        q, share = start.clip(self.low, self.high), np.full(target.shape[1], float(pulled))
         pull = np.full(target.shape[1], np.inf)
         scale = 1 + np.abs(target).max(axis=0)
         active = np.arange(target.shape[1], dtype=np.int64)
         for _ in range(ITERATIONS):
-            r, jacobian = self._task(base[:, active], q[:, active])
+            r, jacobian = self._task(base[:, active], q[:, active])[:2]
+            if not (np.isfinite(r).all() and np.isfinite(jacobian).all()):
+                # What falls has no equilibrium.
+                known = np.isfinite(r).all(axis=0) & np.isfinite(jacobian).all(axis=(1, 2))
+                active, r, jacobian = active[known], r[:, known], jacobian[known]
             error = target[:, active] - r
             towards, along = self._step(jacobian, error, q[:, active])
-            size = np.abs(along).max(axis=0)
+            size = pulled * np.abs(along).max(axis=0)
             # A pull towards the reference that grows was too strong for the curvature of the way there.
             share[active] = np.where(size > pull[active], np.maximum(0.5 * share[active], 0.02), share[active])
             pull[active] = size
@@ -225,3 +260,25 @@ def _task_at_rest(machine: AnyMachine) -> Economical:
     outputs = [plant.end_point(rest, g.base, g.p), ca.vec(plant.rigid_jacobian(rest, g.base, g.p))]
     dense = [ca.densify(output) for output in outputs]
     return Economical(ca.Function("task_at_rest", inputs, dense, ["base", "posture", "p"], ["r", "Jv"], {"cse": True}))
+
+
+@lru_cache(maxsize=16)
+def _task_as_it_sags(machine: AnyMachine) -> Economical:
+    """(base, posture, p) -> r and the stacked columns of ∂r/∂q_a and Jv under the weight, and what tells that it holds.
+
+    What the static deflection leaves over, relative to the weight, and the least pivot of the stiffness against it.
+    """
+    plant = build_plant(machine)
+    g, m = plant.graph, plant.n_passive
+    inputs = [g.base, g.posture, g.p]
+    at = plant.operating_point(g.base, g.posture, g.p, plant.deflected(g.base, g.posture, g.p))
+    outputs = {
+        "r": at.end_point,
+        "J": ca.vec(plant.sagging_jacobian(at.q, g.base, g.p)),
+        "Jv": ca.vec(at.rigid_jacobian),
+        "left_over": left_over(plant, at.q, at.static_residual),
+        "pivot": ca.mmin(ca.ldl(ca.densify(at.stiffness[:m, :m]))[0]),
+    }
+    dense = [ca.densify(output) for output in outputs.values()]
+    function = ca.Function("task_as_it_sags", inputs, dense, ["base", "posture", "p"], list(outputs), {"cse": True})
+    return Economical(function)

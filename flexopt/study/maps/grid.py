@@ -18,16 +18,19 @@ from flexopt.foundation.arrays import Interval, Vector
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.plant import Plant, build_plant
-from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, inside_limits, low_discrepancy
+from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, inside_limits, into_limits, low_discrepancy
 from flexopt.plant.reach import arm_length, missed, outer_reach, reach, sampled_ranges
+from flexopt.plant.statics import check_held, check_settled, not_held
 from flexopt.robustness.evaluation import in_words
-from flexopt.study.maps.follow import Followed, MapPoints, follow
+from flexopt.study.maps.follow import Followed, MapPoints, Solver, follow
 
 Over = Literal["end_point", "posture", "base"]
 AxisPair = tuple[int, int]
 
 # Postures from which the extent of a workspace is told.
 SAMPLES = 4096
+# Rounds in which a target is lifted to by what the posture for it sags, before steps under the weight begin.
+LIFTS = 10
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class Grid:
     Attributes:
         y, x: the axes.
         posture: (n, n_y, n_x), rad or m; NaN where not reachable.
-        reachable: (n_y, n_x): within reach and inside the joint limits.
+        reachable: (n_y, n_x): within reach and inside the joint limits, under gravity also held by the springs.
         base: (n_b, n_y, n_x), m or rad.
     """
 
@@ -123,9 +126,15 @@ def _sample(plant: Plant, base: Vector) -> list[Vector]:
 
 
 def end_point_grid(
-    machine: AnyMachine, x_range: Interval, y_range: Interval, points: tuple[int, int], elbow: Elbow
+    machine: AnyMachine,
+    x_range: Interval,
+    y_range: Interval,
+    points: tuple[int, int],
+    elbow: Elbow,
+    *,
+    gravity: bool = False,
 ) -> Grid:
-    """Postures of a two-joint arm whose end-point at rest is on each point of the workspace frame.
+    """Postures of a two-joint arm whose end-point, at rest or as it sags, is on each point of the workspace frame.
 
     A row is one target seen from many placements: the posture depends on where the target is from the base alone.
     """
@@ -138,15 +147,49 @@ def end_point_grid(
         angles, reaches = branch(plant, target, -x[None, :], np.zeros((0, x.size)), ELBOW_SIGN[elbow])
         reachable[row] = reaches & inside_limits(machine, angles)
         posture[:, row, reachable[row]] = angles[:, reachable[row]]
-    frame = "of the end-point at rest, workspace frame (origin at the first joint at rest)"
+    if gravity:
+        targets = np.stack(np.meshgrid(x, y)).reshape(2, -1) + shoulder[:, None]
+        angles, reaches = _as_it_sags(plant, targets, elbow)
+        reachable = reaches.reshape(reachable.shape)
+        posture = np.where(reachable, angles.reshape(posture.shape), np.nan)
+    frame = f"{_of_end_point(gravity)}, workspace frame (origin at the first joint at rest)"
     across, up = machine.task_rows
     axes = Axis(up, y, "m", f"{up} {frame}"), Axis(across, x, "m", f"{across} {frame}")
     return Grid(*axes, posture, reachable, np.zeros((plant.n_base, y.size, x.size)))
 
 
-def first_joint_at_rest(plant: Plant) -> Vector:
-    """Origin (2,) of the workspace frame of an arm with a closed form, its base at 0, m."""
-    return plant.arm_segments(p=plant.parameter_values)["first_joint"].full().ravel()
+def _as_it_sags(plant: Plant, targets: Vector, elbow: Elbow) -> tuple[Vector, NDArray[np.bool_]]:
+    """Postures (2, N) with which a two-joint arm, its base at 0, sags onto targets (2, N), and of which there are such.
+
+    The closed form leads to a target that is lifted by what the arm sags, where one beyond its reach has it straight;
+    from there Newton's method, which leaves joint limits aside until it ends: an elbow has one posture for a target.
+    """
+    count, sign, free = targets.shape[1], ELBOW_SIGN[elbow], np.zeros((0, targets.shape[1]))
+    at, p = np.zeros((plant.n_base, count)), plant.parameter_values
+    bent = np.array([np.hypot(*plant.arm_segments(p=p)["lengths"].full().ravel()), 0.0]) + first_joint_at_rest(plant)
+    solver = Solver(plant, branch(plant, bent, at[:, :1], free[:, :1], sign)[0].ravel(), gravity=True, limited=False)
+    start, reaches = branch(plant, targets, at, free, sign)
+    lift = np.zeros_like(targets)
+    for share in (1.0, *[0.5] * LIFTS):
+        at_rest = plant.end_point.call([plant.rest.call([at, start, p])[0], at, p])[0].full()
+        sag = np.nan_to_num(at_rest - solver.end_point(at, start), posinf=0.0, neginf=0.0)
+        # Half of it, for soft springs would have whole steps go to and fro.
+        lift += share * (sag - lift)
+        start, reaches = branch(plant, targets + lift, at, free, sign)
+    found, held, _ = solver.solve(targets[:, reaches], at[:, reaches], start[:, reaches])
+    angles = into_limits(plant.machine, found)
+    start[:, reaches], reaches[reaches] = angles, held & inside_limits(plant.machine, angles)
+    return start, reaches
+
+
+def _of_end_point(gravity: bool) -> str:
+    return "of the sagged end-point" if gravity else "of the end-point at rest"
+
+
+def first_joint_at_rest(plant: Plant, base: Vector | None = None) -> Vector:
+    """Origin (2,) of the workspace frame of an arm with a closed form, by default with its base at 0, m."""
+    placed = np.zeros(plant.n_base) if base is None else base
+    return plant.arm_segments(base=placed, p=plant.parameter_values)["first_joint"].full().ravel()
 
 
 def posture_grid(
@@ -171,28 +214,29 @@ def _joint_axis(machine: AnyMachine, k: int, values: Vector) -> Axis:
 
 def followed_grid(
     machine: AnyMachine, over: Over, ranges: Sequence[Interval], points: tuple[int, int], varies: AxisPair,
-    end_point: Vector, base: Vector, reference: Vector, told: Callable[[int], None],
+    end_point: Vector, base: Vector, reference: Vector, told: Callable[[int], None], *, gravity: bool,
 ) -> Grid:  # fmt: skip
-    """Postures followed over a plane of the task, or over the base with the end-point held.
+    """Postures followed over a plane of the task, or over the base with the end-point held, at rest or as it sags.
 
     The rows, or coordinates, of the indices `varies` vary, the others are those of `end_point` and `base`.
 
     Raises:
-        InputError: over the base, the end-point is reached from `base`, but from no placement of the grid.
+        InputError: over the base, the end-point is reached from `base`, but from no placement of the grid; under
+            gravity the springs do not hold the machine where following starts.
         UnreachableTarget: from none of both.
     """
     plant, placed = build_plant(machine), over == "base"
     x, y = (np.linspace(*span, count) for span, count in zip(ranges, points, strict=True))
     target, bases = (np.tile(each[:, None, None], (1, y.size, x.size)) for each in (end_point, base))
-    start = end_point if placed else end_point_at(plant, base, reference)
+    start = end_point if placed else end_point_at(plant, base, reference, gravity=gravity)
     varied, here = (bases, base) if placed else (target, start)
     varied[varies[0]], varied[varies[1]] = np.meshgrid(x, y)
     distance = np.hypot(*(varied[k] - here[k] for k in varies))
-    found = follow(plant, MapPoints((start, base), target, bases, distance), reference, told)
+    found = follow(plant, MapPoints((start, base), target, bases, distance), reference, told, gravity=gravity)
     if placed:
         _expect_reached(plant, end_point, base, found, (x, y), varies)
     names, units = (machine.base_coordinates, machine.base_units) if placed else (machine.task_rows, ("m",) * 6)
-    what = "of the placement" if placed else "of the end-point at rest, inertial frame"
+    what = "of the placement" if placed else f"{_of_end_point(gravity)}, inertial frame"
     column, row = (
         Axis(f"base_{names[k]}" if placed else names[k], values, units[k], f"{names[k]} {what}")
         for k, values in zip(varies, (x, y), strict=True)
@@ -206,6 +250,8 @@ def _expect_reached(
     """Say what to do where no placement of the grid reaches the end-point."""
     if found.reached.any():
         return
+    if not np.isfinite(found.miss):
+        raise not_held()
     if not found.start_reached:
         off = missed(plant, end_point, base, found.miss)
         sentence = "nor is it reached from any point of the map: ask for another end-point, or for other ranges"
@@ -223,7 +269,16 @@ def _expect_reached(
     raise_if_any(InputError, "map_workspace", [Fault("points", sentence, f"({number})")])
 
 
-def end_point_at(plant: Plant, base: Vector, posture: Vector) -> Vector:
-    """The end-point r (n_task,) at rest, m."""
+def end_point_at(plant: Plant, base: Vector, posture: Vector, *, gravity: bool) -> Vector:
+    """The end-point r (n_task,) at rest, or under gravity as the machine sags, m.
+
+    Raises:
+        InputError, NoSolutionFound: under gravity, the springs do not hold the machine.
+    """
     p = plant.parameter_values
-    return plant.end_point(plant.rest(base, posture, p), base, p).full().ravel()
+    q = plant.rest(base, posture, p).full().ravel()
+    if gravity:
+        q[: plant.n_passive] = plant.deflected(base, posture, p).full().ravel()
+        check_settled(plant, q, base)
+        check_held(plant, q, base)
+    return plant.end_point.call([q, base, p])[0].full().ravel()

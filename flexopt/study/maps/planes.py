@@ -72,6 +72,7 @@ class Plane:
         base: placement (n_b,).
         ranges: along x and y.
         rows: names of the task rows;  placed: names and units of the placement's coordinates.
+        gravity: whether end-points are those of the machine as it sags.
     """
 
     over: Over
@@ -84,6 +85,7 @@ class Plane:
     ranges: tuple[Interval, Interval] = ((0.0, 1.0), (0.0, 1.0))
     rows: tuple[str, ...] = ()
     placed: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
+    gravity: bool = False
 
     def grid(
         self, machine: AnyMachine, points: tuple[int, int], elbow: Elbow, told: Callable[[int], None] = lambda _: None
@@ -93,8 +95,8 @@ class Plane:
             return posture_grid(machine, *self.ranges, points, self.varies, self.posture, self.base)
         if self.followed:
             at = self.end_point, self.base, self.posture
-            return followed_grid(machine, self.over, self.ranges, points, self.varies, *at, told)
-        return end_point_grid(machine, *self.ranges, points, elbow)
+            return followed_grid(machine, self.over, self.ranges, points, self.varies, *at, told, gravity=self.gravity)
+        return end_point_grid(machine, *self.ranges, points, elbow, gravity=self.gravity)
 
     def options(self, elbow: Elbow) -> dict[str, Any]:
         """What a map's options and provenance say of it."""
@@ -124,7 +126,8 @@ class Plane:
         if self.over == "posture":
             return "joint angles, relative, counter-clockwise positive"
         if self.over == "base":
-            return f"placement in the inertial frame, end-point held at {_listed(self.end_point)} m"
+            sags = ", as the machine sags" if self.gravity else ""
+            return f"placement in the inertial frame, end-point held at {_listed(self.end_point)} m{sags}"
         if self.followed:
             names, units = self.placed
             return f"inertial, with the base at {in_words(names, self.base, units)}" if names else "inertial"
@@ -138,12 +141,12 @@ def read_plane(arguments: Arguments, machine: AnyMachine, over: Over | None, giv
         arguments: of the call; notes the faults.
         machine: the machine.
         over: what varies; None where it is not usable.
-        given: joints, rows, coordinates, posture, end_point, base, x_range, y_range as they were passed.
+        given: joints, rows, coordinates, posture, end_point, base, x_range, y_range as they were passed, and gravity.
     """
     direct = over == "end_point" and given["posture"] is None and closed_form(machine)
     followed = over != "posture" and over is not None and not direct
     plane = Plane(over or "end_point", followed, base=np.zeros(len(machine.base_coordinates)), rows=machine.task_rows)
-    plane.placed = machine.base_coordinates, machine.base_units
+    plane.placed, plane.gravity = (machine.base_coordinates, machine.base_units), given["gravity"] is True
     if over is None:
         return plane
     for name, maps in BELONGS.items():
@@ -242,10 +245,10 @@ def _read_reference(arguments: Arguments, machine: AnyMachine, plane: Plane, giv
         return
     noted = len(arguments.faults)
     plane.posture = arguments.posture(machine, given["posture"])
-    if len(arguments.faults) == noted:
-        plane.end_point = end_point_at(build_plant(machine), plane.base, plane.posture)
     if given["end_point"] is not None:
         plane.end_point = arguments.point(given["end_point"], "end_point", machine)
+    elif len(arguments.faults) == noted:
+        plane.end_point = end_point_at(build_plant(machine), plane.base, plane.posture, gravity=plane.gravity)
 
 
 def _read_ranges(arguments: Arguments, machine: AnyMachine, plane: Plane, given: dict[str, Any]) -> None:

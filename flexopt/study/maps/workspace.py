@@ -81,19 +81,19 @@ def map_workspace(
 ) -> WorkspaceMap:
     """Frequencies, w_i, in-phase regions, ε_max and the loop's decay over a plane of end-points, joints or placements.
 
-    Over `"end_point"` an arm of two parallel hinges is mapped in closed form: end-points are those of the arm at rest
-    in the *workspace frame*, the inertial frame's axes with the origin at the first joint at rest; nothing depends on
-    the placement, which is 0. Any other machine needs a `posture` to start from, and these may have one: two task rows
-    then vary, in the inertial frame, and the posture is followed from point to point: within the
-    branch of `posture`, and of a redundant arm the one nearest to it. Over `"posture"` two joints vary. Over `"base"`
-    two placement coordinates vary while the end-point is held, the posture followed likewise: the map tells where to
-    stand. Under gravity the springs give way beneath the posture that belongs to the point at rest.
+    Over `"end_point"` an arm of two parallel hinges is mapped in closed form: end-points are in the *workspace frame*,
+    the inertial frame's axes with the origin at the first joint at rest; nothing depends on the placement, which is 0.
+    Any other machine needs a `posture` to start from, and these may have one: two task rows then vary, in the inertial
+    frame, and the posture is followed from point to point: within the branch of `posture`, and of a redundant arm the
+    one nearest to it. Over `"posture"` two joints vary. Over `"base"` two placement coordinates vary while the
+    end-point is held, the posture followed likewise: the map tells where to stand. Under gravity all end-points, varied
+    or held, are those of the machine as it sags, and a point is reached where the springs hold it.
 
     Args:
         machine: from `flexopt.load`.
         control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; by default that of `loop`, else of the machine's loop.
         gain: servo gain kr of ε_max.
-        gravity: measures under static deflection.
+        gravity: measures and end-points under static deflection.
         over: `"end_point"`, `"posture"` or `"base"`: what varies, the first along x, the second along y.
         joints, rows, coordinates: names of the two that vary over the posture, the end-point, the base; the first two
             by default.
@@ -102,9 +102,9 @@ def map_workspace(
             end-point. By default where `posture` has it.
         base: placement (n_b,), m or rad: of the coordinates that do not vary, and where following starts; 0 by default.
         x_range, y_range: (low, high), in the axis' unit. By default the square around the arm's reach (closed form);
-            what the task rows take over all postures; the joint limits, or without a whole turn or 1 m either way; as
-            far from the end-point as the arm reaches (where the base turns, or along no row of the task, as it is
-            long), or a whole turn.
+            what the task rows take over all postures at rest; the joint limits, or without a whole turn or 1 m either
+            way; as far from the end-point as the arm reaches (where the base turns, or along no row of the task, as it
+            is long), or a whole turn.
         points: numbers of points (along x, along y); (400, 400), of machines in space, and with more than three
             passive coordinates, (60, 60).
         elbow: which posture reaches an end-point, in closed form.
@@ -118,7 +118,7 @@ def map_workspace(
 
     Raises:
         InputError: every unusable argument, in one message; over the base, so few points that the end-point is reached
-            from `base` and from none of them.
+            from `base` and from none of them; under gravity, the springs do not hold the machine in `posture`.
         UnreachableTarget: over the base, the end-point is reached from `base` no more than from any point.
 
     Example:
@@ -130,7 +130,7 @@ def map_workspace(
     usual = FEW_POINTS if takes_long(machine) else POINTS
     size = usual if points is None else cast(tuple[int, int], points)
     given = {"joints": joints, "rows": rows, "coordinates": coordinates, "posture": posture, "end_point": end_point}
-    given |= {"base": base, "x_range": x_range, "y_range": y_range}
+    given |= {"base": base, "x_range": x_range, "y_range": y_range, "gravity": gravity}
     plane = read_plane(Arguments("map_workspace", machine), machine, over, given)
     own = cast("Loop | None", loop)
     control = control_of(control, own, machine)

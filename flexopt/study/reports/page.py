@@ -63,13 +63,8 @@ FOLLOWED = (
     " From the chosen configuration on each posture is the one nearest to its neighbour's. Where none is drawn it does "
     "not reach, or breaks a limit, a range or a constraint of the problem; another posture may still do."
 )
-# Under gravity, by what varies over the map.
-SAGS = {
-    "end_point": " The axes are of the end-point with the springs unloaded",
-    "base": " Each posture holds the end-point on the target with the springs unloaded",
-}
-FROM_THERE = "; under the weight, with which all is computed, it sags from there."
-
+# Under gravity, where end-points vary or are held.
+SAGS = " End-points are those of the machine as it sags under its weight."
 NOWHERE = " None of its points is allowed: what is allowed is narrower than their spacing, or asks for another posture."
 
 
@@ -129,17 +124,16 @@ def _map_caption(report: Report) -> str:
     marks = [words for name, words in MARKS.items() if name in report.marks]
     followed = report.map is not None and "end_point" in report.map.options
     told = MAP_CAPTION + (f" {begun('; '.join(marks))}." if marks else "") + (FOLLOWED if followed else "")
-    told += _sags(report)
+    told += SAGS if _sags(report) else ""
     ways = held_ways(report.map, problem_of(report.selection)) if report.map is not None else []
     told += f" The base is held along {listed(ways)}: there the map shows how it would be." if ways else ""
     return told if report.map is None or report.map.to_dict()["mapped"] else told + NOWHERE
 
 
-def _sags(report: Report) -> str:
-    """Where the end-point of a map is beside what the map's postures are named by."""
+def _sags(report: Report) -> bool:
+    """Whether the map has end-points under gravity."""
     options = {} if report.map is None else report.map.options
-    where = SAGS.get(options.get("over", ""), "") if options.get("gravity") else ""
-    return where and where + FROM_THERE
+    return bool(options.get("gravity")) and options.get("over") != "posture"
 
 
 def _panels(report: Report) -> dict[str, Picture]:

@@ -61,8 +61,7 @@ class Report(Printed, Result):
         map: around the chosen configuration: over the placement where that has two coordinates, else over end-points
             (or over two joints, where the task has one row); where its postures are followed blank where they break a
             constraint; None where there is none.
-        marks: present and chosen configuration in the map's coordinates (over end-points, of the posture with springs
-            unloaded), name -> (x, y).
+        marks: present and chosen configuration in the map's coordinates, name -> (x, y).
         loops: name of a configuration (`"present"`, `"chosen"`, of several targets `"worst target"` by the objective
             and, where that is another, `"slowest target"` by the verdict, unless options say of another controller
             than its) -> closed loop; the same gains in each. Present is as staying is judged. Chosen, here and around

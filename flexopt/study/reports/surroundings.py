@@ -22,7 +22,7 @@ from flexopt.selection.places import FEASIBLE
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.others import other_stand
 from flexopt.selection.starts import violated
-from flexopt.study.maps.grid import closed_form, end_point_at, first_joint_at_rest
+from flexopt.study.maps.grid import closed_form, first_joint_at_rest
 from flexopt.study.maps.workspace import map_workspace, takes_long
 from flexopt.study.maps.workspace_map import WorkspaceMap
 from flexopt.study.verdicts.places import FIRST, STAY, candidate_number
@@ -118,10 +118,7 @@ def surroundings(selection: Selection | Stand | BasePlan, points: int) -> Worksp
 
 
 def _allowed(chart: WorkspaceMap, problem: SelectionProblem, best: Evaluation) -> WorkspaceMap:
-    """A followed map, blank where its posture breaks a limit, a range or a constraint of the problem.
-
-    Under gravity, as its measures, with the springs given way beneath the posture.
-    """
+    """A followed map, blank where its posture breaks a limit, a range or a constraint of the problem."""
     dataset = chart.dataset
     postures = np.asarray(dataset["posture"].values).reshape(len(problem.machine.joints), -1)
     z = np.vstack([np.tile(best.base[:, None], postures.shape[1]), postures])
@@ -133,8 +130,7 @@ def _allowed(chart: WorkspaceMap, problem: SelectionProblem, best: Evaluation) -
     free = problem.lower < problem.upper
     low, high, size = (x[free, None] for x in (problem.lower, problem.upper, problem.scale))
     beyond = (np.maximum(low - z[free], z[free] - high) / size).max(axis=0)
-    # Of the target nothing is asked: over end-points they are others, and under gravity the postures, held as without,
-    # are beside it by what the machine sags.
+    # Of the target nothing is asked: over end-points they are others.
     kept = np.maximum(violated(problem, z, target=False), beyond) <= FEASIBLE
     shown = {name: each.where(kept.reshape(planes[0].shape)) for name, each in dataset.items() if each.dtype == float}
     ways = held_ways(chart, problem)
@@ -160,18 +156,15 @@ def elbow_of(machine: AnyMachine, stand: Evaluation) -> Elbow:
 
 
 def _place_in(drawn: WorkspaceMap, machine: AnyMachine, stand: Evaluation) -> dict[str, float]:
-    """A configuration in the coordinates of a map: over end-points that of its posture at rest, springs unloaded."""
+    """A configuration in the coordinates of a map."""
     rows, columns = drawn.axes
     if drawn.options["over"] == "base":
         return {f"base_{n}": float(x) for n, x in zip(stand.base_coordinates, stand.base, strict=True)}
     if drawn.options["over"] == "posture":
         return {n: float(x) for n, x in zip((columns, rows), stand.posture[:2], strict=True)}
-    plant = build_plant(machine)
-    if "elbow" in drawn.options:
-        point = end_point_at(plant, np.zeros(plant.n_base), stand.posture) - first_joint_at_rest(plant)
-    else:
-        point = end_point_at(plant, stand.base, stand.posture)
-    return dict(zip(machine.task_rows, point.tolist(), strict=True))
+    closed = "elbow" in drawn.options
+    origin = first_joint_at_rest(build_plant(machine), stand.base) if closed else np.zeros(stand.end_point.size)
+    return dict(zip(machine.task_rows, (stand.end_point - origin).tolist(), strict=True))
 
 
 def marks_in(
