@@ -93,7 +93,7 @@ def _mixed(color: str, other: str, share: float) -> tuple[float, float, float]:
 
 
 def draw_field(axes: Axes, plane: FieldPlane, values: Array, *, label: str, clipped: bool = False) -> None:
-    """A field (n_y, n_x) with its colour bar; NaN stays white, what is the same everywhere has one colour.
+    """A field (n_y, n_x) with its colour bar, unless all is NaN, which stays white; what is the same has one colour.
 
     Args:
         axes: to draw on.
@@ -113,7 +113,8 @@ def draw_field(axes: Axes, plane: FieldPlane, values: Array, *, label: str, clip
         values, extent=plane.extent, origin="lower", interpolation="nearest", aspect=plane.aspect, cmap="viridis",
         vmin=low, vmax=high,
     )  # fmt: skip
-    _bar(axes, image, label, extend="min" if clipped and finite.size else "neither")
+    if finite.size:
+        _bar(axes, image, label, extend="min" if clipped else "neither")
 
 
 def _scaled(label: str, bar: Colorbar, image: AxesImage) -> str:
@@ -153,6 +154,8 @@ def draw_signed(axes: Axes, plane: FieldPlane, values: Array, *, label: str) -> 
         norm=TwoSlopeNorm(0.0, -low, high),
     )  # fmt: skip
     draw_border(axes, *plane.edges, values, width=0.8)
+    if not finite.size:
+        return
     # Of a field on one side of 0 the bar shows that side alone.
     extend = "both" if above.size and below.size else "min" if below.size else "max"
     bar = _bar(axes, image, label, extend=extend)

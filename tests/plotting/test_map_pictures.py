@@ -53,6 +53,20 @@ def test_map(maps, tmp_path):
     assert any("workspace frame" in axes.get_xlabel() for axes in figure.axes)
 
 
+@pytest.mark.parametrize("draw", [draw_field, draw_signed])
+def test_what_is_nowhere_a_number_has_no_bar_of_colours(draw):
+    """Matplotlib's own range of nothing is −0.1 to 0.1."""
+    plane, values = FieldPlane(np.arange(4.0), np.arange(3.0), "x", "y"), np.full((3, 4), np.nan)
+    empty, (one, other) = Figure().add_subplot(), Figure().subplots(1, 2)
+    draw(empty, plane, values, label="w")
+    assert not empty.child_axes
+    assert len(empty.images) == 1
+    values[1, 1] = 2.0
+    draw(one, plane, values, label="w")
+    assert len(one.child_axes) == 1
+    assert not other.child_axes
+
+
 @pytest.mark.long
 def test_on_a_slide_rows_of_a_map_are_columns(maps):
     """Eleven panels in four rows were a fifteenth of its width each."""
