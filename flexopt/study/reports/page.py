@@ -30,7 +30,16 @@ from flexopt.study.page import (
     sentence,
     with_minus,
 )
-from flexopt.study.reports.surroundings import CHOSEN, PRESENT, SLOWEST, held_ways, problem_of, slowest_target
+from flexopt.study.reports.surroundings import (
+    CHOSEN,
+    NONE_REACHED,
+    PRESENT,
+    SLOWEST,
+    held_ways,
+    mapped,
+    problem_of,
+    slowest_target,
+)
 from flexopt.study.reports.tables import (
     SHOWN,
     chosen_number,
@@ -65,7 +74,7 @@ FOLLOWED = (
 )
 # Under gravity, where end-points vary or are held.
 SAGS = " End-points are those of the machine as it sags under its weight."
-NOWHERE = " None of its points is allowed: what is allowed is narrower than their spacing, or asks for another posture."
+NOWHERE = "No map is drawn: none of its {points} points is {why}."
 
 
 def report_html(report: Report) -> str:
@@ -120,14 +129,17 @@ def _caption(report: Report) -> str:
 
 
 def _map_caption(report: Report) -> str:
-    """What the panels show, the marks that are in them, and which postures they are of."""
+    """What the panels show, the marks that are in them, and which postures they are of; else why there are none."""
+    if report.map is not None and not mapped(report.map):
+        attrs, points = report.map.dataset.attrs, report.map.to_dict()["points"]
+        return with_minus(NOWHERE.format(points=points, why=attrs.get("barred", NONE_REACHED)))
     marks = [words for name, words in MARKS.items() if name in report.marks]
     followed = report.map is not None and "end_point" in report.map.options
     told = MAP_CAPTION + (f" {begun('; '.join(marks))}." if marks else "") + (FOLLOWED if followed else "")
     told += SAGS if _sags(report) else ""
     ways = held_ways(report.map, problem_of(report.selection)) if report.map is not None else []
     told += f" The base is held along {listed(ways)}: there the map shows how it would be." if ways else ""
-    return told if report.map is None or report.map.to_dict()["mapped"] else told + NOWHERE
+    return told
 
 
 def _sags(report: Report) -> bool:
@@ -137,10 +149,10 @@ def _sags(report: Report) -> bool:
 
 
 def _panels(report: Report) -> dict[str, Picture]:
-    """Each quantity of the map."""
+    """Each quantity of the map; none where it shows nothing."""
     from flexopt.plotting.workspace import plot_quantities  # noqa: PLC0415  (matplotlib is slow to import)
 
-    if report.map is None:
+    if report.map is None or not mapped(report.map):
         return {}
     found = pictures(lambda theme: plot_quantities(report.map, marks=report.marks, theme=theme))
     return {name: each._replace(caption=f"{begun(name)}.") for name, each in found.items()}

@@ -10,7 +10,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
 from flexopt.foundation.rounding import WAY
 from flexopt.model import AnyMachine
@@ -18,6 +20,7 @@ from flexopt.model.choices import Elbow
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
+from flexopt.selection.broken import broken
 from flexopt.selection.places import FEASIBLE
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.others import other_stand
@@ -29,6 +32,7 @@ from flexopt.study.verdicts.places import FIRST, STAY, candidate_number
 from flexopt.study.verdicts.result import Verdict
 
 CHOSEN, PRESENT, WORST, SLOWEST = "chosen", "present", "worst target", "slowest target"
+NONE_REACHED = "reached in a regular posture"
 # Of the map along each axis, and with more than three passive coordinates.
 POINTS, FEW_POINTS = 160, 48
 
@@ -118,7 +122,10 @@ def surroundings(selection: Selection | Stand | BasePlan, points: int) -> Worksp
 
 
 def _allowed(chart: WorkspaceMap, problem: SelectionProblem, best: Evaluation) -> WorkspaceMap:
-    """A followed map, blank where its posture breaks a limit, a range or a constraint of the problem."""
+    """A followed map, blank where its posture breaks a limit, a range or a constraint of the problem.
+
+    Of one that is blank all over the attribute `barred` says why, in words after "none of its points is".
+    """
     dataset = chart.dataset
     postures = np.asarray(dataset["posture"].values).reshape(len(problem.machine.joints), -1)
     z = np.vstack([np.tile(best.base[:, None], postures.shape[1]), postures])
@@ -136,7 +143,37 @@ def _allowed(chart: WorkspaceMap, problem: SelectionProblem, best: Evaluation) -
     ways = held_ways(chart, problem)
     aside = f", as if {listed(ways)} were free" if ways else ""
     within = {"mapped": f"reached, regular and allowed by the problem{aside}"}
+    regular = np.isfinite(np.asarray(dataset["condition"].values)).ravel()
+    if not (regular & kept).any():
+        at = _place_in(chart, problem.machine, best)
+        within["barred"] = _barred(chart, problem, z, np.flatnonzero(regular), [at[axis] for axis in chart.axes])
     return replace(chart, dataset=dataset.assign(shown).assign_attrs(within))
+
+
+def _barred(
+    chart: WorkspaceMap, problem: SelectionProblem, z: Vector, among: NDArray[np.int64], best: list[float]
+) -> str:
+    """What the point of a map nearest to the chosen configuration breaks; points z (n_z, N), of which `among` count."""
+    if not among.size:
+        return NONE_REACHED
+    axes = [chart.dataset[axis] for axis in chart.axes]
+    points = np.stack(np.meshgrid(*(axis.values for axis in axes), indexing="ij")).reshape(2, -1)
+    spans = np.ptp(points, axis=1)
+    away = np.hypot(*((points[:, among].T - best) / spans).T)
+    nearest = int(among[int(away.argmin())])
+    # Along a way that is held the map shows how it would be.
+    widened = [replace(each, lower=-math.inf, upper=math.inf) if each.lower == each.upper else each
+               for each in problem.variables]  # fmt: skip
+    told = broken(replace(problem, variables=tuple(widened)), z[:, nearest])
+    place = zip(chart.axes[::-1], points[::-1, nearest].tolist(), axes[::-1], strict=True)
+    where = ", ".join(f"{name.removeprefix('base_')} {x:z.4g} {axis.attrs['units']}" for name, x, axis in place)
+    which = f"the nearest to the chosen configuration that is reached, at {where},"
+    return f"allowed; {which} {told or 'is beyond its ranges'}"
+
+
+def mapped(chart: WorkspaceMap) -> bool:
+    """Whether a map shows anything."""
+    return chart.to_dict()["mapped"] > 0
 
 
 def held_ways(chart: WorkspaceMap, problem: SelectionProblem) -> list[str]:
