@@ -128,10 +128,13 @@ class Plane:
         if self.over == "base":
             sags = ", as the machine sags" if self.gravity else ""
             return f"placement in the inertial frame, end-point held at {_listed(self.end_point)} m{sags}"
+        sags = "; the end-point is that of the machine as it sags" if self.gravity else ""
         if self.followed:
             names, units = self.placed
-            return f"inertial, with the base at {in_words(names, self.base, units)}" if names else "inertial"
-        return "workspace: axes of the inertial frame, origin at the first joint at rest, base at 0"
+            return (
+                f"inertial, with the base at {in_words(names, self.base, units)}{sags}" if names else f"inertial{sags}"
+            )
+        return f"workspace: axes of the inertial frame, origin at the first joint at rest, base at 0{sags}"
 
 
 def read_plane(arguments: Arguments, machine: AnyMachine, over: Over | None, given: dict[str, Any]) -> Plane:

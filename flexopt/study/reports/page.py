@@ -72,8 +72,6 @@ FOLLOWED = (
     " From the chosen configuration on each posture is the one nearest to its neighbour's. Where none is drawn it does "
     "not reach, or breaks a limit, a range or a constraint of the problem; another posture may still do."
 )
-# Under gravity, where end-points vary or are held.
-SAGS = " End-points are those of the machine as it sags under its weight."
 NOWHERE = "No map is drawn: none of its {points} points is {why}."
 
 
@@ -136,16 +134,9 @@ def _map_caption(report: Report) -> str:
     marks = [words for name, words in MARKS.items() if name in report.marks]
     followed = report.map is not None and "end_point" in report.map.options
     told = MAP_CAPTION + (f" {begun('; '.join(marks))}." if marks else "") + (FOLLOWED if followed else "")
-    told += SAGS if _sags(report) else ""
     ways = held_ways(report.map, problem_of(report.selection)) if report.map is not None else []
     told += f" The base is held along {listed(ways)}: there the map shows how it would be." if ways else ""
     return told
-
-
-def _sags(report: Report) -> bool:
-    """Whether the map has end-points under gravity."""
-    options = {} if report.map is None else report.map.options
-    return bool(options.get("gravity")) and options.get("over") != "posture"
 
 
 def _panels(report: Report) -> dict[str, Picture]:
