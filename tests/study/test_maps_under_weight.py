@@ -20,6 +20,7 @@ from tests.oracles.lagrange import rest_values, springs_and_dampers
 from tests.oracles.machines import NumpySource, Structure, draw_machine, regular_posture
 from tests.oracles.pinocchio_chain import pinocchio_chain
 from tests.oracles.spatial import grounded, pinocchio_tree
+from tests.study.machines import limited
 from tests.study.test_surroundings import behind_wall
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
@@ -126,6 +127,24 @@ def test_two_hinges_in_the_plane(seed: int, elbow: Any) -> None:
     won = np.argwhere((plain.array("reachable") == 0) & (found.array("reachable") == 1))[:, 0]
     assert lost.size == 0 or won.size == 0 or lost.mean() > won.mean()
     assert won.size
+
+
+def test_joint_limits_are_those_of_the_posture_that_sags_onto_the_point() -> None:
+    """Of the same arm without limits those whose joints, turned to the limits' middle, keep them."""
+    machine = limited()
+    free = {"name": "free", **machine.to_dict()}
+    free["links"] = [{k: v for k, v in link.items() if k != "limits"} for link in free["links"]]
+    bounded, whole = (
+        flexopt.map_workspace(each, points=(31, 30), **PLAIN) for each in (machine, machine_from_dict(free))
+    )
+    low, high = np.array(machine.limits).T[:, :, None, None]
+    posture = whole.array("posture")
+    posture += 2 * np.pi * np.rint(((low + high) / 2 - posture) / (2 * np.pi))
+    with np.errstate(invalid="ignore"):
+        kept = np.all((posture >= low) & (posture <= high), axis=0)
+    np.testing.assert_array_equal(bounded.array("reachable") == 1, kept)
+    assert 10 < kept.sum() < 0.7 * whole.array("reachable").sum()
+    np.testing.assert_allclose(bounded.array("posture")[:, kept], posture[:, kept], atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -149,7 +149,7 @@ def read_plane(arguments: Arguments, machine: AnyMachine, over: Over | None, giv
     direct = over == "end_point" and given["posture"] is None and closed_form(machine)
     followed = over != "posture" and over is not None and not direct
     plane = Plane(over or "end_point", followed, base=np.zeros(len(machine.base_coordinates)), rows=machine.task_rows)
-    plane.placed, plane.gravity = (machine.base_coordinates, machine.base_units), given["gravity"] is True
+    plane.placed, plane.gravity = (machine.base_coordinates, machine.base_units), given["gravity"]
     if over is None:
         return plane
     for name, maps in BELONGS.items():
