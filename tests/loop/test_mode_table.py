@@ -26,6 +26,7 @@ def held_poles(machine, posture):
     return sorted(poles[poles.imag > 0], key=abs)
 
 
+@pytest.mark.long
 def test_stiffly_served_joints_hold_the_arm():
     """Each mode of free joints has become one of the base under a held arm, none a fast motion of servos."""
     loop = STIFF | {"kp": 1e-4, "kv": 0.0, "servo_gain": 1e11}
@@ -40,6 +41,7 @@ def test_stiffly_served_joints_hold_the_arm():
 TOO_STRONG = "too strong for a first order"
 
 
+@pytest.mark.long("loop3-")
 @pytest.mark.parametrize(
     ("loop", "modes"),
     [(STIFF | {"servo_gain": 1e8}, "modes 1, 2, 3, 4, 5 and 6"),
@@ -98,6 +100,7 @@ def test_a_mode_that_a_damper_keeps_from_swinging_has_become_no_oscillation(coor
     assert "nan" not in repr(found)
 
 
+@pytest.mark.long("loop2-1")
 @pytest.mark.parametrize(
     ("loop", "count"),
     [("default", 3), (STIFF | {"servo_gain": 1e7}, 0), (STIFF | {"servo_gain": 3e6, "bandwidth_hz": 4.0}, 1)],

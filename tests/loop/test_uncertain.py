@@ -177,7 +177,7 @@ def test_slopes_of_a_frequency() -> None:
         assert loop.slopes(u, at, omega) == pytest.approx(central, rel=1e-4, abs=1e-5 * np.abs(central).max())
 
 
-@pytest.mark.long("posture1-gains1")
+@pytest.mark.long("posture1-gains1", "posture2-gains2")
 @pytest.mark.parametrize(
     ("posture", "gains"), [((0.94, -1.74), {"kp": 1e4, "kv": 1e3}), ((0.41, -1.19), {}), ((0.32, -1.19), {})]
 )

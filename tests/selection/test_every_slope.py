@@ -479,6 +479,7 @@ def test_the_atlas(name, control):
     assert found["jv"] < FIRST
 
 
+@pytest.mark.long("True")
 @pytest.mark.parametrize("spatial", [False, True])
 def test_steps_onto_rows(spatial):
     """With the right slopes the steps are Newton's: a call from nearby leads to round-off."""

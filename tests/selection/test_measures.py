@@ -122,6 +122,7 @@ TARGETS = {"excavator": TARGET, "slewing-excavator": (6.0, 2.0, 1.0)}
     "delay_margin-slewing-excavator",
     "allowance-slewing-excavator",
     "settling-slewing-excavator",
+    "swing-slewing-excavator",
 )
 @pytest.mark.parametrize(("name", "which"), CASES)
 def test_slopes_at_points_that_are_no_optimum(name: str, which: str) -> None:

@@ -289,6 +289,7 @@ def test_gains_are_changed_where_no_place_bears_them() -> None:
         assert found.gains["kp"][0] < 1e5
 
 
+@pytest.mark.long
 def test_where_every_place_grows_on_every_ground_nothing_is_to_be_measured(tmp_path: Path) -> None:
     """Nor is a bar of the page another's than the present place's, of whose numbers it speaks."""
     found = judged("article", loop={"kp": 1e7, "kv": 1e3}, runs=0, members=4)
@@ -1256,6 +1257,7 @@ def test_the_sentences_about_other_places_are_of_the_tables_numbers() -> None:
         assert (np.abs(first.initial.posture - held.places[0].posture).max() > 1e-3) == other
 
 
+@pytest.mark.long("4-; and 1 more breaks some", "6-; and 3 more break some")
 @pytest.mark.parametrize(
     ("count", "end"), [(1, ""), (3, ""), (4, "; and 1 more breaks some"), (6, "; and 3 more break some")]
 )

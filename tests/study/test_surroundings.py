@@ -154,6 +154,7 @@ def test_a_map_of_end_points_is_blank_where_a_constraint_is_broken(seed: int, *,
     assert ("as it sags" in found.dataset.attrs["frame"]) == gravity
 
 
+@pytest.mark.long("1-3")
 @pytest.mark.parametrize("joints", [2, 3])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_marks_are_in_the_maps_own_coordinates(joints: int, seed: int) -> None:

@@ -129,6 +129,7 @@ def test_outside_its_range_the_base_does_not_stay() -> None:
     assert f"the present place, the end-point {off:.3g} m off its target, {breaks}" in beside.sentence
 
 
+@pytest.mark.long
 def test_what_grows_rests_nowhere(heavy: flexopt.Verdict) -> None:
     """Beside the decays of all members at once, and where each is held."""
     assert heavy.uncertainty

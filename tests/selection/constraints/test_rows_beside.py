@@ -105,7 +105,7 @@ def test_beside_a_face_the_rows_have_the_slopes_of_every_side(d: int) -> None:
     assert checked > 40
 
 
-@pytest.mark.long("2")
+@pytest.mark.long("2", "3")
 @pytest.mark.parametrize("d", [2, 3])
 def test_beside_each_other_segments_have_the_slopes_of_every_side(d: int) -> None:
     """In space for motions in their plane: out of it the distance of parallel lines is no function of first order."""

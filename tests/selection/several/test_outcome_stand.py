@@ -249,6 +249,7 @@ def test_a_narrow_region_that_no_point_looked_at_is_in_is_found(*, several: bool
     assert (x, decay) == pytest.approx(wide, rel=1e-5)
 
 
+@pytest.mark.long
 def test_to_say_where_the_arm_is_now_makes_no_answer_worse() -> None:
     """In a region that nothing looked at is in, with the arm in it; and where it breaks what is asked for."""
     machine, loop = flexopt.load("excavator"), {"kp": 1e4, "kv": 1e3}
