@@ -43,7 +43,9 @@ def _read(arguments: Arguments, machine: AnyMachine, given: Mapping[str, Any]) -
         sentence = f"{has}; over two joints w_i = 0 is curves where it has two, points where it has three"
         arguments.note("machine", sentence, machine.name)
     names = ("joints", "posture", "base", "x_range", "y_range")
-    passed = dict.fromkeys(("rows", "coordinates", "end_point")) | {name: given[name] for name in names}
+    # Over postures, which are given, the weight moves nothing that varies.
+    passed: dict[str, Any] = dict.fromkeys(("rows", "coordinates", "end_point")) | {name: given[name] for name in names}
+    passed["gravity"] = False
     plane = read_plane(arguments, machine, "posture", passed)
     # What varies is no argument here.
     machine_name = shown(machine.name)
