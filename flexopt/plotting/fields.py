@@ -192,9 +192,11 @@ def label_plane(axes: Axes, plane: FieldPlane, title: str, *, left: bool = True,
     axes.set_title(title)
     axes.set_xlabel(plane.x_label if bottom else "")
     axes.set_ylabel(plane.y_label if left else "")
-    for axis, log, values in zip((axes.xaxis, axes.yaxis), plane.logarithmic, (plane.x, plane.y), strict=True):
+    # Numbers beside each other take more room than below each other.
+    sides = zip((axes.xaxis, axes.yaxis), plane.logarithmic, (plane.x, plane.y), (4, 7), strict=True)
+    for axis, log, values, most in sides:
         if log and values.max() < DECADES * values.min():
-            steps = between_powers(float(values.min()), float(values.max()))
+            steps = between_powers(float(values.min()), float(values.max()), most)
             axis.set_major_locator(FixedLocator(np.log10(steps).tolist()))
             axis.set_major_formatter(lambda value, _: shown(10**value, 3))
         elif log:

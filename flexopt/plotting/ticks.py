@@ -24,7 +24,7 @@ def shown(value: float, digits: int) -> str:
     return f"${rounded / 10.0**power:.{digits}g} \\times 10^{{{power}}}$"
 
 
-def between_powers(low: float, high: float, most: int = 7) -> list[float]:
+def between_powers(low: float, high: float, most: int) -> list[float]:
     """Ticks of a logarithmic axis from low to high that is too short for powers of ten, at most so many."""
     first, found = math.floor(math.log10(low)), list[float]()
     for leading in ((1, 2, 5), (1, 3), (1,)):

@@ -12,6 +12,7 @@ from flexopt.article import curve, sweep_gaps
 from flexopt.article import pictures as article
 from flexopt.foundation.palette import LIGHT
 from flexopt.plotting.fields import FieldPlane, draw_field, draw_signed, label_plane
+from tests.plotting.looking import faults
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
 
@@ -267,3 +268,12 @@ def test_an_even_axis_over_a_narrow_range_is_no_logarithmic_one(excavator):
     gains = {"kp": (low, high), "dead_time": (0.0, 0.01)}
     loop = flexopt.map_loop(excavator, (0.0448, -2.0499), gains, loop={"kv": 1e3}, points=(5, 3))
     assert loop.plot().axes[0].get_xlim()[1] == pytest.approx(np.log10(high), abs=1e-4)
+
+
+@pytest.mark.parametrize("span", [(1e4, 4e5), (2e3, 1.9e5), (1e-5, 5e-4), (5e5, 2e6), (0.3, 20.0)])
+@pytest.mark.parametrize("size", ["screen", "paper", "slide"])
+def test_numbers_of_short_logarithmic_axes_lie_on_no_other(excavator, span, size):
+    loop = flexopt.map_loop(
+        excavator, (0.0448, -2.0499), {"kp": span, "kv": (1e2, 4e3)}, loop={"kp": 1e3, "kv": 1e3}, points=(5, 5)
+    )
+    assert faults(loop.plot(size=size)) == []
