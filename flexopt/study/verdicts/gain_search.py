@@ -21,6 +21,8 @@ from flexopt.study.verdicts.place_loops import PlaceLoops
 # Gains tried along each range at first, evaluations of the search that follows, and by how much all gains together
 # are tried where no range is given.
 GRID, EVALUATIONS, LEAST, MOST = 9, 80, 1e-2, 10.0
+# Times its gains that a loop is to bear, where any of those looked at does.
+RESERVE = 1.1
 # So many times as high gains are to hold, too; in which steps gains are lowered for that, and how often the last one is
 # halved where it is too much.
 ROOM, LOWER, HALVINGS = 2.0, 0.5**0.25, 6
@@ -31,7 +33,7 @@ def best_gains(loop: PlaceLoops, asked: Loop, members: Vector, does: Callable[[P
     """The loop with the best gains within `asked`'s ranges; with none, all gains times one factor, 0.01 to 10.
 
     The criterion is the decay of the slowest of the members (n, k) at the worst target; they should be few. Of gains
-    with which the loop does what it must, where any of those looked at do.
+    with which the loop does what it must, and bears `RESERVE` times as much, where any of those looked at do.
     """
     from scipy.optimize import minimize  # noqa: PLC0415  (loads slowly)
 
@@ -45,17 +47,21 @@ def best_gains(loop: PlaceLoops, asked: Loop, members: Vector, does: Callable[[P
     def growth(x: Any) -> float:
         return -float(with_gains(x).decays(members).min())
 
+    def fits(x: Any) -> bool:
+        tried = with_gains(x)
+        return has_reserve(tried, asked, members) and does(tried)
+
     points = list(product(*(axis.tolist() for axis in axes)))
     values = [growth(point) for point in points]
     order: list[int] = np.argsort(values, kind="stable").tolist()
-    first = next((k for k in order if does(with_gains(points[k]))), None)
+    first = next((k for k in order if fits(points[k])), None)
     start = np.array(points[order[0] if first is None else first])
     least = growth(start)
 
     def allowed(x: Any) -> float:
         # What is no better is not looked at: that takes its time.
         value = growth(x)
-        return value if value >= least or first is None or does(with_gains(x)) else math.inf
+        return value if value >= least or first is None or fits(x) else math.inf
 
     bounds = [(float(axis[0]), float(axis[-1])) for axis in axes]
     # The slowest decay of several is not smooth.
@@ -71,6 +77,12 @@ def lowered(loop: PlaceLoops, asked: Loop, factor: float) -> PlaceLoops:
     ranges, now = gain_ranges(asked), loop.settings
     logs = {name: math.log(factor * getattr(now, name)[0]) for name in ranges} or math.log(factor)
     return loop.with_settings(_scaled(now, logs))
+
+
+def has_reserve(loop: PlaceLoops, asked: Loop, members: Vector) -> bool:
+    """Whether a loop that decays for members (n, k) does with gains `RESERVE` times as high; of one that grows, yes."""
+    decays = float(loop.decays(members).min())
+    return decays <= 0 or float(lowered(loop, asked, RESERVE).decays(members).min()) > 0
 
 
 def most_room(
