@@ -97,8 +97,9 @@ def inverse_kinematics(
         settled = [_under_gravity(plant, point, placement, posture) for posture in reached]
         reached = list(into_limits(machine, np.array(settled).T).T)
     found = [posture for posture in reached if inside_limits(machine, posture[:, None])[0]]
-    if not found and reached and free:
-        # Narrow limits may lie between the points of the sample: Newton steps lead into them.
+    if not found and (gravity or (reached and free)):
+        # Narrow limits may lie between the points of the sample, and the border of the reach is another as the machine
+        # sags: Newton steps lead into them.
         with suppress(UnreachableTarget):
             moved = _by_iteration(plant, point, placement, gravity, seed)
             found = [posture for posture in moved if elbow is None or np.sin(posture[-1]) * ELBOW_SIGN[elbow] > 0]
@@ -113,7 +114,8 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
     low, high = sampled_ranges(plant.machine, arm_length(plant)).T
     starts = low[:, None] + (high - low)[:, None] * low_discrepancy(plant.n_actuated, SAMPLES, seed)
     bases = np.repeat(base[:, None], SAMPLES, axis=1)
-    postures, left = solve_postures(plant, target, bases, starts)
+    # What is beside the border of the reach at rest may be within it as the machine sags, or beyond it.
+    postures, left = (solve_held if gravity else solve_postures)(plant, target, bases, starts)
     reached = list(postures[:, left <= REACHED].T)
     if gravity and reached:
         settled = (_under_gravity(plant, target, base, posture) for posture in _distinct(reached, SAME))
@@ -121,7 +123,7 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
         if not reached:
             raise missed(plant, target, base, 0.0, "every posture that reaches it breaks a joint limit under gravity")
     if not reached:
-        raise missed(plant, target, base, float(left.min()))
+        raise missed(plant, target, base, float(np.nanmin(left)))
     turned = list(into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
     return _distinct(sorted(turned, key=lambda posture: float(np.abs(posture - (low + high) / 2).max())), SAME)
 

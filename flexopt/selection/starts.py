@@ -23,7 +23,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
 from flexopt.foundation.processes import in_parallel
 from flexopt.model.constraints import Constraints
-from flexopt.plant.inverse_kinematics import held_on, low_discrepancy, reach_steps
+from flexopt.plant.inverse_kinematics import held_on, low_discrepancy, reach_steps, solve_held
 from flexopt.selection.nlp.program import values_of
 from flexopt.selection.places import FEASIBLE, places_left_out
 from flexopt.selection.problem import SelectionProblem
@@ -59,6 +59,8 @@ SUMMITS = 16
 BLOCK = 32
 # The violation of an own constraint that is no number.
 NO_NUMBER = 1e100
+# So many of the points nearest to a target that none reaches at rest are led to it as the machine sags.
+NEAREST_HELD = 64
 # Starts that differ by less, in scaled variables, are one.
 SAME_START = 1e-3
 
@@ -128,6 +130,12 @@ def sample_configurations(problem: SelectionProblem, starts: int, areas: Constra
         more, far = onto_target(problem, more, standing=True)
         z, unit, off = (np.concatenate(pair, axis=-1) for pair in ((z, more), (unit, of_more), (off, far)))
     reaches = off <= FEASIBLE
+    if problem.gravity and not reaches.any():
+        # The border of the reach is another as the machine sags: the nearest are led there.
+        nearest = np.argsort(np.nan_to_num(off, nan=math.inf), kind="stable")[:NEAREST_HELD]
+        held, beside = solve_held(plant, problem.target, z[:n_b, nearest], z[n_b:, nearest])
+        z[n_b:, nearest], off[nearest] = held, beside / problem.row_bounds[2][0]
+        reaches = off <= FEASIBLE
     if not reaches.any():
         return empty_scan(plant, reached=False), float(np.nanmin(off) * problem.row_bounds[2][0])
     z, unit = z[:, reaches], unit[:, reaches]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from scipy.optimize import minimize
 
-from flexopt import UnreachableTarget, build_plant, inverse_kinematics, load
+from flexopt import SingularPosture, UnreachableTarget, build_plant, evaluate, inverse_kinematics, load
 from flexopt.model import machine_from_dict
 from tests.oracles.lagrange import lagrange
 from tests.oracles.machines import (
@@ -181,6 +181,24 @@ def test_under_gravity_the_deflected_end_point_is_on_the_target(drawn, seed):
         q_p = plant.deflected(base, posture, plant.parameter_values).full().ravel()
         q = np.concatenate([q_p, posture])
         assert np.abs(oracle.dynamics(q, np.zeros(len(q)), base)[3].full().ravel() - target).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["slewing-excavator", "truck-crane", "boom-stick-bucket"])
+def test_the_border_of_the_reach_is_that_of_the_sagging_machine(name):
+    """In corners of the joints' ranges: what is reached there as it sags may not be with springs unloaded."""
+    machine, rng, told = load(name), np.random.default_rng(2), 0
+    low, high = np.clip(np.array(machine.limits), -2.5, 2.5).T
+    for _ in range(6):
+        corner = np.where(rng.random(low.size) < 0.5, low + 2e-4, high - 2e-4)
+        try:
+            target = evaluate(machine, corner, gravity=True).end_point
+        except SingularPosture:
+            continue
+        for posture in inverse_kinematics(machine, target, gravity=True)[:3]:
+            np.testing.assert_allclose(evaluate(machine, posture, gravity=True).end_point, target, atol=1e-8)
+            assert all(a - 1e-9 <= x <= b + 1e-9 for x, (a, b) in zip(posture, machine.limits, strict=True))
+            told += 1
+    assert told > 3
 
 
 def test_limits_hold_under_gravity_too():

@@ -278,6 +278,23 @@ def test_unreachable_targets_say_by_how_much(machine):
             flexopt.select_stand(machine, stands, workers=1, **asked)
 
 
+def test_what_only_the_sagging_machine_reaches_is_chosen():
+    """From a corner of its joints' ranges; with springs unloaded it is out of their limits."""
+    machine = flexopt.load("slewing-excavator")
+    low, high = np.array(machine.limits).T
+    corner = np.where(np.isfinite(high), high - 2e-4, 0.3)
+    target = flexopt.evaluate(machine, corner, base=(0.0, 0.0, 0.0), gravity=True).end_point
+    with pytest.raises(flexopt.UnreachableTarget):
+        flexopt.inverse_kinematics(machine, target, base=(0.0, 0.0, 0.0))
+    found = flexopt.select(
+        machine, target, base=(0.0, 0.0, 0.0), gravity=True, objective="w1", starts=1, workers=1,
+        base_range=dict.fromkeys(machine.base_coordinates, (-0.0001, 0.0001)), assume="limits",
+        singularity_margin_deg=0.1,
+    )  # fmt: skip
+    np.testing.assert_allclose(found.best.evaluation.end_point, target, atol=1e-6)
+    assert np.all((found.best.evaluation.posture >= low - 1e-9) & (found.best.evaluation.posture <= high + 1e-9))
+
+
 def test_faults_are_named_all_at_once(machine):
     with pytest.raises(flexopt.InputError) as caught:
         flexopt.select(
