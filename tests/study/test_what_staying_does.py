@@ -49,7 +49,7 @@ def heavy() -> flexopt.Verdict:
     """An arm that decays with the payload of its file, and grows or falls with much less and much more."""
     machine = flexopt.load("boom-stick-bucket")
     chosen = flexopt.select(machine, (6.0, 1.0), base=0.0, starts=2, gravity=True)
-    return flexopt.verdict(chosen, loop="default", ranges={"payload.mass": (500.0, 2000.0)}, members=6, runs=0)
+    return flexopt.verdict(chosen, loop="default", ranges={"payload.mass": (500.0, 4000.0)}, members=6, runs=0)
 
 
 @pytest.mark.long

@@ -183,7 +183,7 @@ class ConfigurationSet(Tabled):
 
     def _found(self, what: str) -> str:
         tried, done = self.attempts
-        beside = f" ({self.beside} besides those asked for)" if self.beside else ""
+        beside = f" ({self.beside} of them standing still, or carrying postures along)" if self.beside else ""
         further = f", and {counted(self.further, 'further climb')}" if self.further else ""
         return f"{done} of {counted(tried, 'start')}{beside} led to a verified {what} {self._targets}{further}"
 

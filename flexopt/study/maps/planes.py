@@ -131,9 +131,10 @@ class Plane:
         sags = "; the end-point is that of the machine as it sags" if self.gravity else ""
         if self.followed:
             names, units = self.placed
-            return (
-                f"inertial, with the base at {in_words(names, self.base, units)}{sags}" if names else f"inertial{sags}"
-            )
+            based = f", with the base at {in_words(names, self.base, units)}" if names else ""
+            held = [f"{row} {x:.4g}" for row, x in zip(self.rows, self.end_point, strict=True) if row not in self.names]
+            along = f", the end-point held at {', '.join(held)} m" if held else ""
+            return f"inertial{based}{along}{sags}"
         return f"workspace: axes of the inertial frame, origin at the first joint at rest, base at 0{sags}"
 
 
