@@ -29,6 +29,8 @@ from flexopt.plant.statics import check_held
 
 ELBOW_SIGN: dict[Elbow, float] = {"up": -1.0, "down": 1.0}
 SAMPLES = 256
+# So many of these are led to a target as the machine sags, which at rest is out of reach.
+NEAREST = 64
 # Postures closer than this, found by iteration, are one.
 SAME = 1e-6
 # A target is reached to this share of a metre, position and orientation rows alike.
@@ -114,16 +116,19 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
     low, high = sampled_ranges(plant.machine, arm_length(plant)).T
     starts = low[:, None] + (high - low)[:, None] * low_discrepancy(plant.n_actuated, SAMPLES, seed)
     bases = np.repeat(base[:, None], SAMPLES, axis=1)
-    # What is beside the border of the reach at rest may be within it as the machine sags, or beyond it.
-    postures, left = (solve_held if gravity else solve_postures)(plant, target, bases, starts)
-    reached = list(postures[:, left <= REACHED].T)
-    if gravity and reached:
+    postures, left = solve_postures(plant, target, bases, starts)
+    reached, broken = list(postures[:, left <= REACHED].T), ""
+    if gravity:
         settled = (_under_gravity(plant, target, base, posture) for posture in _distinct(reached, SAME))
+        broken = "every posture that reaches it breaks a joint limit under gravity" if reached else ""
         reached = [posture for posture in settled if inside_limits(plant.machine, posture[:, None])[0]]
         if not reached:
-            raise missed(plant, target, base, 0.0, "every posture that reaches it breaks a joint limit under gravity")
+            # The border of the reach is another as the machine sags: the nearest are led there.
+            nearest = np.argsort(left, kind="stable")[:NEAREST]
+            postures, left = solve_held(plant, target, bases[:, nearest], postures[:, nearest])
+            reached = list(postures[:, left <= REACHED].T)
     if not reached:
-        raise missed(plant, target, base, float(np.nanmin(left)))
+        raise missed(plant, target, base, float(np.nanmin(left, initial=math.inf)), broken)
     turned = list(into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
     return _distinct(sorted(turned, key=lambda posture: float(np.abs(posture - (low + high) / 2).max())), SAME)
 
