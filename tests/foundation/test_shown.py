@@ -19,7 +19,7 @@ from flexopt.model.file_model import FileModel
 from tests.boundary.calls import OBJECTS
 
 # Of a page of 120 columns; the tables of what results print.
-LETTERS_MAX, LINES_MAX = 1700, 20
+LETTERS_MAX, LINES_MAX = 1900, 20
 # Of what is no result, one line of a notebook.
 LINE_MAX = 200
 # Objects that are asked to do things, and things to ask with: no results.
