@@ -159,8 +159,8 @@ def way_to_rest(plant: Plant, other: ca.MX) -> Callable[[float], tuple[ca.MX, ca
     In the first half what relieves the machine: every parameter goes to the lower of both, as weights do, and springs
     to K_own + K_other − 2 K_other (K_own + K_other)⁻¹ K_own, the contraharmonic mean, which is near the stiffer of
     both. In the second what loads it: weights grow, and springs give way. Each time compliances K_p⁻¹ go straight. So
-    nothing sags farther on the way than at its ends, and no spring gives way before others, in whatever axes. Where the
-    machine itself has no spring the other's is there from the start.
+    one spring under a load sags no farther on the way than at its ends, and none gives way before others, in whatever
+    axes. Where the machine itself has no spring the other's is there from the start.
     """
     m, own = plant.n_passive, plant.parameter_values
     before: Vector = plant.stiffness.call([own])[0].full()[:m, :m]

@@ -125,10 +125,11 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
         if not reached:
             # The border of the reach is another as the machine sags: the nearest are led there.
             nearest = np.argsort(left, kind="stable")[:NEAREST]
-            postures, left = solve_held(plant, target, bases[:, nearest], postures[:, nearest])
-            reached = list(postures[:, left <= REACHED].T)
+            postures, held = solve_held(plant, target, bases[:, nearest], postures[:, nearest])
+            reached, left = list(postures[:, held <= REACHED].T), np.append(left, held)
     if not reached:
-        raise missed(plant, target, base, float(np.nanmin(left, initial=math.inf)), broken)
+        # Where springs hold no posture it is as far off as at rest.
+        raise missed(plant, target, base, float(np.nanmin(left)), broken)
     turned = list(into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
     return _distinct(sorted(turned, key=lambda posture: float(np.abs(posture - (low + high) / 2).max())), SAME)
 
