@@ -154,7 +154,7 @@ def build_one(
     beside = assumed(plant, asked.assume, targets, kept, now, ranged, given=told is not None)
     rows = build_constraints(plant, kept, beside.ground, gravity=asked.gravity, limits=limits)
     constraint_set = rows if len(rows) else None
-    ranges, sampled, intervals = _placements(plant, target, ranges, margin, now, beside.drive)
+    ranges, sampled, intervals = _placements(plant, target, ranges, margin, now, beside.drive, gravity=asked.gravity)
     length = outer_reach(plant)[1]
     lengths = {"m": length or 1.0, "rad": 1.0}
     variables = [
@@ -209,9 +209,10 @@ def build_one(
         scan = scan_redundancy(
             functions, target, intervals, objectives[0], sine_squared, limits, constraint_set, seed, areas
         )
-        if scan.size or not scan.reached:
+        if scan.size or not (scan.reached or asked.gravity):
             return scan, 0.0
-        # Narrow limits may lie between the points of a scan: Newton steps lead into them.
+        # Narrow limits may lie between the points of a scan, and the border of the reach is another as the machine
+        # sags: Newton steps lead into them.
         between = moved()[0]
         sines = plant.singularity_sine_squared(between.base, between.posture, plant.parameter_values).full()
         return (between if np.any(sines >= sine_squared) else scan), 0.0
@@ -300,29 +301,37 @@ def _present(
 
 
 def _placements(
-    plant: Plant, target: Vector, given: Ranges, margin: float, present: Vector | None, drive: float | None
+    plant: Plant,
+    target: Vector,
+    given: Ranges,
+    margin: float,
+    present: Vector | None,
+    drive: float | None,
+    *,
+    gravity: bool,
 ) -> tuple[Ranges, Ranges, list[Interval]]:
     """Bounds of the placement coordinates, ranges to sample them in, and in the plane the parts that reach."""
     machine = plant.machine
     if plant.closed_form:
         annulus = reach(plant, margin)
         intervals = annulus.base_intervals(target)
-        if not intervals:
+        if not intervals and not gravity:
             raise unreachable(plant, target, None, margin=margin)
         # Beyond the margin's own ends, so that the margin and not the range is what stops the base.
-        whole = reach(plant).base_intervals(target)
+        about = float(target[0] - annulus.center[0])
+        whole = reach(plant).base_intervals(target) or [(about - annulus.outer, about + annulus.outer)]
         (name,) = machine.base_coordinates
         span = given.get(name, _driven((whole[0][0], whole[-1][1]), present, 0, drive))
         return {name: span}, {name: span}, clipped(intervals, span)
     center, outer = outer_reach(plant)
     rows = machine.task_rows
     rise = float(target[rows.index("z")] - center[2]) if "z" in rows else 0.0
-    if abs(rise) > outer:
+    if abs(rise) > outer and not gravity:
         off, side = abs(rise) - outer, "above" if rise > 0 else "below"
         why = f"it lies {off:.4g} m or more {side} what the arm reaches, stretched out, wherever the base stands"
         raise missed(plant, target, None, off, why)
     # The anchor is within this of the target, seen from above, however the base is turned.
-    far = math.sqrt(outer**2 - rise**2) + math.hypot(center[0], center[1])
+    far = (math.sqrt(outer**2 - rise**2) if abs(rise) < outer else outer) + math.hypot(center[0], center[1])
     bounds, sampled = Ranges(), Ranges()
     for k, name in enumerate(machine.base_coordinates):
         if name == "yaw":

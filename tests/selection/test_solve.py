@@ -286,6 +286,20 @@ def test_unreachable_targets_say_by_how_much_and_from_where(machine):
     assert 0 < caught.value.miss <= 5.0 - high
 
 
+@pytest.mark.parametrize("posture", [(-1.8361, 0.03), (-2.82, 0.02), (1.43, -0.03)])
+def test_what_only_the_sagging_machine_reaches_is_chosen(machine, posture):
+    """A nearly straight arm sinks by more than it is bent; below itself it reaches lower than from any placement."""
+    target = flexopt.evaluate(machine, posture, gravity=True).end_point
+    asked = {"base": 0.0, "base_range": (-1e-5, 1e-5), "singularity_margin_deg": 0.1, "starts": 2}
+    with pytest.raises(flexopt.UnreachableTarget):
+        flexopt.select(machine, target, **asked)
+    best = flexopt.select(machine, target, gravity=True, **asked).best.evaluation
+    again = flexopt.evaluate(machine, best.posture, base=best.base, gravity=True)
+    np.testing.assert_allclose(again.end_point, target, atol=1e-8)
+    with pytest.raises(flexopt.UnreachableTarget, match="cannot reach"):
+        flexopt.select(machine, target - (0.0, 9.0), gravity=True, **asked)
+
+
 def test_unreachable_target_of_three_joints(three_links):
     with pytest.raises(flexopt.UnreachableTarget, match="within reach with the base at"):
         flexopt.select(three_links, TARGET, base_range=(50.0, 51.0))
