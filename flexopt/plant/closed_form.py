@@ -27,6 +27,7 @@ class InverseKinematicsGraph:
         target: (2,); elbow: −1 or +1; unit: (n − 2,) free coordinates in [0, 1].
         posture: (n,).
         cos_elbow: beyond ±1 where the target is out of reach.
+        bend: of the elbow, of any posture of the graph, rad.
         first_joint_point, segment_lengths: where the arm starts at rest (2,), and the lengths between its joints (n,).
     """
 
@@ -35,6 +36,7 @@ class InverseKinematicsGraph:
     elbow: ca.SX
     posture: ca.SX
     cos_elbow: ca.SX
+    bend: ca.SX
     first_joint_point: ca.SX
     segment_lengths: ca.SX
 
@@ -109,6 +111,7 @@ def build_inverse_kinematics(graph: MachineGraph) -> InverseKinematicsGraph:
             *(sense * ca.atan2(ca.sin(angle), ca.cos(angle)) for sense, angle in zip(senses, angles, strict=True))
         ),
         cos_elbow=cos_elbow,
+        bend=senses[-1] * graph.posture[-1] + bearings[-1] - bearings[-2],
         first_joint_point=corners[0],
         segment_lengths=ca.vertcat(*lengths),
     )

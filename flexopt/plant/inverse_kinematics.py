@@ -16,27 +16,27 @@ from typing import Any, cast
 import casadi as ca
 import numpy as np
 
-from flexopt.algebra.feasible import feasible_steps, repeated, shortest_steps
-from flexopt.errors import NoSolutionFound, UnreachableTarget
+from flexopt.algebra.feasible import feasible_steps, repeated
+from flexopt.errors import UnreachableTarget
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, TargetLike, Vector
 from flexopt.foundation.boundary import public
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.plant.plant import Plant, build_plant
-from flexopt.plant.reach import arm_length, missed, sampled_ranges, unreachable
-from flexopt.plant.statics import check_held
+from flexopt.plant.reach import arm_length, missed, reach, sampled_ranges, unreachable
+from flexopt.plant.statics import holding, not_held
 
 ELBOW_SIGN: dict[Elbow, float] = {"up": -1.0, "down": 1.0}
 SAMPLES = 256
-# So many of these are led to a target as the machine sags, which at rest is out of reach.
+# So many of these, the nearest, are led to a target as the machine sags.
 NEAREST = 64
 # Postures closer than this, found by iteration, are one.
 SAME = 1e-6
 # A target is reached to this share of a metre, position and orientation rows alike.
 REACHED = 1e-10
-# Rounds in which the sag of a posture settles: each leaves the share by which it changes with the posture.
-SAGS = 40
+# Least distance from the border of the reach, as a share of it, at which an elbow is bent enough to say which it is.
+INSIDE = 1e-3
 # How far off a posture of a machine that sags may be, as a share of the arm, to start from.
 NEARLY = 1e-3
 # Rounding may push |cos| past 1 by this much on the edge of the reach.
@@ -91,25 +91,43 @@ def inverse_kinematics(
     unit = low_discrepancy(free, SAMPLES, seed) if free else np.zeros((0, 1))
     bases = np.repeat(placement[:, None], unit.shape[1], axis=1)
     reached: list[Vector] = []
+    starts = _inside_reach(plant, point, placement) if gravity else point
     for name, sign in ELBOW_SIGN.items():
         if elbow in (None, name):
-            postures, reaches = branch(plant, point, bases, unit, sign)
+            postures, reaches = branch(plant, starts, bases, unit, sign)
             reached += list(postures[:, reaches].T)
-    if gravity and reached:
-        settled = [_under_gravity(plant, point, placement, posture) for posture in reached]
-        reached = list(into_limits(machine, np.array(settled).T).T)
+    sagging, why = None, ""
+    if gravity:
+        reached, sagging = _settled(plant, point, placement, np.array(reached).reshape(-1, plant.n_actuated).T)
     found = [posture for posture in reached if inside_limits(machine, posture[:, None])[0]]
     if not found and (gravity or (reached and free)):
-        # Narrow limits may lie between the points of the sample, and the border of the reach is another as the machine
-        # sags: Newton steps lead into them.
+        # Narrow limits may lie between the points of the sample: Newton steps lead into them.
         with suppress(UnreachableTarget):
-            moved = _by_iteration(plant, point, placement, gravity, seed)
-            found = [posture for posture in moved if elbow is None or np.sin(posture[-1]) * ELBOW_SIGN[elbow] > 0]
+            found = _by_iteration(plant, point, placement, gravity, seed)
+    if elbow is not None and found:
+        # Weight, or steps from far off, may bend it the other way.
+        bends = (
+            plant.elbow.call([placement, np.array(found).T, plant.parameter_values])[0].full().ravel()
+            * ELBOW_SIGN[elbow]
+        )
+        found = [posture for posture, bend in zip(found, bends, strict=True) if bend >= -SAME]
+        why = "" if found else f"no posture that was found to reach it has the elbow {elbow}"
     if not found:
-        bent = "" if elbow is None else f" with the elbow {elbow}"
-        why = f"every posture{bent} that reaches it breaks a joint limit" if reached else ""
-        raise unreachable(plant, point, placement, why)
+        if reached and not gravity:
+            bent = "" if elbow is None else f" with the elbow {elbow}"
+            why = f"every posture{bent} that reaches it breaks a joint limit"
+        raise unreachable(plant, point, placement, why, sagging=sagging)
     return _distinct(found)
+
+
+def _inside_reach(plant: Plant, target: Vector, base: Vector) -> Vector:
+    """The point nearest to a target at which the arm is bent, springs unloaded: where each elbow starts to sag from."""
+    annulus = reach(plant)
+    center: Vector = annulus.center + np.append(base, 0.0)
+    away, least = target - center, INSIDE * annulus.outer
+    distance = float(np.hypot(*away))
+    inside = float(np.clip(distance, annulus.inner + least, annulus.outer - least))
+    return target if inside == distance else center + (away / distance if distance else np.array([1.0, 0.0])) * inside
 
 
 def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, seed: int) -> list[Vector]:
@@ -117,19 +135,16 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
     starts = low[:, None] + (high - low)[:, None] * low_discrepancy(plant.n_actuated, SAMPLES, seed)
     bases = np.repeat(base[:, None], SAMPLES, axis=1)
     postures, left = solve_postures(plant, target, bases, starts)
-    reached, broken = list(postures[:, left <= REACHED].T), ""
+    reached = list(postures[:, left <= REACHED].T)
+    off = float(np.nanmin(left))
     if gravity:
-        settled = (_under_gravity(plant, target, base, posture) for posture in _distinct(reached, SAME))
-        broken = "every posture that reaches it breaks a joint limit under gravity" if reached else ""
-        reached = [posture for posture in settled if inside_limits(plant.machine, posture[:, None])[0]]
+        # The border of the reach is another as the machine sags: the nearest are led there.
+        nearest = postures[:, np.argsort(left, kind="stable")[:NEAREST]]
+        reached, off = _settled(plant, target, base, np.array(_distinct(reached, SAME)).T if reached else nearest)
         if not reached:
-            # The border of the reach is another as the machine sags: the nearest are led there.
-            nearest = np.argsort(left, kind="stable")[:NEAREST]
-            postures, held = solve_held(plant, target, bases[:, nearest], postures[:, nearest])
-            reached, left = list(postures[:, held <= REACHED].T), np.append(left, held)
+            reached, off = _settled(plant, target, base, nearest)
     if not reached:
-        # Where springs hold no posture it is as far off as at rest.
-        raise missed(plant, target, base, float(np.nanmin(left)), broken)
+        raise missed(plant, target, base, off)
     turned = list(into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
     return _distinct(sorted(turned, key=lambda posture: float(np.abs(posture - (low + high) / 2).max())), SAME)
 
@@ -180,26 +195,56 @@ def solve_postures(plant: Plant, target: Vector, bases: Vector, starts: Vector) 
     return z[n_b:], left
 
 
+@lru_cache(maxsize=32)
+def held_steps(machine: AnyMachine) -> ca.Function:
+    """`feasible_steps` of what springs and weight leave over and of the task in z = [base, q]; the last input is p."""
+    plant = build_plant(machine)
+    g, m = plant.graph, plant.n_passive
+    left = plant.static_force(g.q[:m], g.base, g.q[m:], g.p)
+    return feasible_steps(ca.vertcat(left, g.end_point), ca.vertcat(g.base, g.q), [g.p])
+
+
 def solve_held(plant: Plant, target: Vector, bases: Vector, starts: Vector) -> tuple[Vector, Vector]:
     """As `solve_postures`, with the end-point of the machine as it sags under its weight on the target.
 
-    Each round aims at rest beside the target by what the last posture sags, which hardly changes from one to the next.
+    Steps turn the arm and let the springs give way at once. How far off a posture is, is told of where the springs
+    hold the machine then: infinite where they do not.
     """
-    p, postures = plant.parameter_values, starts
+    p, m, n_b = plant.parameter_values, plant.n_passive, plant.n_base
+    low, high = (np.array(ends)[:, None] for ends in zip(*plant.machine.limits, strict=True))
+    starts, goals = (
+        np.clip(starts, low, high),
+        np.broadcast_to(target.reshape(plant.n_task, -1), (plant.n_task, starts.shape[1])),
+    )
+    rest = plant.rest.call([bases, starts, p])[0].full()[:m]
+    sagged = plant.deflected.call([bases, starts, p])[0].full()
+    q_p = cast(Vector, np.where(np.isfinite(sagged), sagged, rest))
+    z: Vector = np.vstack([bases, q_p, starts])
+    free, unbounded = np.ones(len(z)), np.full(n_b + m, np.inf)
+    free[:n_b] = 0.0
+    length = arm_length(plant)
+    units = [*plant.machine.base_units, *plant.graph.coordinate_units]
+    scale = np.array([1.0 if unit == "rad" else length for unit in units])
+    of_z = np.append(-unbounded, low), np.append(unbounded, high), free, scale
+    springs = np.diag(plant.stiffness.call([p])[0].full())[:m]
+    rows = np.vstack([np.zeros((m, goals.shape[1])), goals])
+    of_rows = rows, rows, np.append(np.where(springs > 0, springs, 1.0), np.ones(plant.n_task))
+    postures = repeated(held_steps(plant.machine), z, of_z, of_rows, [p], REACHED)[0][n_b + m :]
+    q = np.vstack([plant.deflected.call([bases, postures, p])[0].full(), postures])
+    off = np.abs(plant.end_point.call([q, bases, p])[0].full() - goals).max(axis=0)
+    return postures, np.where(np.isfinite(off) & holding(plant, q, bases), off, math.inf)
 
-    def sag() -> Vector:
-        at_rest = plant.rest.call([bases, postures, p])[0]
-        sagged = ca.vertcat(plant.deflected.call([bases, postures, p])[0], postures)
-        return (plant.end_point.call([at_rest, bases, p])[0] - plant.end_point.call([sagged, bases, p])[0]).full()
 
-    sunk, off = sag(), np.full(starts.shape[1], math.inf)
-    for _ in range(SAGS):
-        postures, left = solve_postures(plant, target.reshape(plant.n_task, -1) + sunk, bases, postures)
-        before, sunk = sunk, sag()
-        off = left + np.abs(sunk - before).max(axis=0)
-        if np.all(off <= REACHED):
-            break
-    return postures, off
+def _settled(plant: Plant, target: Vector, base: Vector, starts: Vector) -> tuple[list[Vector], float]:
+    """Postures of the machine as it sags that starts (n, N) lead to, and how far off the nearest is, m.
+
+    Raises:
+        InputError: the springs hold none.
+    """
+    postures, off = solve_held(plant, target, np.repeat(base[:, None], starts.shape[1], axis=1), starts)
+    if not np.isfinite(off).any():
+        raise not_held()
+    return list(into_limits(plant.machine, postures[:, off <= REACHED]).T), float(off.min())
 
 
 def held_on(plant: Plant, target: Vector, bases: Vector, postures: Vector) -> Vector:
@@ -272,27 +317,3 @@ def _distinct(postures: list[Vector], tolerance: float = 1e-7) -> list[Vector]:
         if kept[i]:
             kept[i + 1 :] &= np.abs(points[i + 1 :] - points[i]).max(axis=1) > tolerance
     return [posture for posture, keep in zip(postures, kept, strict=True) if keep]
-
-
-def _under_gravity(plant: Plant, target: Vector, base: Vector, posture: Vector) -> Vector:
-    """Newton's method from the posture at rest to the one whose deflected end-point is on the target."""
-    p = plant.parameter_values
-
-    def settled(posture: Vector) -> Vector:
-        return np.concatenate([plant.deflected(base, posture, p).full().ravel(), posture])
-
-    def linear(posture: Vector) -> tuple[Vector, Vector]:
-        q = settled(posture)
-        return plant.end_point(q, base, p).full().ravel() - target, plant.rigid_jacobian(q, base, p).full()
-
-    tolerance = 1e-13 * (1 + float(np.abs(target).max()))
-    posture, off = shortest_steps(linear, posture, np.ones(posture.size), tolerance, steps=20)
-    check_held(plant, settled(posture), base)
-    if not off < 1e-9:
-        raise NoSolutionFound(
-            f"inverse kinematics under gravity did not converge: the deflected end-point stays {off:.3g} m off the "
-            "target; stiffer springs would help",
-            violations={"target": off},
-            iterate={name: float(angle) for name, angle in zip(plant.machine.joints, posture, strict=True)},
-        )
-    return posture

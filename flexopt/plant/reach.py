@@ -70,7 +70,12 @@ def clipped(intervals: list[Interval], allowed: Interval) -> list[Interval]:
 
 
 def unreachable(
-    plant: Plant, target: Vector, base: Vector | None, why: str = "", margin: float = 0.0
+    plant: Plant,
+    target: Vector,
+    base: Vector | None,
+    why: str = "",
+    margin: float = 0.0,
+    sagging: float | None = None,
 ) -> UnreachableTarget:
     """The error for a target that no posture reaches: by how much, and which placements would do.
 
@@ -80,6 +85,7 @@ def unreachable(
         base: the placement asked for, or None when every placement was allowed.
         why: what stands in the way when the distance alone does not (joint limits).
         margin: as for `reach`.
+        sagging: how far off the nearest posture of the machine as it sags was, m, where it does.
     """
     annulus = reach(plant, margin)
     intervals = annulus.base_intervals(target)
@@ -95,7 +101,10 @@ def unreachable(
     )
     if margin > 0:
         by += f", {math.degrees(margin):g}° kept from singular postures"
-    if miss == 0.0:
+    if sagging is not None:
+        miss = sagging
+        by = f": {nearest_told(miss, ' of the machine as it sags')}"
+    if miss == 0.0 or (sagging is not None and why):
         by = f": {why}" if why else ""
     if intervals:
         spans = " or ".join(f"{low:.4f} to {high:.4f} m" for low, high in intervals)
@@ -168,6 +177,11 @@ def slide_reach(plant: Plant) -> float:
     return sum(float(np.abs(ends[name]).max()) for name in path_to_end_point(plant.machine)[1])
 
 
+def nearest_told(left: float, of: str = "") -> str:
+    """How far off the nearest posture is, m, in words."""
+    return f"the nearest posture{of} found inside the joint limits stays {left:.4g} m off in one of the task's rows"
+
+
 def missed(plant: Plant, target: Vector, base: Vector | None, left: float, why: str = "") -> UnreachableTarget:
     """The error for a target that no start led to, on a machine without closed form.
 
@@ -189,5 +203,5 @@ def missed(plant: Plant, target: Vector, base: Vector | None, left: float, why: 
             )
         )
         sentence += f" with the base at {', '.join(placed)}"
-    by = why or f"the nearest posture found inside the joint limits stays {left:.4g} m off in one of the task's rows"
+    by = why or nearest_told(left)
     return UnreachableTarget(f"{sentence}: {by}", miss=left)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.errors import InputError, NoSolutionFound
 from flexopt.foundation.arrays import Vector
@@ -75,6 +76,16 @@ def check_held(plant: Plant, q: Vector, base: Vector) -> Vector:
     if not np.all(np.isfinite(stiffness)) or np.linalg.eigvalsh(stiffness[:m, :m])[0] <= 0:
         raise not_held()
     return stiffness
+
+
+def holding(plant: Plant, q: Vector, bases: Vector) -> NDArray[np.bool_]:
+    """At which static equilibria (n_q, N) the springs hold the machine, (N,); `bases`: placements (n_b, N)."""
+    m, p, count = plant.n_passive, plant.parameter_values, q.shape[1]
+    at = plant.gravity_stiffness.call([q, bases, p])[0].full().reshape(m, count, m).transpose(1, 0, 2)
+    tangents = plant.stiffness.call([p])[0].full()[:m, :m] + at
+    held: NDArray[np.bool_] = np.isfinite(tangents).all(axis=(1, 2))
+    held[held] = np.linalg.eigvalsh(tangents[held])[:, 0] > 0
+    return held
 
 
 def not_held() -> InputError:

@@ -213,9 +213,11 @@ def build_one(
             return scan, 0.0
         # Narrow limits may lie between the points of a scan, and the border of the reach is another as the machine
         # sags: Newton steps lead into them.
-        between = moved()[0]
+        between, off = moved()
         sines = plant.singularity_sine_squared(between.base, between.posture, plant.parameter_values).full()
-        return (between if np.any(sines >= sine_squared) else scan), 0.0
+        if np.any(sines >= sine_squared):
+            return between, off
+        return replace(scan, reached=scan.reached or between.reached), off
 
     scan, off = looked(asked.seed, kept)
     if scan.size == 0:
@@ -371,28 +373,34 @@ def _nothing_found(
 ) -> Exception:
     """The error when no point of the redundancy was left."""
     plant = functions.measures.plant
-    if scan.unsound:
+    if scan.unsound or math.isinf(off):
         return not_held()
     if scan.undefined:
         return InputError(f"select: objective {UNDEFINED}", [Fault("objective", UNDEFINED)], "select")
     if not plant.closed_form:
         return missed(plant, target, None, off)
-    return _why_unreachable(plant, target, ranges[plant.machine.base_coordinates[0]], margin, scan.reached)
+    sagging = off if functions.measures.gravity else None
+    return _why_unreachable(plant, target, ranges[plant.machine.base_coordinates[0]], margin, scan.reached, sagging)
 
 
 def _why_unreachable(
-    plant: Plant, target: Vector, base_range: tuple[float, float], margin: float, reached: bool
+    plant: Plant,
+    target: Vector,
+    base_range: tuple[float, float],
+    margin: float,
+    reached: bool,
+    sagging: float | None,
 ) -> UnreachableTarget:
     if reached:
         why = (
             "every posture that reaches it breaks a joint limit or comes closer than "
             f"{math.degrees(margin):.4g}° to a singular posture"
         )
-        return unreachable(plant, target, None, why, margin)
+        return unreachable(plant, target, None, why, margin, sagging)
     annulus = reach(plant, margin)
     nearest = min(
         (np.array([np.clip(x, *base_range)]) for span in annulus.base_intervals(target) for x in span),
         key=lambda b: annulus.miss(target, b),
         default=np.array([np.clip(target[0] - annulus.center[0], *base_range)]),
     )
-    return unreachable(plant, target, nearest, margin=margin)
+    return unreachable(plant, target, nearest if sagging is None else None, margin=margin, sagging=sagging)

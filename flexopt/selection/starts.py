@@ -134,7 +134,8 @@ def sample_configurations(problem: SelectionProblem, starts: int, areas: Constra
         # The border of the reach is another as the machine sags: the nearest are led there.
         nearest = np.argsort(np.nan_to_num(off, nan=math.inf), kind="stable")[:NEAREST_HELD]
         held, beside = solve_held(plant, problem.target, z[:n_b, nearest], z[n_b:, nearest])
-        z[n_b:, nearest], off[nearest] = held, beside / problem.row_bounds[2][0]
+        z[n_b:, nearest], off[:] = held, math.inf
+        off[nearest] = beside / problem.row_bounds[2][0]
         reaches = off <= FEASIBLE
     if not reaches.any():
         return empty_scan(plant, reached=False), float(np.nanmin(off) * problem.row_bounds[2][0])

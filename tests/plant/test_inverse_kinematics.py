@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from scipy.optimize import minimize
+from scipy.optimize import minimize, root
 
 from flexopt import SingularPosture, UnreachableTarget, build_plant, evaluate, inverse_kinematics, load
 from flexopt.model import machine_from_dict
@@ -199,6 +200,56 @@ def test_the_border_of_the_reach_is_that_of_the_sagging_machine(name):
             assert all(a - 1e-9 <= x <= b + 1e-9 for x, (a, b) in zip(posture, machine.limits, strict=True))
             told += 1
     assert told > 3
+
+
+def missed_from(machine, bearing, beyond):
+    """posture -> end-point of the machine as it sags less a target, from None less it alone: that far from the border."""
+    plant = build_plant(machine)
+    p, arm = plant.parameter_values, plant.arm_segments(p=plant.parameter_values)
+    center, length = arm["first_joint"].full().ravel(), float(arm["lengths"].full().sum())
+    target = center + (length + beyond) * np.array([np.cos(bearing), np.sin(bearing)])
+
+    def off(posture):
+        if posture is None:
+            return -target
+        q = ca.vertcat(plant.deflected(0.0, posture, p), posture)
+        return plant.end_point(q, 0.0, p).full().ravel() - target
+
+    return off
+
+
+@pytest.mark.parametrize(("bearing", "beyond"), [(0.8, 0.003), (0.0, 0.01), (-0.8, 0.01), (3.14, 0.003), (0.0, -0.4)])
+def test_under_gravity_each_elbow_is_found_up_to_the_border_of_the_reach(bearing, beyond):
+    """Which elbow it is is that of the posture found, not of the one that it sags from; by SciPy from either side."""
+    machine = load("excavator")
+    off = missed_from(machine, bearing, beyond)
+    target = -off(None)
+    for elbow, sign in (("up", -1.0), ("down", 1.0)):
+        near = [bearing - machine.base.rest_angle - sign * 0.1, sign * 0.2]
+        by_scipy = root(off, near, tol=1e-12)
+        assert by_scipy.success
+        assert by_scipy.x[1] * sign > 0.01
+        (found,) = inverse_kinematics(machine, target, gravity=True, elbow=elbow)
+        turned = (found - by_scipy.x + np.pi) % (2 * np.pi) - np.pi
+        np.testing.assert_allclose(turned, 0.0, atol=1e-7)
+    assert len(inverse_kinematics(machine, target, gravity=True)) == 2
+
+
+@pytest.mark.parametrize(("bearing", "beyond"), [(0.0, 0.03), (0.8, 0.01), (1.57, -0.003)])
+def test_beyond_the_border_of_the_sagging_reach_it_is_told_by_how_much(bearing, beyond):
+    """Upwards what is within reach with springs unloaded is not as the machine sags."""
+    machine = load("excavator")
+    off = missed_from(machine, bearing, beyond)
+    target = -off(None)
+    with pytest.raises(UnreachableTarget, match="of the machine as it sags") as caught:
+        inverse_kinematics(machine, target, gravity=True)
+
+    straight = bearing - machine.base.rest_angle
+    nearest = min(
+        minimize(lambda x: np.linalg.norm(off(x)), [straight, bend], method="Nelder-Mead").fun for bend in (-0.1, 0.1)
+    )
+    # Told is the larger of two rows, at a posture that is nearly the nearest.
+    assert 0.7 * nearest < caught.value.miss < 1.3 * nearest
 
 
 def test_limits_hold_under_gravity_too():

@@ -296,8 +296,12 @@ def test_what_only_the_sagging_machine_reaches_is_chosen(machine, posture):
     best = flexopt.select(machine, target, gravity=True, **asked).best.evaluation
     again = flexopt.evaluate(machine, best.posture, base=best.base, gravity=True)
     np.testing.assert_allclose(again.end_point, target, atol=1e-8)
-    with pytest.raises(flexopt.UnreachableTarget, match="cannot reach"):
-        flexopt.select(machine, target - (0.0, 9.0), gravity=True, **asked)
+    with pytest.raises(flexopt.UnreachableTarget, match="closer than 9° to a singular posture"):
+        flexopt.select(machine, target, gravity=True, **asked | {"singularity_margin_deg": 9})
+    away = target + 0.05 * (target - (0.17, 0.51))
+    with pytest.raises(flexopt.UnreachableTarget, match="of the machine as it sags") as caught:
+        flexopt.select(machine, away, gravity=True, **asked)
+    assert 0.05 < caught.value.miss < 0.2
 
 
 def test_unreachable_target_of_three_joints(three_links):
