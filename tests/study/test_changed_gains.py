@@ -16,7 +16,7 @@ from flexopt.model.loop import Loop
 from flexopt.study.verdicts import changed_gains
 from flexopt.study.verdicts.changed_gains import ChangedGains, GainChange
 from flexopt.study.verdicts.decision import Place
-from flexopt.study.verdicts.gain_search import at_ends
+from flexopt.study.verdicts.gain_search import at_ends, best_gains, has_reserve
 from flexopt.study.verdicts.places import STAY
 
 GROUNDS = np.linspace(1.0, 1.2, 40)
@@ -374,3 +374,32 @@ def test_gains_are_changed_to_the_lowest_that_were_tried_and_that_is_said() -> N
     assert found.word == "change gains"
     assert found.gains["kp"][0] == pytest.approx(123.11)
     assert "no lower ones were tried than 0.01 times the present ones: kp_range and kv_range" in found.sentence
+
+
+class Window:
+    """A loop that decays for gains Kp between two, fastest right below the higher."""
+
+    def __init__(self, settings, low, high):
+        self.settings, self.low, self.high = settings, low, high
+
+    def with_settings(self, settings):
+        return Window(settings, self.low, self.high)
+
+    def decays(self, members):
+        kp = float(self.settings.kp[0])
+        decay = min(kp - self.low, 40.0 * (self.high - kp)) / self.low
+        return np.full((1, len(members)), decay)
+
+
+@pytest.mark.parametrize(("width", "has"), [(1.5, True), (1.08, False)])
+def test_of_gains_such_with_a_reserve_are_taken_but_not_such_that_grow(width, has):
+    """Also where only gains without reserve decay at all, and the rest of the range grows."""
+    settings = flexopt.outcome(flexopt.load("excavator"), (0.0448, -2.0499), loop={"kp": 2e3, "kv": 300.0}).settings
+    window, members = Window(settings, 1000.0, 1000.0 * width), np.zeros((3, 1))
+    asked = Loop.model_validate({"kp": 2e3, "kv": 300.0, "kp_range": (800.0, 2500.0)})
+    best = best_gains(window, asked, members, lambda loop: True)
+    kp = best.settings.kp[0]
+    assert 1000.0 < kp < 1000.0 * width
+    assert (1.1 * kp < 1000.0 * width) == has == has_reserve(best, asked, members)
+    never = best_gains(Window(settings, 3000.0, 4000.0), asked, members, lambda loop: True)
+    np.testing.assert_allclose(never.settings.kp, 2500.0, rtol=1e-6)

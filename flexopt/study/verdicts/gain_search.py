@@ -33,7 +33,7 @@ def best_gains(loop: PlaceLoops, asked: Loop, members: Vector, does: Callable[[P
     """The loop with the best gains within `asked`'s ranges; with none, all gains times one factor, 0.01 to 10.
 
     The criterion is the decay of the slowest of the members (n, k) at the worst target; they should be few. Of gains
-    with which the loop does what it must, and bears `RESERVE` times as much, where any of those looked at do.
+    with which the loop does what it must: such that bear `RESERVE` times as much, where any of those looked at do.
     """
     from scipy.optimize import minimize  # noqa: PLC0415  (loads slowly)
 
@@ -47,14 +47,21 @@ def best_gains(loop: PlaceLoops, asked: Loop, members: Vector, does: Callable[[P
     def growth(x: Any) -> float:
         return -float(with_gains(x).decays(members).min())
 
-    def fits(x: Any) -> bool:
+    def with_reserve(x: Any) -> bool:
         tried = with_gains(x)
         return has_reserve(tried, asked, members) and does(tried)
+
+    def without(x: Any) -> bool:
+        return does(with_gains(x))
 
     points = list(product(*(axis.tolist() for axis in axes)))
     values = [growth(point) for point in points]
     order: list[int] = np.argsort(values, kind="stable").tolist()
-    first = next((k for k in order if fits(points[k])), None)
+    fits = with_reserve
+    first = next((k for k in order if values[k] < 0 and fits(points[k])), None)
+    if first is None:
+        fits = without
+        first = next((k for k in order if fits(points[k])), None)
     start = np.array(points[order[0] if first is None else first])
     least = growth(start)
 
@@ -80,9 +87,8 @@ def lowered(loop: PlaceLoops, asked: Loop, factor: float) -> PlaceLoops:
 
 
 def has_reserve(loop: PlaceLoops, asked: Loop, members: Vector) -> bool:
-    """Whether a loop that decays for members (n, k) does with gains `RESERVE` times as high; of one that grows, yes."""
-    decays = float(loop.decays(members).min())
-    return decays <= 0 or float(lowered(loop, asked, RESERVE).decays(members).min()) > 0
+    """Whether a loop decays for members (n, k), and with gains `RESERVE` times as high, too."""
+    return all(float(each.decays(members).min()) > 0 for each in (loop, lowered(loop, asked, RESERVE)))
 
 
 def most_room(
