@@ -35,6 +35,8 @@ NEAREST = 64
 SAME = 1e-6
 # A target is reached to this share of a metre, position and orientation rows alike.
 REACHED = 1e-10
+# A row of springs in units of what so much gives way, m or rad: rather is the end-point off than that they do not hold.
+HOLD = 0.1
 # Least distance from the border of the reach, as a share of it, at which an elbow is bent enough to say which it is.
 INSIDE = 1e-3
 # How far off a posture of a machine that sags may be, as a share of the arm, to start from.
@@ -91,7 +93,7 @@ def inverse_kinematics(
     unit = low_discrepancy(free, SAMPLES, seed) if free else np.zeros((0, 1))
     bases = np.repeat(placement[:, None], unit.shape[1], axis=1)
     reached: list[Vector] = []
-    starts = _inside_reach(plant, point, placement) if gravity else point
+    starts = inside_reach(plant, point, placement[:, None])[0] if gravity else point
     for name, sign in ELBOW_SIGN.items():
         if elbow in (None, name):
             postures, reaches = branch(plant, starts, bases, unit, sign)
@@ -120,14 +122,19 @@ def inverse_kinematics(
     return _distinct(found)
 
 
-def _inside_reach(plant: Plant, target: Vector, base: Vector) -> Vector:
-    """The point nearest to a target at which the arm is bent, springs unloaded: where each elbow starts to sag from."""
+def inside_reach(plant: Plant, target: Vector, bases: Vector) -> tuple[Vector, Vector]:
+    """The points (2, N) nearest to a target at which a planar arm is bent, springs unloaded; how far off they are, m.
+
+    Each elbow sags from there to the target of placements (1, N).
+    """
     annulus = reach(plant)
-    center: Vector = annulus.center + np.append(base, 0.0)
-    away, least = target - center, INSIDE * annulus.outer
-    distance = float(np.hypot(*away))
-    inside = float(np.clip(distance, annulus.inner + least, annulus.outer - least))
-    return target if inside == distance else center + (away / distance if distance else np.array([1.0, 0.0])) * inside
+    center = annulus.center[:, None] + np.vstack([bases, np.zeros_like(bases)])
+    away, least = target[:, None] - center, INSIDE * annulus.outer
+    distance = np.hypot(*away)
+    inside = np.clip(distance, annulus.inner + least, annulus.outer - least)
+    along = np.where(distance > 0, away / np.where(distance > 0, distance, 1.0), [[1.0], [0.0]])
+    off = np.abs(distance - inside)
+    return np.where(off > 0, center + along * inside, target[:, None]), off
 
 
 def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, seed: int) -> list[Vector]:
@@ -226,7 +233,7 @@ def solve_held(plant: Plant, target: Vector, bases: Vector, starts: Vector) -> t
     units = [*plant.machine.base_units, *plant.graph.coordinate_units]
     scale = np.array([1.0 if unit == "rad" else length for unit in units])
     of_z = np.append(-unbounded, low), np.append(unbounded, high), free, scale
-    springs = np.diag(plant.stiffness.call([p])[0].full())[:m]
+    springs = HOLD * np.diag(plant.stiffness.call([p])[0].full())[:m]
     rows = np.vstack([np.zeros((m, goals.shape[1])), goals])
     of_rows = rows, rows, np.append(np.where(springs > 0, springs, 1.0), np.ones(plant.n_task))
     postures = repeated(held_steps(plant.machine), z, of_z, of_rows, [p], REACHED)[0][n_b + m :]

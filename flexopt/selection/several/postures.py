@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
-from flexopt.plant.inverse_kinematics import ELBOW_SIGN, REACHED, branch, held_on, low_discrepancy, solve_postures
+from flexopt.plant.inverse_kinematics import (
+    ELBOW_SIGN,
+    REACHED,
+    branch,
+    held_on,
+    inside_reach,
+    low_discrepancy,
+    solve_postures,
+)
 from flexopt.plant.reach import arm_length, sampled_ranges
 from flexopt.selection.nlp.program import values_of
 from flexopt.selection.places import FEASIBLE
@@ -26,6 +34,8 @@ REDUNDANT, NEAR, FAR = 24, 4, 3
 MOVED = 4
 # Postures of a placement that climb at random, and their steps.
 CLIMBED, STEPS = 3, 30
+# How far beyond its reach with springs unloaded an arm is looked at that sags, as a share of its length.
+SAG = 0.1
 # Rounding on the edge of a constraint, in units of its scale.
 EDGE = 1e-7
 
@@ -58,9 +68,14 @@ def reached_from(problem: SelectionProblem, bases: Vector, seed: int, finer: int
         unit = low_discrepancy(n - 2, finer * REDUNDANT, seed) if n > 2 else np.zeros((0, 1))
         each = unit.shape[1]
         spread, tiled = np.repeat(bases, each, axis=1), np.tile(unit, count)
-        found = [branch(plant, problem.target, spread, tiled, sign) for sign in ELBOW_SIGN.values()]
+        target, off = problem.target, np.zeros(count * each)
+        if problem.gravity:
+            # The border of the reach is another as the machine sags.
+            target, off = inside_reach(plant, target, spread)
+        found = [branch(plant, target, spread, tiled, sign) for sign in ELBOW_SIGN.values()]
+        near = (off <= SAG * arm_length(plant)).reshape(count, each)
         postures = np.concatenate([p.reshape(n, count, each) for p, _ in found], axis=2)
-        reaches = np.concatenate([mask.reshape(count, each) for _, mask in found], axis=1)
+        reaches = np.concatenate([mask.reshape(count, each) & near for _, mask in found], axis=1)
         z = np.concatenate([np.repeat(bases[:, :, None], postures.shape[2], axis=2), postures])
         return _with_moved(problem, _valued(problem, z, reaches))
     return _with_moved(problem, reached_by(problem, bases, _starts(problem, bases, seed, finer)))

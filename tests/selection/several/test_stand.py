@@ -350,3 +350,18 @@ def test_of_a_redundant_arm_what_its_limits_leave_is_found_however_thin() -> Non
             assert broken(problem, held[0].z) == ""
             assert np.abs(held[0].end_point - problem.target).max() < 1e-7
     assert seen == {False, True}
+
+
+def test_a_stand_reaches_what_only_the_sagging_machine_does():
+    """One of its targets is 3 mm beyond the reach with springs unloaded; the base stands still."""
+    machine = flexopt.load("excavator")
+    arm = flexopt.build_plant(machine).arm_segments(p=flexopt.build_plant(machine).parameter_values)
+    far = arm["first_joint"].full().ravel() + np.array([float(arm["lengths"].full().sum()) + 0.003, 0.0])
+    targets = [(1.5, 1.0), far]
+    asked = {"base": 0.0, "base_range": (0.0, 0.0), "starts": 2, "workers": 1}
+    with pytest.raises(flexopt.UnreachableTarget):
+        flexopt.select_stand(machine, targets, **asked)
+    stand = flexopt.select_stand(machine, targets, gravity=True, **asked)
+    for target, place in zip(targets, stand.places, strict=True):
+        held = flexopt.evaluate(machine, place.evaluation.posture, base=place.evaluation.base, gravity=True)
+        np.testing.assert_allclose(held.end_point, target, atol=1e-8)
