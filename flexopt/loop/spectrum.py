@@ -100,7 +100,9 @@ def slow_self_motion(drift: Sequence[float], decay: float) -> list[str]:
 
 def mostly_self_motion(share: float) -> list[str]:
     """That a motion of the loop is more a redundant arm's self-motion than anything else, within a sentence."""
-    counts = f"which below {100 * OWN:g} % counts as the loop's and is no drift"
+    # More than that, and yet the loop's: see `_drifting`.
+    where = f"below {100 * OWN:g} %" if share <= OWN else "where it swings or changes sign at every sample"
+    counts = f"which {where} counts as the loop's and is no drift"
     return [f"to {100 * share:.3g} % of its kinetic energy the arm's self-motion, {counts}"] if share > MOSTLY else []
 
 

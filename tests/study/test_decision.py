@@ -43,10 +43,15 @@ def test_a_place_that_is_better_everywhere_is_moved_to() -> None:
 
 def test_places_that_break_constraints_on_some_ground_count_where_all_do() -> None:
     def fit(breaks: dict[str, Breaks]) -> list[str]:
-        judged = with_barring(breaks, lambda name: name != grows_at)
+        judged = with_barring(breaks, lambda name: name != grows_at, lambda name: name != misses)
         return [name for name, each in judged.items() if not each.barring]
 
-    grows_at, kept, broken = "", Breaks(), Breaks(somewhere="breaks holding of boom where payload.mass is 3000 kg")
+    grows_at, misses, kept, broken = (
+        "",
+        "",
+        Breaks(),
+        Breaks(somewhere="breaks holding of boom where payload.mass is 3000 kg"),
+    )
     assert fit({"stay": kept, "candidate 1": broken, "candidate 2": kept}) == ["stay", "candidate 2"]
     assert fit({"stay": broken, "candidate 1": broken}) == ["stay", "candidate 1"]
     standing = Breaks(standing="breaks clearance of boom")
@@ -65,12 +70,22 @@ def test_places_that_break_constraints_on_some_ground_count_where_all_do() -> No
     ]
     by_loop = Breaks(by_loop="breaks decay 0.01 1/s (at least 0.02 1/s)")
     assert fit({"stay": by_loop, "candidate 1": broken, "candidate 2": kept}) == ["candidate 2"]
+    # Where the arm is held beside its target that takes no place out, but one at the target takes it out.
+    misses = "stay"
+    assert fit({"stay": kept, "candidate 1": broken}) == ["stay", "candidate 1"]
+    assert fit({"stay": kept, "candidate 1": by_loop, "candidate 2": beside}) == ["stay", "candidate 2"]
+    assert fit({"stay": broken, "candidate 1": kept}) == ["candidate 1"]
+    misses = ""
     # By what each is: one that breaks several kinds by the first that others keep.
     many = {"stay": standing, "candidate 1": by_loop._replace(at_rest=beside.at_rest), "candidate 2": broken}
     for kind, of in (({"candidate 1": by_loop}, "by_loop"), ({"candidate 1": beside}, "at_rest")):
-        judged = with_barring({"stay": standing, "candidate 2": kept} | kind, lambda _: True)
+        judged = with_barring({"stay": standing, "candidate 2": kept} | kind, lambda _: True, lambda _: True)
         assert [judged[name].barring for name in ("stay", "candidate 1", "candidate 2")] == ["standing", of, ""]
-    assert [each.barring for each in with_barring(many, lambda _: True).values()] == ["standing", "by_loop", ""]
+    assert [each.barring for each in with_barring(many, lambda _: True, lambda _: True).values()] == [
+        "standing",
+        "by_loop",
+        "",
+    ]
     # Where no loop does what it must, that tells no place from another.
     assert fit({"stay": by_loop, "candidate 1": by_loop}) == ["stay", "candidate 1"]
     assert "no place found that keeps the constraints dec" in decide(STAY, [], barred=True).reason

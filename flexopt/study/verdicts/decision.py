@@ -55,11 +55,11 @@ RULE = (
     f"more than {100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else. A present place that breaks constraints that "
     "were asked for is none to stay at, unless it is what the loop does in no place found, and is not among those "
     "compared, nor is one from which the arm does not reach a target within its limits; nor is one that breaks "
-    "constraints at a corner of what is uncertain, where another place keeps them, or there at rest beside its "
-    "target, where another that is stable on every ground does not. Where no nonlinear runs were asked for, they "
-    "need not confirm. Of several places to move to it is that with the least drive among those whose slowest decay "
-    f"is within {100 * FASTER:.0f} % of the best, and of drives within {100 * FASTER:.0f} % and "
-    f"{1e3 * LEAST_TOLD:.0f} mm of the least, and turns of the base on its way within {100 * FASTER:.0f} % and "
+    "constraints at a corner of what is uncertain, where another place keeps them with the end-point on the target, "
+    "or there at rest beside its target, where another that is stable on every ground does not. Where no nonlinear "
+    "runs were asked for, they need not confirm. Of several places to move to it is that with the least drive among "
+    f"those whose slowest decay is within {100 * FASTER:.0f} % of the best, and of drives within {100 * FASTER:.0f} % "
+    f"and {1e3 * LEAST_TOLD:.0f} mm of the least, and turns of the base on its way within {100 * FASTER:.0f} % and "
     f"{1e3 * LEAST_TOLD:.0f} mrad of the least of these, the fastest."
 )  # fmt: skip
 

@@ -187,6 +187,7 @@ def verdict(
     breaks = with_barring(
         {name: breaks_of(chosen, loops[name], at) for name, at in held.items()},
         lambda name: decays[name].min() > 0 and search(name).decay > 0,
+        lambda name: name != STAY or not any(map(elsewhere, problems_of(chosen), map(np.concatenate, held[name]))),
     )
     fit = [name for name, broken in breaks.items() if not broken.barring]
     first_ones = first_places(
