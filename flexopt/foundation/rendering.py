@@ -7,6 +7,7 @@ it is markup already; a user's name goes into C through the filter `c_text`.
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from typing import TYPE_CHECKING, Any, cast
 
@@ -15,6 +16,10 @@ from flexopt.foundation.escapes import c_text, markup
 if TYPE_CHECKING:
     from jinja2 import Environment
     from jinja2.nodes import EvalContext
+
+
+# As `--payload-mass`.
+_OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 
 
 class OfNumbers(str):
@@ -46,9 +51,16 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    cast(dict[str, Any], environment.filters).update(c_text=c_text)
+    cast(dict[str, Any], environment.filters).update(c_text=c_text, with_options=_with_options)
     cast(dict[str, Any], environment.tests).update(of_numbers=_of_numbers)
     return environment
+
+
+def _with_options(text: str) -> Any:
+    """A sentence for HTML, in which no line ends within an option of the shell."""
+    from markupsafe import Markup  # noqa: PLC0415
+
+    return Markup(_OPTION.sub(r'<span class="option">\g<0></span>', markup(text)))
 
 
 def _of_numbers(name: object) -> bool:

@@ -409,6 +409,11 @@ def test_it_fits(path: Path, scheme: str, chromium: Browser) -> None:
             ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
             assert (ground == "rgb(255, 255, 255)") == (scheme == "light")
             assert page.evaluate(GROUNDS) == [scheme]
+            # No option of the shell goes on in the next line.
+            of_shell = page.evaluate("[...document.querySelectorAll('.option')].map((e) => e.getClientRects().length)")
+            assert set(of_shell) == {1}
+            plain = "[...document.querySelectorAll('p')].filter((e) => /(^| )--[a-z]/.test(e.textContent))"
+            assert page.evaluate(f"{plain}.every((e) => e.querySelector('.option'))")
 
 
 @pytest.mark.needs("chromium")
