@@ -62,6 +62,12 @@ ValueAt = tuple[float, Vector]
 PointAt = tuple[LoopPoint, Vector | None]
 
 
+def _singly_then_odd(word: int) -> tuple[bool, bool, int, int]:
+    """How columns of an array are ordered, by the factors they are products of, the bits of a word."""
+    count = word.bit_count()
+    return count != 1, count % 2 == 0, -count, word
+
+
 @dataclass(frozen=True)
 class UncertaintyBox:
     """All machines that the uncertainty allows: points u in [0, 1]^k, k intervals.
@@ -140,20 +146,40 @@ class UncertaintyBox:
         return True
 
     def corners(self, most: int) -> Vector:
-        """Corners of the first intervals, so many at most, the others in their middle: (2^…, k)."""
+        """Corners (2^min(k, most), k): all of them, or of more intervals such that both ends of any two meet.
+
+        An orthogonal array of strength 2 of up to 2^most − 1 intervals, of 3 where half of them are enough; of more of
+        them several go together. It is the same in whatever order the intervals are named.
+        """
         k = len(self.uncertainty)
-        found = np.full((2 ** min(k, most), k), 0.5)
-        found[:, :most] = list(product((0.0, 1.0), repeat=min(k, most)))
+        factors = min(k, most)
+        # Columns of the array: factors by themselves, then products of odd and of even numbers of them.
+        words = sorted(range(1, 2**factors), key=_singly_then_odd)
+        found = np.full((2**factors, k), 0.5)
+        for row, number in enumerate(range(2**factors)):
+            for n, name in enumerate(self._by_name if factors else []):
+                found[row, name] = (number & words[n % len(words)]).bit_count() % 2
         return found
 
-    def members(self, count: int, seed: int = 0) -> Vector:
-        """Points (n, k): the corners, of 6 intervals at most, then a scrambled Sobol sequence; `count` or more."""
+    @property
+    def _by_name(self) -> list[int]:
+        return sorted(range(len(self.uncertainty)), key=lambda k: self.uncertainty[k].name)
+
+    def members(self, count: int, seed: int = 0, first: int = 0) -> Vector:
+        """Points (n, k): corners, of 6 intervals at most, then a scrambled Sobol sequence; `count` or more.
+
+        `first`: so many are to be taken for all of them, and are the `corners` that are no more than that.
+        """
         from scipy.stats.qmc import Sobol  # noqa: PLC0415  (loads slowly)
 
         k = len(self.uncertainty)
-        corners = self.corners(k) if k <= CORNERED else np.zeros((0, k))
+        begin: Vector = self.corners(int(math.log2(first))) if first > 1 else np.zeros((0, k))
+        every: Vector = self.corners(k) if k <= CORNERED else np.zeros((0, k))
+        rows: list[list[float]] = np.concatenate([begin, every]).tolist()
+        corners = np.array(list(dict.fromkeys(map(tuple, rows)))).reshape(-1, k)
         more = max(0, count - len(corners))
         drawn = Sobol(k, seed=seed).random(1 << math.ceil(math.log2(max(more, 1))))[:more]
+        drawn[:, self._by_name] = drawn.copy()
         return np.concatenate([corners, drawn])
 
     def cross(self, u: Vector, levels: int) -> Vector:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -344,3 +345,38 @@ def test_the_longest_settling_lies_between_members(posture: tuple[float, ...], k
     # A jump may lie up to a twentieth of the interval from the nearest member of a line.
     assert longest >= 0.99 * max(grid)
     assert loop.outcome(at).settling().value == pytest.approx(longest, rel=1e-9)
+
+
+def box_of(names: tuple[str, ...]) -> UncertaintyBox:
+    """Of parameters of the excavator, each from 1 to 2 of its unit."""
+    known = tuple(Uncertainty(of=name, value=(1.0, 2.0)) for name in names)
+    return UncertaintyBox(flexopt.load("excavator"), known, 0.0)
+
+
+NAMES = tuple(each.name for each in flexopt.load("excavator").parameters if each.value > 0)[:7]
+
+
+@pytest.mark.parametrize(("count", "most", "together"), [
+    (3, 3, 3), (4, 3, 3), (7, 3, 2), (5, 4, 3), (7, 4, 3), (6, 5, 5), (3, 1, 1), (3, 2, 2), (5, 2, 1),
+])  # fmt: skip
+def test_few_corners_have_the_ends_of_so_many_intervals_in_every_way(count: int, most: int, together: int) -> None:
+    corners = box_of(NAMES[:count]).corners(most)
+    assert len(corners) == 2 ** min(count, most)
+    for columns in itertools.combinations(range(count), together):
+        seen, times = np.unique(corners[:, columns], axis=0, return_counts=True)
+        assert len(seen) == 2**together
+        assert len(set(times.tolist())) == 1
+
+
+@pytest.mark.parametrize("runs", [1, 2, 3, 4, 16])
+def test_members_are_the_same_in_whatever_order_intervals_are_named(runs: int) -> None:
+    """And of those that are run both ends of every interval, where more than one is."""
+    names = NAMES[:5]
+    first = box_of(names).members(64, 3, runs)
+    assert len(np.unique(first, axis=0)) == len(first) == 64
+    np.testing.assert_array_equal(first[:runs].min(axis=0), 0.0)
+    if runs > 1:
+        np.testing.assert_array_equal(first[:runs].max(axis=0), 1.0)
+    order = np.random.default_rng(runs).permutation(5)
+    again = box_of(tuple(names[k] for k in order)).members(64, 3, runs)
+    np.testing.assert_array_equal(again, first[:, order])

@@ -173,7 +173,7 @@ def verdict(
     })  # fmt: skip
     box = UncertaintyBox(machine, uncertain, settings.dead_time)
     raise_if_any(InputError, "verdict", box.faults(settings.rate))
-    points = box.members(members, solved.seed)
+    points = box.members(members, solved.seed, runs)
     loops = {name: PlaceLoops.at(settings, stand, box, gravity=solved.gravity) for name, stand in stands.items()}
     each = _each(loops, lambda name: loops[name].decays(points), lambda done, of: stages.within(done, 2 * of))
     decays: dict[str, Vector] = {name: own.min(axis=0) for name, own in each.items()}
