@@ -873,7 +873,7 @@ def test_what_is_worse_where_it_moves_is_told() -> None:
         places[k] = replace(places[0], name=found.place, rests_off=rests)
         assert replace(found, places=tuple(places)).drawbacks == words
     places[0] = replace(places[0], rests_off=1e-3, decay=replace(stay.decay, least=-0.1))
-    apart = "instead of 0.001 m where it stands, not counting where it grows, off the target there"
+    apart = "instead of 0.001 m (where it stands, not counting where it grows) off the target there"
     assert replace(found, places=tuple(places)).drawbacks.endswith(f"it comes to rest 0.05 {apart}")
     # What has no border where it stands has one there.
     endless = replace(band, least=math.inf)

@@ -75,7 +75,7 @@ def _worse(verdict: Verdict, there: PlaceVerdict, stay: PlaceVerdict) -> list[st
         found.append(f"comes to rest {there.rests_off:.3g} m off the target")
     if there.rests_off >= SETTLED * MOVE and there.rests_off >= (1 + FASTER) * stay.rests_off:
         stands = "where it stands" if verdict.stay else "with the present ones"
-        grows = f" {stands}, {NOT_WHERE_IT_GROWS}," if stay.decay.least <= 0 else ""
+        grows = f" ({stands}, {NOT_WHERE_IT_GROWS})" if stay.decay.least <= 0 else ""
         instead = f"instead of {stay.rests_off:.3g} m{grows}"
         found.append(f"comes to rest {there.rests_off:.3g} {instead} off the target")
     return found
@@ -89,9 +89,10 @@ def _no_better(verdict: Verdict, there: PlaceVerdict) -> str:
         by_gains, breaks = there.breaking.by_loop, there.breaking.somewhere
     elif there.name == STAY:
         breaks = breaks or verdict.present_breaks
-    # Else another place would keep them, and this one would be none to move to.
+    # Else another place would keep them with its end-point on the target, and this one would be none to move to.
     where = " on some ground" if WHERE in breaks else " with the present gains"
-    every = breaks and f"every place found breaks constraints{where}: {name} {breaks}"
+    kept = verdict.stay is not None and not (verdict.stay.breaks or verdict.present_breaks)
+    every = breaks and f"every place found{' to move to' * kept} breaks constraints{where}: {name} {breaks}"
     return "; ".join(filter(None, (by_gains and f"with the new gains {name} {by_gains}", every)))
 
 

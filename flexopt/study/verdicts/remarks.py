@@ -123,11 +123,12 @@ def rests_beside(verdict: Verdict) -> str:
     if not off:
         return ""
     off.sort(key=lambda place: -place.rests_off)
-    counted = (f", {NOT_WHERE_IT_GROWS}" if place.decay.least <= 0 else "" for place in off)
+    counted = [f", {NOT_WHERE_IT_GROWS}" if place.decay.least <= 0 else "" for place in off]
+    counted[0] = f" at {member_in_words(off[0].rests_off_at)}{counted[0]}"
     each = ", ".join(f"{one.rests_off:.3g} m ({spoken(one.name)}{but})" for one, but in zip(off, counted, strict=True))
     angles = with_angles(verdict.problems[0].machine)
     drawn = f"{OTHER_WEIGHT} holds the end-point off its target at rest{angles}"
-    told = f"{drawn}, by up to {each}, the most that was found at {member_in_words(off[0].rests_off_at)}"
+    told = f"{drawn}, by {each}, the most that was found"
     known = any(INTEGRAL in said for said in (verdict.reason, *doubts(verdict).values()))
     settles = any(math.isfinite(place.settling.greatest) for place in off)
     way = ["the settling time is that of the way to there"] * settles
