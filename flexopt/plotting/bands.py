@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from flexopt.foundation.escapes import TITLE_MAX, mathtext
 from flexopt.foundation.palette import colors
 from flexopt.plotting.sheet import SettledLayout, Sheet, open_frame, picture, themed
-from flexopt.plotting.ticks import DECADES, between_powers, shown
+from flexopt.plotting.ticks import DECADES, between_powers, digits_of, shown
 from flexopt.plotting.units import labelled
 
 # Ratio of the largest to the least from which an axis is logarithmic.
@@ -158,9 +158,10 @@ def _draw(axes: Axes, bands: Bands) -> None:
     elif axes.get_xscale() == "linear":
         axes.locator_params(axis="x", nbins=5)
     elif high < DECADES * low:
-        axes.set_xticks(between_powers(low, high, most=4))
+        steps = between_powers(low, high, most=4)
+        axes.set_xticks(steps)
         axes.set_xticks([], minor=True)
-        axes.xaxis.set_major_formatter(lambda value, _: shown(value, 3))
+        axes.xaxis.set_major_formatter(lambda value, _: shown(value, digits_of(steps)))
     formatter = axes.xaxis.get_major_formatter()
     formatter.set_locs(axes.get_xticks().tolist())
     better, unit = "" if bands.more is None else f" ({'more' if bands.more else 'less'} is better)", bands.unit or "SI"

@@ -19,7 +19,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
 from flexopt.foundation.arrays import Array
 from flexopt.foundation.palette import colors
-from flexopt.plotting.ticks import DECADES, between_powers, shown
+from flexopt.plotting.ticks import DECADES, between_powers, digits_of, shown
 
 # Near singular postures the measures fall without end: colours and axes start at this fraction of the points.
 LOWEST_SHOWN = 0.05
@@ -198,7 +198,8 @@ def label_plane(axes: Axes, plane: FieldPlane, title: str, *, left: bool = True,
         if log and values.max() < DECADES * values.min():
             steps = between_powers(float(values.min()), float(values.max()), most)
             axis.set_major_locator(FixedLocator(np.log10(steps).tolist()))
-            axis.set_major_formatter(lambda value, _: shown(10**value, 3))
+            digits = digits_of(steps)
+            axis.set_major_formatter(lambda value, _, digits=digits: shown(10**value, digits))
         elif log:
             axis.set_major_locator(MaxNLocator(4, integer=True))
             axis.set_major_formatter(lambda value, _: f"$10^{{{value:g}}}$")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
@@ -22,6 +23,11 @@ def shown(value: float, digits: int) -> str:
         return f"{rounded:g}".replace("-", "\N{MINUS SIGN}")
     power = math.floor(math.log10(abs(rounded)))
     return f"${rounded / 10.0**power:.{digits}g} \\times 10^{{{power}}}$"
+
+
+def digits_of(ticks: Sequence[float]) -> int:
+    """With how many digits numbers beside ticks differ, 3 at least."""
+    return next((d for d in range(3, 16) if len({shown(tick, d) for tick in ticks}) == len(ticks)), 16)
 
 
 def between_powers(low: float, high: float, most: int) -> list[float]:

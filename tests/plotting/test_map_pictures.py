@@ -12,6 +12,7 @@ from flexopt.article import curve, sweep_gaps
 from flexopt.article import pictures as article
 from flexopt.foundation.palette import LIGHT
 from flexopt.plotting.fields import FieldPlane, draw_field, draw_signed, label_plane
+from flexopt.plotting.ticks import between_powers, digits_of, shown
 from tests.plotting.looking import faults
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.CompilerNotFound")
@@ -212,12 +213,12 @@ def test_rounding_is_drawn_in_one_colour():
 def test_the_bar_of_a_measure_ends_at_its_bound():
     """The best point of a grid is hardly ever 0 itself; what is far from 0 ends where it ends."""
     plane, shares = FieldPlane(np.arange(5.0), np.arange(6.0), "x", "y"), np.linspace(0.0, 1.0, 30).reshape(6, 5)
-    for best, shown in ((-1e-8, True), (-1e-5, False)):
+    for best, at_zero in ((-1e-8, True), (-1e-5, False)):
         axes = Figure().add_subplot()
         draw_field(axes, plane, best - 1e-4 * shares, label="w, 1/kg", clipped=True)
         (bar,) = axes.child_axes
         low, high = bar.get_ylim()
-        assert (0.0 in [tick for tick in bar.get_yticks() if low <= tick <= high]) == shown
+        assert (0.0 in [tick for tick in bar.get_yticks() if low <= tick <= high]) == at_zero
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -277,3 +278,13 @@ def test_numbers_of_short_logarithmic_axes_lie_on_no_other(excavator, span, size
         excavator, (0.0448, -2.0499), {"kp": span, "kv": (1e2, 4e3)}, loop={"kp": 1e3, "kv": 1e3}, points=(5, 5)
     )
     assert faults(loop.plot(size=size)) == []
+
+
+def test_numbers_beside_ticks_of_a_narrow_range_differ() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        low = 10 ** rng.uniform(-12, 12)
+        ticks = between_powers(low, low * 10 ** rng.uniform(1e-6, 2), 4)
+        numbers = [shown(tick, digits_of(ticks)) for tick in ticks]
+        assert len(set(numbers)) == len(numbers) > 1
+    assert digits_of([1.0, 2.0, 5.0]) == 3

@@ -91,7 +91,12 @@ def test_a_map_that_shows_nothing_says_why(y: tuple[float, float]) -> None:
     told = page._map_caption(shown)
     assert told.startswith("No map is drawn: none of its 64 points is allowed; the nearest to the chosen configuration")
     # The slit's corner from the nearest of 8 points over 6 m: 3/7 m − 0.06 m.
-    assert re.search(r"at x 0\.4286 m, y 0\.\d+ m, breaks distance inside region, −0\.3686 m \(at least 0 m\)\.$", told)
+    assert re.search(
+        r"at x 0\.4286 m, y 0\.\d+ m, breaks distance inside region, −0\.3686 m \(at least 0 m\)\. A", told
+    )
+    assert told.endswith("Another posture at such a point may still do.")
+    assert "in phase" not in repr(found)
+    assert found.to_dict()["in_phase"]["modes"][0] is None
     assert not page._panels(shown)
     shown.map = replace(found, dataset=found.dataset.fillna(1.0))
     assert "No map is drawn" not in page._map_caption(shown)

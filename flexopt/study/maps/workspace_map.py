@@ -6,6 +6,7 @@ xarray is imported when the first map is made: it takes longer to import than al
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -118,14 +119,15 @@ class WorkspaceMap(Gridded, Tabled):
 
     @public(sizes=_sizes, mask=array_of(("n_y", "n_x"), kinds="biuf"))
     def fraction(self, mask: MaskLike) -> float:
-        """Share of the mapped points (reachable and regular) where `mask` (n_y, n_x) holds.
+        """Share of the mapped points (reachable and regular) where `mask` (n_y, n_x) holds; NaN where there are none.
 
         Example:
             >>> 0 < chart.fraction(chart.array("w")[0] > -1e-5) < 1
             True
         """
         mapped = self._mapped
-        return float(np.count_nonzero(np.asarray(mask, dtype=bool) & mapped) / max(1, np.count_nonzero(mapped)))
+        count = np.count_nonzero(mapped)
+        return float(np.count_nonzero(np.asarray(mask, dtype=bool) & mapped) / count) if count else math.nan
 
     @property
     def _mapped(self) -> Any:
@@ -237,7 +239,9 @@ class WorkspaceMap(Gridded, Tabled):
                 label = f"{name} {number + 1}" if len(entry["min"]) > 1 else name
                 numbers = "  ".join("         –" if v is None else f"{v:10.4g}" for v in (low, mean, high))
                 lines.append(f"  {label:16} min, mean, max {numbers} {entry['unit']}".rstrip())
-        if "in_phase" in document:
+        # Of no point there is no share.
+        told = document if document["mapped"] else {}
+        if "in_phase" in told:
             for key, title in (("in_phase", "in phase"), ("in_phase_strict", "strictly so")):
                 shares = document[key]
                 each = ", ".join(f"{100 * share:.1f} %" for share in shares["modes"])
@@ -245,9 +249,9 @@ class WorkspaceMap(Gridded, Tabled):
                     "" if shares["first_two"] is None else f"; the first two together {100 * shares['first_two']:.1f} %"
                 )
                 lines.append(f"  {title}: modes {each}{both}")
-        if "stable" in document:
+        if "stable" in told:
             lines.append(f"  the sampled loop is stable at {100 * document['stable']:.1f} % of these points")
-        if document.get("falls"):
+        if told.get("falls"):
             lines.append(f"  at {100 * document['falls']:.1f} % of them the arm falls: there {NOWHERE_HELD}")
         return "\n".join(lines)
 

@@ -72,6 +72,7 @@ FOLLOWED = (
     " From the chosen configuration on each posture is the one nearest to its neighbour's. Where none is drawn it does "
     "not reach, or breaks a limit, a range or a constraint of the problem; another posture may still do."
 )
+OTHER_POSTURES = " Another posture at such a point may still do."
 NOWHERE = "No map is drawn: none of its {points} points is {why}."
 
 
@@ -130,7 +131,8 @@ def _map_caption(report: Report) -> str:
     """What the panels show, the marks that are in them, and which postures they are of; else why there are none."""
     if report.map is not None and not mapped(report.map):
         attrs, points = report.map.dataset.attrs, report.map.to_dict()["points"]
-        return with_minus(NOWHERE.format(points=points, why=attrs.get("barred", NONE_REACHED)))
+        other = OTHER_POSTURES if "end_point" in report.map.options else ""
+        return with_minus(NOWHERE.format(points=points, why=attrs.get("barred", NONE_REACHED)) + other)
     marks = [words for name, words in MARKS.items() if name in report.marks]
     followed = report.map is not None and "end_point" in report.map.options
     told = MAP_CAPTION + (f" {begun('; '.join(marks))}." if marks else "") + (FOLLOWED if followed else "")
