@@ -6,10 +6,13 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import flexopt
+from flexopt.model import tree_from_dict
 from flexopt.model.uncertainty import GROUND, Uncertainty, parameters_of, uncertainty_faults
+from tests.oracles.spatial import grounded
 
 SHIPPED = ("boom-stick-bucket", "excavator", "mobile-manipulator", "slewing-excavator", "truck-crane")
 FOLDER = Path(__file__).parents[2] / "models"
@@ -41,6 +44,30 @@ def test_what_does_not_go_with_the_machine(given: dict[str, Any], sentence: str)
         flexopt.verdict(flexopt.load_problem("article"), ranges=[given])
     faults = uncertainty_faults((Uncertainty(**given),), flexopt.load("excavator"))
     assert sentence in faults[0].sentence
+
+
+BASE = ("base.x", "base.y", "base.z", "base.roll", "base.pitch", "base.yaw")
+
+
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_an_entry_of_a_matrix_is_found_by_its_parts(seed: int) -> None:
+    """NumPy's entries of random matrices are the values of the parameters that are named."""
+    rng, data = np.random.default_rng(seed), grounded(2 + seed, seed)
+    coordinates = dict(zip(data["stiffness_matrix"]["joints"], BASE, strict=True))
+    for word in ("stiffness_matrix", "damping_matrix"):
+        data[word]["joints"] = list(BASE)
+    for body in data["bodies"]:
+        body["joint"]["name"] = coordinates.get(body["joint"]["name"], body["joint"]["name"])
+    machine = tree_from_dict(data)
+    values = {parameter.name: parameter.value for parameter in machine.parameters}
+    for word in ("stiffness", "damping"):
+        joints, matrix = data[f"{word}_matrix"]["joints"], np.array(data[f"{word}_matrix"]["matrix"])
+        for i, j in zip(*np.triu_indices(len(joints)), strict=True):
+            parts = [*dict.fromkeys([word, *joints[i].split("."), *joints[j].split(".")])]
+            given = ".".join(rng.permutation(parts))
+            [fault] = uncertainty_faults([Uncertainty(of=given, factor=(0.5, 2.0))], machine)
+            meant = fault.sentence.partition("did you mean ")[2].strip("'?")
+            assert values[meant] == pytest.approx(matrix[i, j], rel=1e-12), given
 
 
 def test_one_parameter_is_uncertain_once_but_for_factors() -> None:
