@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -191,11 +191,7 @@ class Evaluation(Result):
     @property
     def sag_told(self) -> str:
         """See the class."""
-        if not self.static_deflection.any():
-            return ""
-        each = zip(self.passive, self.static_deflection.tolist(), self.passive_units, strict=True)
-        away = ", ".join(f"{name} {x:.3g} {unit}" for name, x, unit in each if abs(x) >= LEAST_SAG) or "none"
-        return f"sag under the weight, from where the file has it with springs unloaded: {away}"
+        return most_sag_told([self])
 
     def document(self) -> Document:
         """Values by their keys; cylinders and outcome only where there are some."""
@@ -271,6 +267,24 @@ def unreached(scale: Vector) -> NDArray[np.bool_]:
     Their w_i/|a_i||b_i| and phase have no meaning, and are not shown.
     """
     return np.asarray(scale <= UNREACHED * scale.max(initial=0.0))
+
+
+def most_sag_told(stands: Sequence[Evaluation]) -> str:
+    """By how much a machine sags at each of its targets, of several each coordinate's most, a sentence.
+
+    Empty without gravity.
+    """
+    sags, first = np.array([each.static_deflection for each in stands]), stands[0]
+    if not sags.any():
+        return ""
+    away = list[str]()
+    for name, unit, sag in zip(first.passive, first.passive_units, sags.T, strict=True):
+        k, told = int(np.abs(sag).argmax()), [f"{x:.3g}" for x in sag.tolist()]
+        alike = " at every target" if len({*told}) == 1 else f" at target {k + 1}"
+        if abs(sag[k]) >= LEAST_SAG:
+            away.append(f"{name} {told[k]} {unit}{alike if len(stands) > 1 else ''}")
+    most = ", each coordinate's most" if len(stands) > 1 else ""
+    return f"sag under the weight, from where the file has it with springs unloaded{most}: {', '.join(away) or 'none'}"
 
 
 def in_words(names: tuple[str, ...], values: Vector, units: tuple[str, ...]) -> str:

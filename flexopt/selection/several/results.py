@@ -18,7 +18,7 @@ from flexopt.foundation.plain import counted, listed
 from flexopt.foundation.results import Tabled
 from flexopt.model.beyond_limits import beyond_limits_told
 from flexopt.model.simulation import Path
-from flexopt.robustness.evaluation import EXCITES, Evaluation, excites_rigid
+from flexopt.robustness.evaluation import EXCITES, Evaluation, excites_rigid, most_sag_told
 from flexopt.robustness.residues import residue_unit, unit_in_words
 from flexopt.selection.broken import cornerless, resting
 from flexopt.selection.constraint_values import ConstraintValue, nearest_told
@@ -167,7 +167,7 @@ class ConfigurationSet(Tabled):
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the choice: what it leaves open and out, what is as good."""
         unverified = unverified_told(self.objective, self.unverified)
-        sag = self.places[self.worst].evaluation.sag_told
+        sag = most_sag_told([place.evaluation for place in self.places])
         said = (unverified, self.left_open, self.as_good, self.not_passive, self.left_out, self.unweighted, sag)
         said = (*said, self.beyond_limits)
         return tuple(sentence for sentence in said if sentence)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import fsolve
 
 import flexopt
 from flexopt import FlexoptError, build_measures, build_selection, evaluate, inverse_kinematics, load, select
@@ -22,6 +23,7 @@ from flexopt.selection.nlp.program import Program
 from flexopt.selection.proof import check
 from flexopt.selection.several import Stand, select_stand, standing
 from flexopt.study.verdicts.place_loops import held_from
+from tests.oracles.lagrange import lagrange, rest_values, springs_and_dampers
 
 TARGETS = [[0.0, 1.6], [0.3, 1.2], [-0.2, 1.9]]
 MARGIN = math.sin(math.radians(10.0)) ** 2
@@ -365,3 +367,29 @@ def test_a_stand_reaches_what_only_the_sagging_machine_does():
     for target, place in zip(targets, stand.places, strict=True):
         held = flexopt.evaluate(machine, place.evaluation.posture, base=place.evaluation.base, gravity=True)
         np.testing.assert_allclose(held.end_point, target, atol=1e-8)
+
+
+def test_the_sag_is_told_of_each_coordinate_where_it_is_most(excavator: flexopt.Machine) -> None:
+    """SciPy's root of Lagrange's equations at every target, to the three digits that are told."""
+    data = excavator.model_dump(by_alias=True, exclude_none=True)
+    oracle, springs = lagrange(data), springs_and_dampers(data)[0]
+    stand = select_stand(excavator, TARGETS, gravity=True, starts=1, workers=1)
+    sags = list[Vector]()
+    for place in stand.places:
+        rest = rest_values(data, float(place.evaluation.base[0]), place.evaluation.posture)
+
+        def unbalanced(passive: Vector, rest: Vector = rest) -> Vector:
+            q = np.concatenate([passive, rest[3:]])
+            gravity = oracle.dynamics.call([q, np.zeros(5), 0.0])[2].full().ravel()
+            return (springs @ (q - rest) + gravity)[:3]
+
+        sags.append(fsolve(unbalanced, rest[:3], xtol=1e-12) - rest[:3])
+    x, y, rotation = np.array(sags).T
+    # No force acts along x, and the weight is the same everywhere; the arm reaches farther to one target than to others.
+    assert np.abs(x).max() < 1e-9
+    k = int(np.abs(rotation).argmax())
+    assert np.sort(np.abs(rotation))[-2] < 0.99 * abs(rotation[k])
+    told = f"{y[0]:.3g} m at every target, base.rotation {rotation[k]:.3g} rad at target {k + 1}"
+    where = "from where the file has it with springs unloaded, each coordinate's most"
+    assert f"sag under the weight, {where}: base.y {told}" in stand.remarks
+    assert stand.worst != k
