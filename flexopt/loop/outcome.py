@@ -74,8 +74,6 @@ class Measured(NamedTuple):
 UNDEFINED = Measured(math.nan)
 # Multiplier of a machine that feedback holds nowhere: the largest number, for it falls, at no rate.
 FALLS = np.array([complex(np.finfo(np.float64).max)])
-# That in growth within a sample, less than by rounding.
-FALLS_AT = 0.999 * math.log(np.finfo(np.float64).max)
 # And what that says.
 NOWHERE_HELD = "the feedback is not found to hold the weight, which the controller does not know, anywhere near"
 # Share of what a joint carries below which friction holds what drives a self-motion.
@@ -86,6 +84,11 @@ CANCELLED = 1e-6
 # Share of the energy of an oscillation that a mode's springs have at least where the mode has become it: a third to a
 # half of its own, some 1e-4 of another's.
 STRAINS = 0.01
+
+
+def falling(rate: float) -> float:
+    """The slowest decay, 1/s, up to which one at a rate of samples, Hz, is that of `FALLS`, but for rounding."""
+    return -0.999 * math.log(np.finfo(np.float64).max) * rate
 
 
 @dataclass(frozen=True, eq=False)

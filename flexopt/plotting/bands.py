@@ -16,6 +16,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.markers import CARETLEFT
 
 from flexopt.foundation.escapes import TITLE_MAX, mathtext
 from flexopt.foundation.palette import colors
@@ -30,6 +31,7 @@ WIDTH = 3.9  # inches
 COLUMNS = (1, 2, 3)
 LETTERS = 12  # of a title, on an inch
 TOP = -0.6  # of a panel: half a row and a little above its first
+BELOW = 0.25  # of what an axis shows, where bars go on below it
 VEIL = 0.16  # of the colour of what grows, over where it does
 
 
@@ -37,7 +39,8 @@ VEIL = 0.16  # of the colour of what grows, over where it does
 class Row:
     """A choice: its name, the measure's least, nominal and greatest value; what is written of its worst.
 
-    NaN is a value that there is none of, infinite one without a border. `border`: its own, in place of that of all.
+    NaN is a value that there is none of, +∞ one without a border, −∞ one below any axis, at whose end `worst` stands,
+    too. `border`: its own, in place of that of all.
     """
 
     name: str
@@ -109,12 +112,13 @@ def _height(bands: Bands) -> float:
 def _draw(axes: Axes, bands: Bands) -> None:
     """A bar from least to greatest in each row, a ring at the nominal value, and the worst as text."""
     inks = colors()
-    finite = [v for row in bands.rows for v in (row.least, row.nominal, row.greatest) if math.isfinite(v)]
-    borders = _borders(bands)
+    values = [v for row in bands.rows for v in (row.least, row.nominal, row.greatest)]
+    finite, borders = [v for v in values if math.isfinite(v)], _borders(bands)
+    beyond, measured = -math.inf in values, bool(finite)
     finite += [at for at, _, _ in borders]
     if finite and min(finite) > 0 and max(finite) > LOG_FROM * min(finite):
         axes.set_xscale("log")
-    low, high = _limits(axes, finite)
+    low, high = _limits(axes, finite, beyond=beyond)
     axes.set_xlim(low, high)
     for at, first, last in borders:
         axes.fill_betweenx([first, last], low, at, color=inks.grows, alpha=VEIL, linewidth=0, zorder=0)
@@ -127,17 +131,7 @@ def _draw(axes: Axes, bands: Bands) -> None:
     for k, row in enumerate(bands.rows):
         told = inks.chosen if row.name == bands.told else inks.other
         color = inks.present if row.name == bands.present else told
-        if not math.isnan(row.least + row.greatest):
-            ends = [min(max(v, low), high) for v in (row.least, row.greatest)]
-            axes.plot(ends, [k, k], color=color, linewidth=7, solid_capstyle="butt", zorder=3)
-            axes.plot(ends, [k, k], "|", color=color, markersize=11, markeredgewidth=2, zorder=3)
-            if math.isinf(row.greatest):
-                axes.plot([high], [k], ">", color=color, markersize=9, clip_on=False, zorder=4)
-        if math.isfinite(row.nominal):
-            axes.plot(
-                [row.nominal], [k], "o", color=inks.page, markeredgecolor=inks.text, markersize=5.5,
-                markeredgewidth=1.0, zorder=5,
-            )  # fmt: skip
+        _draw_bar(axes, k, row, color)
         weight = "bold" if row.name == bands.told else "normal"
         across = axes.get_yaxis_transform()
         axes.text(-0.03, k, row.name, transform=across, va="center", ha="right", fontsize="small", fontweight=weight)
@@ -155,6 +149,8 @@ def _draw(axes: Axes, bands: Bands) -> None:
         )  # fmt: skip
     if not finite:
         axes.set_xticks([])
+    elif beyond and not measured:
+        axes.set_xticks([at for at, _, _ in borders])
     elif axes.get_xscale() == "linear":
         axes.locator_params(axis="x", nbins=5)
     elif high < DECADES * low:
@@ -170,6 +166,29 @@ def _draw(axes: Axes, bands: Bands) -> None:
     label = f"{labelled(bands.label, unit)}\n{better.strip()}" if apart else labelled(f"{bands.label}{better}", unit)
     axes.set_xlabel(label)
     open_frame(axes, "x")
+
+
+def _draw_bar(axes: Axes, k: int, row: Row, color: str) -> None:
+    """The bar in a row and its ring; what goes on beyond the axis has no end on it."""
+    inks, (low, high) = colors(), axes.get_xlim()
+    if not math.isnan(row.least) and not math.isnan(row.greatest):
+        ends = [min(max(v, low), high) for v in (row.least, row.greatest)]
+        inside = [end for end, v in zip(ends, (row.least, row.greatest), strict=True) if v != -math.inf]
+        axes.plot(ends, [k, k], color=color, linewidth=7, solid_capstyle="butt", zorder=3)
+        axes.plot(inside, [k] * len(inside), "|", color=color, markersize=11, markeredgewidth=2, zorder=3)
+        if row.greatest == math.inf:
+            axes.plot([high], [k], ">", color=color, markersize=9, clip_on=False, zorder=4)
+        if row.least == -math.inf:
+            axes.annotate(
+                row.worst, (low, k), (3.0, 5.5), textcoords="offset points", va="bottom", fontsize="x-small", zorder=6
+            )
+        if row.greatest == -math.inf:
+            axes.plot([low], [k], marker=CARETLEFT, color=color, markersize=11, zorder=4)
+    if math.isfinite(row.nominal):
+        axes.plot(
+            [row.nominal], [k], "o", color=inks.page, markeredgecolor=inks.text, markersize=5.5,
+            markeredgewidth=1.0, zorder=5,
+        )  # fmt: skip
 
 
 def _borders(bands: Bands) -> list[tuple[float, float, float]]:
@@ -189,8 +208,8 @@ def _bottom(bands: Bands) -> float:
     return len(bands.rows) - 0.4
 
 
-def _limits(axes: Axes, finite: Sequence[float]) -> tuple[float, float]:
-    """Around all values, on the axis' own scale; where it is even, around 0, too."""
+def _limits(axes: Axes, finite: Sequence[float], *, beyond: bool) -> tuple[float, float]:
+    """Around all values, on the axis' own scale; where it is even, around 0, too; `beyond`: with room below them."""
     if not finite:
         return 0.0, 1.0
     low, high = min(finite), max(finite)
@@ -198,4 +217,5 @@ def _limits(axes: Axes, finite: Sequence[float]) -> tuple[float, float]:
         return low / 1.5, high * 1.5
     low, high = min(low, 0.0), max(high, 0.0)
     room = 0.06 * (high - low) or 1.0
-    return low - (room if low < 0 else 0.0), high + room
+    below = BELOW * (high - low) or 1.0
+    return low - (below if beyond else room if low < 0 else 0.0), high + room

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from flexopt.plotting.bands import Bands, Row, plot_band
-from tests.plotting.looking import faults
+from tests.plotting.looking import drawn, faults, texts
 
 
 @pytest.mark.parametrize(
@@ -43,3 +46,38 @@ def test_a_row_with_a_border_of_its_own_is_beside_that(own: float) -> None:
             (max(place - 0.5, -0.6) if place else -0.6, place + (0.6 if place == 3 else 0.5))
         ]
         assert faults(figure) == []
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_bar_that_falls_leaves_the_axis_to_other_numbers(seed: int, theme: str) -> None:
+    """It goes to the axis' end and says so above itself; one that falls everywhere is a mark there."""
+    rng, below = np.random.default_rng(seed), -math.inf
+    numbers = 10.0 ** rng.integers(-3, 4) * np.sort(rng.normal(size=(3, 3)))
+    rows = [Row(f"candidate {k}", *map(float, three), f"{three[0]:.4g} 1/s") for k, three in enumerate(numbers)]
+    rows[1:1] = [
+        Row("stay", below, rows[0].nominal, rows[0].greatest, "falls"),
+        Row("new gains", below, below, below, "falls"),
+    ]
+    figure = plot_band(Bands("decay", "1/s", True, tuple(rows), "stay", "new gains", (0.0, "grows")), theme=theme)
+    assert faults(figure) == []
+    axes, renderer = figure.axes[0], drawn(figure)
+    low, high = axes.get_xlim()
+    span = max(numbers.max(), 0.0) - min(numbers.min(), 0.0)
+    assert high - low < 1.5 * span
+    bars = {line.get_ydata()[0]: line for line in axes.get_lines() if line.get_linewidth() == 7}
+    assert bars[1].get_xdata()[0] == bars[2].get_xdata()[0] == bars[2].get_xdata()[1] == low < numbers.min()
+    written = [text.get_window_extent(renderer) for text in texts(figure) if text.get_text() == "falls"]
+    said = [box for box in written if box.x1 < axes.bbox.x1]
+    assert len(said) == len(written) / 2 == 2
+    for box in said:
+        at = axes.transData.inverted().transform((box.x0, box.y0))
+        assert low < at[0] < low + 0.05 * (high - low)
+        assert not any(box.overlaps(bar.get_window_extent(renderer)) for bar in bars.values())
+
+
+def test_where_all_fall_the_axis_has_the_border_alone() -> None:
+    row = (-math.inf, -math.inf, -math.inf, "falls")
+    figure = plot_band(Bands("decay", "1/s", True, (Row("stay", *row), Row("1", *row)), "stay", "1", (0.0, "grows")))
+    assert faults(figure) == []
+    assert list(figure.axes[0].get_xticks()) == [0.0]

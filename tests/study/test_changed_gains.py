@@ -166,6 +166,7 @@ class Gains:
     ki: Vector
     feedback: str = "pd"
     gain_units: tuple[str, ...] = ("N m", "N m s")
+    rate: float = 200.0
 
 
 @dataclass(frozen=True)

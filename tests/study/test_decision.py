@@ -546,3 +546,10 @@ def test_nothing_to_measure_is_said_of_the_places_that_may_be_sent_to() -> None:
     grows = "nothing to measure: with the present gains every place that breaks {} grows on all 4 grounds looked at"
     assert told(Breaks()) == grows.format("nothing")
     assert told(Breaks(by_loop="breaks decay")) == grows.format("the least")
+
+
+def test_a_decay_that_stands_for_falling_is_told_in_words() -> None:
+    falls = Place("stay", -1.4e5 * np.ones(8), -1.4e5, 0.0, falls=True)
+    told = decide(falls, [Place("near", 0.5 * np.ones(8), 0.5, 1.0)])
+    assert told.word == "move"
+    assert "slowest decay 0.5/s instead of none, for there it falls, for a drive of 1 m" in told.reason

@@ -37,6 +37,7 @@ from flexopt.study.verdicts.place_loops import besides_driving, configurations_o
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import allowed, told
 from flexopt.study.verdicts.result import GROUND_ASSUMED
+from tests.plotting.looking import without_pictures
 from tests.selection.constraints.test_under_weight import held as held_on_target
 from tests.study.machines import gantry
 from tests.study.telescopes import telescope
@@ -1864,3 +1865,26 @@ def test_why_what_decays_fast_does_not_settle_is_told(tmp_path: Path) -> None:
     # Of a decay that is slow itself there is nothing to say.
     slower = replace(changed, decay=replace(first.decay, least=0.05))
     assert remarks.lingers(replace(found, places=(slower, *others))) == ""
+
+
+def test_the_rate_that_stands_for_falling_is_no_number_to_read() -> None:
+    """The largest number's growth within a sample, by NumPy; JSON has it, text, page and picture say what it is."""
+    asked: dict[str, Any] = {"members": 2, "runs": 0, "starts": 1, "ranges": {"payload.mass": (0, 1500)}}
+    loop = {"kp": 2e3, "kv": 5e2, "rate": 200}
+    found = flexopt.verdict(flexopt.load("excavator"), (0.0, 1.6), base=0.0, gravity=True, loop=loop, **asked)
+    rate = -200 * np.log(np.finfo(float).max)
+    assert [place["decay"]["least"] for place in found.to_dict()["places"]] == pytest.approx([rate] * len(found.places))
+    shown = f"{rate:.4g}"
+    for place in found.places:
+        [line] = [line for line in repr(found).splitlines() if line.startswith(f"  {place.name}  ")]
+        assert f" {place.decay.nominal:+.4g}/s, falls " in line
+    assert "falls: on some ground the feedback is not found to hold the weight" in repr(found)
+    written = without_pictures(found._html())
+    assert shown not in repr(found)
+    assert with_minus(shown) not in written
+    assert re.search(r"slowest decay</dt><dd><data value=\"-1\d{5}[.\d]*\">falls</data>", written)
+    assert written.count(">falls</td>") == len(found.places)
+    decay = found.bands[0]
+    assert [(row.least, row.nominal, row.worst) for row in decay.rows] == [
+        (-math.inf, place.decay.nominal, "falls") for place in found.places
+    ]

@@ -22,7 +22,7 @@ from flexopt.foundation.stages import Stages
 from flexopt.loop.beside_decay import BesideDecay
 from flexopt.loop.certified.certificate import BOXES, DECAY, RegionProof, certified_radius, certify
 from flexopt.loop.evaluation import settings_at
-from flexopt.loop.outcome import FALLS_AT, NOWHERE_HELD
+from flexopt.loop.outcome import NOWHERE_HELD, falling
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.spectrum import (
     UNBRAKED,
@@ -115,7 +115,7 @@ class Region(Result):
         lines = [f"{word}, {'guaranteed' if self.guaranteed else 'not guaranteed'}: {self.rests_on}"]
         where = member_in_words(self.critical) + _told_own(self.self_motion)
         lines.append(f"  slowest found: {how}, {self.frequency_hz:.4g} Hz, at {where}")
-        if -self.decay >= FALLS_AT * self.settings.rate:
+        if self.decay <= falling(self.settings.rate):
             lines.append(f"  that rate stands for an arm that falls: there {NOWHERE_HELD}")
         if self.stable is None:
             lines.append("  more `boxes` than it was allowed let the proof go on, in the shell --boxes")

@@ -21,7 +21,7 @@ from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import Quantity, pair
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.many import decays, expect_decays
-from flexopt.loop.outcome import FALLS_AT
+from flexopt.loop.outcome import falling
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.uncertain import UncertaintyBox
@@ -166,7 +166,7 @@ def map_loop(
     varied |= {"base": np.tile(placed[:, None], count), "posture": np.tile(held[:, None], count)}
     result = decays(machine, settings, varied, gravity=gravity, own_model=True, threads=threads, progress=progress)
     # The rate that stands for an arm that falls is no rate to draw.
-    falls = -result.decay >= FALLS_AT * settings.rate
+    falls = result.decay <= falling(settings.rate)
     result.decay[falls] = result.frequency_hz[falls] = math.nan
     shape = rows.values.size, columns.values.size
     where = np.broadcast_to(held[:, None, None], (held.size, *shape))

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.loop.outcome import falling
 from flexopt.loop.uncertain import FEW
 from flexopt.model.loop import Loop
 from flexopt.study.verdicts.confirmation import Runs
@@ -195,14 +196,14 @@ class GainChange:
         serves = self._changes(other.place) or not self._changes(stay.place)
         if other.doubt is not None or not (standing is None or (serves and pays(other.place, standing))):
             return stay
-        told = f"staying with {stay.in_words} is stable on every ground, too: slowest decay {stay.place.slowest:.3g}/s"
+        told = f"staying with {stay.in_words} is stable on every ground, too: slowest decay {stay.place.slowest_told}"
         return other._replace(staying="" if stay.doubt is not None else told)
 
     def _grows(self, stay: _Tried) -> str:
         """That the present place is not stable with the best other gains found for it, in words."""
         loop = ChangedGains(stay.place, stay.loop, None).in_words
         told = f"staying with {loop}, the best other ones found, is not stable on every ground: slowest decay "
-        return ", and ".join(filter(None, [f"{told}{stay.place.slowest:.3g}/s", self._ends(stay)]))
+        return ", and ".join(filter(None, [f"{told}{stay.place.slowest_told}", self._ends(stay)]))
 
     def _standing(self, changed: Place | None) -> Place | None:
         """The present place as one would stay there: with other gains where these are worth a change, else as it is.
@@ -226,7 +227,7 @@ class GainChange:
         for place in sorted(near, key=lambda each: each.drive):
             loop = self.loops[place.name].with_settings(other.loop.settings)
             there, member = self._with(place.name, loop)
-            why = f"its slowest decay is {there.slowest:.3g}/s only"
+            why = f"its slowest decay is {there.slowest_told}{' only' * there.holds}"
             does = self._changes(there) and (standing is None or place.name == STAY or pays(there, standing))
             if there.slowest >= least and does:
                 found = self._told(_Tried(there, loop, member[None]))
@@ -246,7 +247,8 @@ class GainChange:
         """A place with a loop of other gains, and its slowest member (k,)."""
         decays = loop.decays(self.points)
         worst = loop.slowest(self.points, decays)
-        return self.known[name]._replace(decays=decays.min(axis=0), slowest=worst.decay, otherwise=""), worst.member
+        place = self.known[name]._replace(decays=decays.min(axis=0), slowest=worst.decay, otherwise="")
+        return place._replace(falls=worst.decay <= falling(loop.settings.rate)), worst.member
 
     def _fastest(self, name: str) -> _Tried:
         """A place with its best gains; of those with which it breaks nothing at rest, where it is stable with any."""

@@ -73,7 +73,8 @@ UNREACHED = "from the present placement the arm does not reach {} within its lim
 class Place(NamedTuple):
     """One configuration: name, decays (n,) on the members and the slowest that was found at all, 1/s; what it takes.
 
-    `drive` of the base, m; `otherwise`: what moves besides, in words; `turn` of the base, rad.
+    `drive` of the base, m; `otherwise`: what moves besides, in words; `turn` of the base, rad; `falls`: whether
+    feedback is not found to hold it where it decays least.
     """
 
     name: str
@@ -82,6 +83,12 @@ class Place(NamedTuple):
     drive: float
     otherwise: str = ""
     turn: float = 0.0
+    falls: bool = False
+
+    @property
+    def slowest_told(self) -> str:
+        """Its slowest decay, in words."""
+        return "none, for there it falls" if self.falls else f"{self.slowest:.3g}/s"
 
     @property
     def holds(self) -> bool:
@@ -153,12 +160,12 @@ def decide(
         doubts = {name: unconfirmed[name] for name in doubted}
         return Decision("change gains", changed.name, _why_gains(changed, stay, best, sound, doubts, found))
     if best is not None:
-        reason = f"{absent}; slowest decay there {best.slowest:.3g}/s"
+        reason = f"{absent}; slowest decay there {best.slowest_told}"
         if stay is not None:
             reason = f"{BETTER} on {percent(best.better_than(stay))} of the grounds"
             if not stay.holds:
                 reason = "stable on every ground, which the present place is not"
-            reason += f"; slowest decay {best.slowest:.3g}/s instead of {stay.slowest:.3g}/s"
+            reason += f"; slowest decay {best.slowest_told} instead of {stay.slowest_told}"
         takes = ", ".join(filter(None, [f"a drive of {way(best.drive):.3g} m", best.otherwise]))
         return Decision("move", best.name, f"{reason}, for {takes}", passed_over(best, stay, others, unconfirmed))
     if staying is not None:
@@ -167,7 +174,7 @@ def decide(
             most = max(share, most)
             where = f"more than {percent(most)} of the grounds" if most else "any ground"
             reason = f"{found} {BETTER} on {where}"
-            return Decision("stay", staying.name, f"{reason}; slowest decay here {staying.slowest:.3g}/s")
+            return Decision("stay", staying.name, f"{reason}; slowest decay here {staying.slowest_told}")
         return Decision("cannot tell", rival.name, _why_not(rival, share, unconfirmed))
     if stay is not None and sound:
         first = _near(_slowest_alike(sound))
@@ -306,7 +313,7 @@ def passed_over(
     elif stay is not None and not pays(place, stay):
         why = "not in its worst case"
     else:
-        why = f"its slowest decay is {place.slowest:.3g}/s only"
+        why = f"its slowest decay is {place.slowest_told} only"
     tried = ", with the gains that were tried," * bool(ends)
     return BETWEEN.join(filter(None, [f"{place.name} is nearer, {way(place.drive):.3g} m away, but{tried} {why}", end]))
 
@@ -391,17 +398,17 @@ def _why_gains(
     doubts: Mapping[str, str],
     found: str,
 ) -> str:
-    reason = f"with the new gains the slowest decay at {spoken(changed.name)} is {changed.slowest:.3g}/s"
+    reason = f"with the new gains the slowest decay at {spoken(changed.name)} is {changed.slowest_told}"
     if best is not None:
         more = faster(np.array(changed.slowest), np.array(best.slowest))
         much = "more than" if more else "as much as"
-        return f"{reason}, {much} {best.name} has with the present ones, {best.slowest:.3g}/s"
+        return f"{reason}, {much} {best.name} has with the present ones, {best.slowest_told}"
     staying = may_stay(stay, doubts)
     had = [*([] if staying is None else [staying]), *sound]
     if had and stay is not None and stay.holds:
         first = max(had, key=lambda place: place.slowest)
         where = " where nonlinear runs confirm it" * bool(doubts)
-        told = f"{reason}, with the present ones {first.slowest:.3g}/s at most{where}, at {spoken(first.name)}"
+        told = f"{reason}, with the present ones {first.slowest_told} at most{where}, at {spoken(first.name)}"
         return told + (f"; they do not confirm {_doubted([*doubts], doubts)}" if doubts else "")
     if sound and stay is not None:
         rival = max(sound, key=lambda place: place.better_than(stay))

@@ -64,9 +64,9 @@ def gains_kept(
             return f"other gains within {which} spare no drive: no place is nearer than {decision.place}"
     best = max(tried, key=lambda each: each.place.slowest)
     rival = max(had, key=lambda place: place.slowest, default=None)
-    what = f"the slowest decay is at best {best.place.slowest:.3g}/s, at {spoken(best.place.name)} with {best.in_words}"
+    what = f"the slowest decay is at best {best.place.slowest_told}, at {spoken(best.place.name)} with {best.in_words}"
     what += f" ({best.at_end})" * bool(best.at_end)
-    what += "" if rival is None else f", against {rival.slowest:.3g}/s at {spoken(rival.name)} with the present ones"
+    what += "" if rival is None else f", against {rival.slowest_told} at {spoken(rival.name)} with the present ones"
     of = f"of other gains within {which}"
     if not best.place.holds:
         where = "a nearer place" if decision.word == "move" else "a place"

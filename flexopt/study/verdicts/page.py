@@ -13,13 +13,14 @@ import numpy as np
 
 from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.foundation.rounding import way
+from flexopt.loop.outcome import falling
 from flexopt.loop.settings import CHOSEN
 from flexopt.loop.standard_move import LONGEST
 from flexopt.selection import SelectionProblem
 from flexopt.study.page import PageTable, Picture, begun, coordinate, number, picture, sentence, with_minus
 from flexopt.study.verdicts.decision import BETTER, percent
 from flexopt.study.verdicts.drawbacks import first_gain
-from flexopt.study.verdicts.places import MOVE, NEW_GAINS, STAY, allowed, told
+from flexopt.study.verdicts.places import FALLS, MOVE, NEW_GAINS, STAY, allowed, told
 from flexopt.study.verdicts.remarks import on_places, on_the_loop
 
 if TYPE_CHECKING:
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
 class Compared(NamedTuple):
     """A measure with a band: the attribute, how it is called, its unit and how many of it are an SI unit.
 
-    `worst`: the end of the band that is told;  `none`: what NaN means;  `highest`: up to which a border was looked for.
+    `worst`: the end of the band that is told;  `none`: what NaN means;  `highest`: up to which a border was looked for;
+    `falling`: up to which it stands for what falls.
     """
 
     attribute: str
@@ -41,6 +43,7 @@ class Compared(NamedTuple):
     worst: str
     none: str
     highest: float = math.inf
+    falling: float = -math.inf
 
 
 class BoxNumber(NamedTuple):
@@ -55,7 +58,7 @@ def measures(verdict: Verdict) -> tuple[Compared, ...]:
     turns = verdict.places[0].swing_unit
     gain = verdict.settings.gain_units[0]
     return (
-        Compared("decay", "decay", "1/s", 1.0, "least", ""),
+        Compared("decay", "decay", "1/s", 1.0, "least", "", falling=falling(verdict.settings.rate)),
         Compared("settling", "settling time", "s", 1.0, "greatest", f"over {LONGEST:g} s"),
         Compared("allowed_gain", "allowed Kp", gain, 1.0, "least", "none", verdict.settings.highest_kp),
         Compared("delay_margin", "delay margin", "ms", 1e3, "least", "none"),
@@ -78,7 +81,8 @@ def bands_of(verdict: Verdict) -> list[Bands]:
         rows = list[Row]()
         for place in verdict.rows:
             band = getattr(place, m.attribute)
-            least, nominal, greatest = (m.factor * value for value in (band.least, band.nominal, band.greatest))
+            values = (band.least, band.nominal, band.greatest)
+            least, nominal, greatest = (-math.inf if x <= m.falling else m.factor * x for x in values)
             border = own.get((m.attribute, place.name))
             rows.append(Row(place.name, least, nominal, greatest, _worst(place, m).text, border))
         found.append(Bands(m.label, m.unit, m.worst == "least", tuple(rows), STAY, sent, borders.get(m.attribute)))
@@ -203,6 +207,8 @@ def _title(m: Compared) -> str:
 
 def _worst(place: PlaceVerdict, m: Compared) -> BoxNumber:
     value = getattr(getattr(place, m.attribute), m.worst)
+    if value <= m.falling:
+        return BoxNumber(FALLS, value)
     unit = f" {m.unit}" if m.unit else ""
     none = "grows" if m.attribute == "settling" and place.decay.least <= 0 else m.none
     text = told(value, m.factor, unit) if math.isinf(m.highest) else allowed(value, m.unit, m.highest)

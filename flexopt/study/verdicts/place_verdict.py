@@ -34,7 +34,8 @@ class PlaceVerdict(Result):
         name: `"stay"`, or `"candidate 1"` and so on, by rank of the selection.
         base, posture: of the machine, m or rad;  w: measures w_i there. Of K targets a row for each: (K, n_b), (K, n).
         drive, turn: from the present placement, and along a way, m and rad.
-        decay: of the sampled loop, 1/s; its least is the slowest that a search with gradients found in the box, too.
+        decay: of the sampled loop, 1/s; its least is the slowest that a search with gradients found in the box, too;
+            of an arm that falls, for feedback is not found to hold its weight, −710 times the rate of samples.
         stable_share: of the members.
         slowest_at: the member with the slowest decay: factors and values by name;  slowest_hz: its frequency;
             slowest_target: at which target, from 0;  unseen: whether that is a mode which neither moves the end-point

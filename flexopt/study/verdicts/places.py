@@ -15,6 +15,8 @@ NEW_GAINS = "new gains"
 TOLD = 3
 # Length of the standard move, m.
 MOVE = 0.1
+# In place of the number that stands for a decay of what feedback holds nowhere.
+FALLS = "falls"
 # Of an allowed gain that there is not, whose number is 0.
 NO_GAIN = "none"
 # And what that says, of a loop.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from flexopt.foundation.plain import listed
 from flexopt.loop.evaluation import unseen_told
-from flexopt.loop.outcome import FALLS_AT, NOWHERE_HELD
+from flexopt.loop.outcome import NOWHERE_HELD, falling
 from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion, mostly_self_motion
 from flexopt.loop.standard_move import LONGEST, SETTLED
 from flexopt.loop.uncertain import member_in_words
@@ -19,7 +19,7 @@ from flexopt.selection.problem import with_angles
 from flexopt.study.verdicts.confirmation import INTEGRAL
 from flexopt.study.verdicts.decision import BETWEEN, spoken
 from flexopt.study.verdicts.drawbacks import NOT_WHERE_IT_GROWS
-from flexopt.study.verdicts.places import MOVE
+from flexopt.study.verdicts.places import FALLS, MOVE
 
 if TYPE_CHECKING:
     from flexopt.study.verdicts.result import Verdict
@@ -136,13 +136,9 @@ def rests_beside(verdict: Verdict) -> str:
 
 
 def falls(verdict: Verdict) -> str:
-    """That feedback is not found to hold the arm where places decay least, a sentence; empty where it holds it."""
-    most = FALLS_AT * verdict.settings.rate
-    names = [place.name for place in verdict.places if -place.decay.least >= most]
-    if not names:
-        return ""
-    which = "of every place" if len(names) == len(verdict.places) else f"of {', '.join(names)}"
-    return f"the slowest decay {which} stands for an arm that falls: on some ground {NOWHERE_HELD}"
+    """That feedback is not found to hold the arm of places, a sentence; empty where it holds it."""
+    least = min(place.decay.least for place in verdict.rows)
+    return f"{FALLS}: on some ground {NOWHERE_HELD}" if least <= falling(verdict.settings.rate) else ""
 
 
 def unseen(verdict: Verdict) -> str:

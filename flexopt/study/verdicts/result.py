@@ -17,6 +17,7 @@ from flexopt.foundation.plain import listed
 from flexopt.foundation.printing import Printed
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
+from flexopt.loop.outcome import falling
 from flexopt.loop.settings import CHOSEN, LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
@@ -30,6 +31,7 @@ from flexopt.study.verdicts.drawbacks import drawbacks_of
 from flexopt.study.verdicts.place_loops import Chosen, chosen_gains, found_in, problems_of, repeated
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import (
+    FALLS,
     FIRST,
     MOVE,
     NEW_GAINS,
@@ -421,9 +423,9 @@ class Verdict(Pictured, Printed, Result):
             f"  {'place':12} {'drive':>8} {'decay, slowest':>26} {'allowed Kp':>{wide}} {'delay margin':>13} "
             f"{'settling':>10} {'swing':>11}   nonlinear runs",
         ]
-        highest = self.settings.highest_kp
+        highest, least = self.settings.highest_kp, falling(self.settings.rate)
         rows = self.rows
-        lines += [_row(place, allowed(place.allowed_gain.least, unit, highest), wide) for place in rows]
+        lines += [_row(place, least, allowed(place.allowed_gain.least, unit, highest), wide) for place in rows]
         lines += [f"  {sentence}" for sentence in (self.left_out, self.sought_by, self.unverified) if sentence]
         grows = any(place.decay.least <= 0 for place in rows)
         late = any(math.isnan(place.settling.greatest) and place.decay.least > 0 for place in rows)
@@ -453,9 +455,12 @@ def _interval(each: Uncertainty, machine: AnyMachine) -> str:
     return f"{each.name} {low:g} to {high:g} {' or '.join(sorted(units))}".rstrip()
 
 
-def _row(place: PlaceVerdict, gain: str, wide: int) -> str:
+def _row(place: PlaceVerdict, least: float, gain: str, wide: int) -> str:
+    """The line of a place; up to the decay `least` it falls."""
     drive = "" if place.name == STAY else "–" if math.isnan(place.drive) else f"{place.drive:.2f} m"
-    decay = f"{place.decay.nominal:+.4g}, {place.decay.least:+.4g}/s"
+    both = (place.decay.nominal, place.decay.least)
+    rates = ", ".join(f"{x:+.4g}" for x in both if not x <= least)
+    decay = ", ".join([*([f"{rates}/s"] if rates else []), *(FALLS for x in both if x <= least)])
     return (
         f"  {place.name:12} {drive:>8} {decay:>26} {gain:>{wide}} "
         f"{told(place.delay_margin.least, 1e3, ' ms'):>13} {told(place.settling.greatest, 1, ' s'):>10} "

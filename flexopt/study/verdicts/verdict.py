@@ -24,6 +24,7 @@ from flexopt.foundation.plain import listed, shown
 from flexopt.foundation.stages import Stages
 from flexopt.loop.evaluation import swing_unit
 from flexopt.loop.lag import lagged_modes
+from flexopt.loop.outcome import falling
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.spectrum import from_sample_to_sample
 from flexopt.loop.uncertain import FEW, SENSES, UncertainLoop, UncertaintyBox, matters_most
@@ -209,7 +210,8 @@ def verdict(
     absent = _breaking(chosen, breaks[STAY], held[STAY]) if STAY in stands else unreached(chosen)
     known = {
         name: Place(name, decays[name], slowest[name].decay, drives[name][0],
-                    besides_driving(solved, drives[name][1], stands[name]), drives[name][1])
+                    besides_driving(solved, drives[name][1], stands[name]), drives[name][1],
+                    slowest[name].decay <= falling(settings.rate))
         for name in told if name in fit
     }  # fmt: skip
     stay, rest = known.get(STAY), [place for name, place in known.items() if name != STAY]
