@@ -131,6 +131,39 @@ def grounded(arm: int, seed: int, *, coupled: bool = True) -> Data:
     return data
 
 
+def telescope(seed: int) -> Data:
+    """A carriage on springs in the plane x, z, and a boom, a telescope and a blade, which all joints move.
+
+    The telescope's mass and the blade's hinge lie on the slide's axis. As no force passes along that, how the blade moves
+    in a mode is told by one number, which may be zero along whole curves of postures.
+    """
+    rng = np.random.default_rng(seed)
+    springs = [("x", "slide", [1.0, 0.0, 0.0], (2e6, 3e6)), ("z", "slide", [0.0, 0.0, 1.0], (4e6, 6e6)),
+               ("pitch", "hinge", [0.0, -1.0, 0.0], (4e6, 6e6))]  # fmt: skip
+    bodies: list[Data] = []
+    for name, kind, axis, stiffness in springs:
+        joint = {"name": f"base.{name}", "kind": kind, "axis": axis, "passive": True}
+        joint |= {"stiffness": rng.uniform(*stiffness), "damping": rng.uniform(5e3, 1e4)}
+        bodies.append({"name": joint["name"], "parent": bodies[-1]["name"] if bodies else None, "joint": joint})
+    bodies[-1] |= {"mass": rng.uniform(4e3, 8e3), "com": [rng.uniform(-0.4, 0.1), 0.0, rng.uniform(0.6, 0.9)],
+                   "inertia": [2e3, rng.uniform(3e3, 6e3), 3e3, 0.0, 0.0, 0.0]}  # fmt: skip
+    # Joint, kind, limits; where it is, how heavy, its centre and inertia between two ends each.
+    for name, kind, limits, at, mass, com, inertia in (
+        ("lift", "hinge", [-0.5, 0.9], ((0.0, 0.5), (1.2, 2.0)), (800, 1500), ((0.7, 1.2), (-0.1, 0.1)), (900, 1500)),
+        ("extend", "slide", [0.1, 2.5], ((2.0, 2.6), (-0.1, 0.1)), (300, 700), ((-0.9, -0.3), (0, 0)), (400, 800)),
+        ("tilt", "hinge", [-2.0, 0.8], ((0.0, 0.3), (0, 0)), (100, 250), ((0.3, 0.5), (-0.1, 0.1)), (8, 20)),
+    ):
+        axis = [0.0, -1.0, 0.0] if kind == "hinge" else [1.0, 0.0, 0.0]
+        place, centre = ([rng.uniform(*x), 0.0, rng.uniform(*z)] for x, z in (at, com))
+        own = rng.uniform(*inertia)
+        joint = {"name": name, "kind": kind, "axis": axis, "limits": limits}
+        bodies.append({"name": name, "parent": bodies[-1]["name"], "joint": joint, "position": place, "com": centre,
+                       "mass": rng.uniform(*mass), "inertia": [0.1 * own, own, own, 0.0, 0.0, 0.0]})  # fmt: skip
+    tip = [rng.uniform(0.7, 1.1), 0.0, rng.uniform(-0.2, 0.2)]
+    return {"name": f"telescope{seed}", "bodies": bodies, "gravity": 9.81, "placement": ["x"],
+            "end_point": {"body": "tilt", "position": tip, "rows": ["x", "z"]}}  # fmt: skip
+
+
 def in_space(machine: Data) -> Data:
     """A planar machine's dictionary as a tree in the plane x, z: y becomes z, and hinges turn about −y."""
     base, bodies = machine["base"], []

@@ -7,16 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.linalg import eigh
+from scipy.optimize import brentq, least_squares
 
 import flexopt
 from benchmarks.choice import chosen
 from benchmarks.dimensions import cases, examined
+from flexopt.model import tree_from_dict
 from flexopt.selection.cones import Parallel, split_factors
 from flexopt.selection.continua import nearest, travel
 from flexopt.selection.starts import apart, idle_joints
 from flexopt.selection.surfaces import STARTS
 from tests.oracles.machines import random_machine
+from tests.oracles.spatial import pinocchio_tree, telescope
 
 
 @pytest.mark.parametrize("task_rows", [2, 3, 4])
@@ -51,6 +54,109 @@ def test_equations_of_parallel_factors_are_zero_there_alone_and_have_their_slope
     assert Parallel.at(f, slopes, (0, 1)).values(f)[chart.equations :].min() > 0
     f[:, 1] *= -1
     assert np.all(Parallel.at(f, slopes, (0, 1)).values(f)[chart.equations :].reshape(-1, 2).min(axis=1) < 0)
+
+
+def test_equations_of_a_factor_that_stays_zero_are_zero_with_it_and_have_their_slopes() -> None:
+    """One of two modes has a_i = s u, s a number: one equation, and no inequalities, of s = 0; beside differences."""
+    rng = np.random.default_rng(4)
+    n, along = 4, np.array([0.6, -0.8])
+    slope, tangent = rng.normal(size=n), rng.normal(size=(6, n))
+
+    def factors(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        s, others = np.sin(slope @ x), np.cos(tangent @ x) + 0.5
+        f = np.array([[s * along, others[:2]], [others[2:4], others[4:]]])
+        f_x = np.empty((2, 2, 2, n))
+        f_x[0, 0] = np.cos(slope @ x) * np.outer(along, slope)
+        f_x.reshape(8, n)[2:] = -np.sin(tangent @ x)[:, None] * tangent
+        return f, f_x
+
+    start = rng.normal(size=n)
+    start -= slope * (slope @ start) / (slope @ slope)
+    axes = np.array([along])
+    chart = Parallel.at(*factors(start), (0, 1), {0: axes})
+    assert chart.equations == 1 + 1
+    assert chart.upper.size == 1 + 1 + 2
+    x = start + 0.05 * rng.normal(size=n)
+    beside = [(chart.values(factors(x + d)[0]) - chart.values(factors(x - d)[0])) / 2e-6 for d in 1e-6 * np.eye(n)]
+    told = chart.slopes(*factors(x))
+    # Rounding of the differences: 1e-16 / 1e-6.
+    assert np.abs(told - np.array(beside).T).max() <= 1e-8 * np.abs(told).max()
+    on = x - slope * (slope @ x) / (slope @ slope)
+    assert abs(chart.values(factors(on)[0])[0]) <= 1e-14 < 1e-3 < abs(chart.values(factors(x)[0])[0])
+
+
+@pytest.mark.long("0", "1", "7")
+@pytest.mark.parametrize("seed", [0, 1, 5, 7])
+def test_a_curve_along_which_a_factor_stays_zero_is_one_optimum(seed: int) -> None:
+    """a_1 = 0 as a telescope goes out, by Pinocchio's masses and Jacobians and SciPy's modes.
+
+    Curves are followed from each candidate to the limits by steps of 0.04 and Newton's with differences: all the other
+    candidates lie off it, and what was found of its set and rests on the kink lies on it.
+    """
+    data, step = telescope(seed), 0.04
+    oracle = pinocchio_tree(data)
+    springs = np.diag([body["joint"].get("stiffness", 0.0) for body in data["bodies"]])
+    lower, upper = np.transpose([body["joint"]["limits"] for body in data["bodies"][3:]])
+
+    def modes(posture: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """a_i (2, 3) and w_i (3,); and how high the end-point is."""
+        q = np.append(np.zeros(3), posture)
+        r, jacobian, _ = oracle.task(q, np.zeros(3))
+        shapes = eigh(springs, oracle.mass(q))[1][:, 3:]
+        shapes *= np.sign(shapes[np.abs(shapes[:3]).argmax(axis=0), range(3)])
+        a, b = jacobian @ shapes, np.linalg.pinv(jacobian[:, 3:]).T @ shapes[3:]
+        return a, np.sum(a * b, axis=0) - np.linalg.norm(a, axis=0) * np.linalg.norm(b, axis=0), float(r[1])
+
+    # A place on the curve, which sets the target's height.
+    lift = brentq(lambda lift: modes(np.array([lift, 1.2, -0.4]))[0][1, 0], lower[0], upper[0], xtol=1e-15)
+    a, _, height = modes(np.array([lift, 1.2, -0.4]))
+    assert np.linalg.norm(a[:, 0]) <= 1e-15
+    found = flexopt.select(tree_from_dict(data), (4.0, height), objective="w1", starts=8, workers=1)
+
+    def off(posture: np.ndarray) -> np.ndarray:
+        a, _, z = modes(posture)
+        return np.append(1e3 * a[:, 0], z - height)
+
+    def slopes(posture: np.ndarray) -> np.ndarray:
+        return np.transpose([(off(posture + d) - off(posture - d)) / 2e-6 for d in 1e-6 * np.eye(3)])
+
+    def followed(posture: np.ndarray, way: float) -> list[np.ndarray]:
+        path, ahead = list[np.ndarray](), way * np.linalg.svd(slopes(posture))[2][-1]
+        while np.all((posture >= lower - 1e-9) & (posture <= upper + 1e-9)):
+            path.append(posture)
+            posture = posture + step * ahead
+            for _ in range(3):
+                # Of three equations two are left where a_1 has one direction.
+                posture = posture - np.linalg.pinv(slopes(posture), rcond=1e-5) @ off(posture)
+            assert np.abs(off(posture)).max() <= 1e-10
+            assert np.linalg.norm(posture - path[-1]) <= 1.5 * step
+            after = np.linalg.svd(slopes(posture))[2][-1]
+            ahead = after * np.sign(after @ ahead)
+        return path
+
+    def away(posture: np.ndarray, curve: np.ndarray) -> float:
+        return float(np.linalg.norm(curve - posture, axis=1).min())
+
+    resting = [candidate for candidate in found.candidates if "kink of w1: a1 = 0" in candidate.kinks]
+    assert resting
+    for candidate in resting:
+        assert candidate.dimension == 1
+        assert candidate.unsurpassed
+        curve = np.array([*followed(candidate.z[1:], 1.0), *followed(candidate.z[1:], -1.0)])
+        assert len(curve) > 10
+        others = [other.z[1:] for other in found.candidates if other is not candidate]
+        # Points of the curve are no further than a step from the next of it, beyond which it may end.
+        assert min((away(posture, curve) for posture in others), default=1.0) > step
+        points = [np.array(z)[1:] for z in candidate.representatives]
+        on = [away(posture, curve) for posture in points if np.linalg.norm(modes(posture)[0][:, 0]) <= 1e-12]
+        assert on
+        assert max(on) <= step
+        ends = np.transpose(list(candidate.extent.values()))[:, 1:]
+        assert np.all(np.ptp(ends, axis=0) > 0)
+        # Nothing beside it along the curve is better.
+        beside = curve[np.linalg.norm(curve - candidate.z[1:], axis=1) < 5 * step]
+        worst = [modes(posture)[1][1:].min() for posture in beside]
+        assert max(worst) <= candidate.w[1:].min() + 1e-9 * found.problem.objective_scale
 
 
 @pytest.mark.long("boom-stick-bucket 7", "2: random-5-x-y-")
@@ -90,6 +196,9 @@ def test_nor_where_the_surface_has_an_edge() -> None:
         for seed in (0, 2)
     ]
     assert all("kink of w1: a1 = 0" in each.best.kinks and each.best.dimension == 2 for each in found)
+    resting = [[c for c in each.candidates if "kink of w1: a1 = 0" in c.kinks] for each in found]
+    worst = [[c.w[1:].min() for c in each] for each in resting]
+    np.testing.assert_allclose(worst[0], worst[1], rtol=0, atol=1e-8 * found[0].problem.objective_scale)
     away = (found[0].best.z - found[1].best.z)[np.array([0, 1, 6])]
     turned = np.sin((found[0].best.z - found[1].best.z)[2:6] / 2)
     assert max(np.abs(away).max(), 2 * np.abs(turned).max()) <= 1e-3

@@ -43,7 +43,7 @@ class Proof:
         kinks: of every kink that the point stands on its multiplier, as a share of the largest one that an optimum has.
         unsurpassed: whether V is a value that no configuration exceeds.
         dimension: of the set of optima about the point: how many directions lead along optima as good; None where that
-            is not known: where a_i or b_i vanishes, and of stands and plans.
+            is not known: where a_i and b_i vanish or sets may cross, and of stands and plans.
         pull: the largest slope, of V / size, with which an objective that is kept holds V's, at least 1: stationarity
             is told relative to it.
     """

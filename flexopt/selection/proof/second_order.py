@@ -10,9 +10,9 @@ import numpy as np
 from flexopt.algebra.feasible import shortest_steps
 from flexopt.foundation.arrays import Vector
 from flexopt.selection.ascent.model import halves, turn
-from flexopt.selection.cones import SHARED, Parallel, smooth_slope
+from flexopt.selection.cones import SHARED, Parallel, farther, smooth_slope
 from flexopt.selection.nlp.coupling import own_directions, widened
-from flexopt.selection.nlp.program import Linearisation, Program
+from flexopt.selection.nlp.program import Linearisation, Program, row_gradients
 from flexopt.selection.nlp.solvers import Local
 from flexopt.selection.problem import SelectionProblem
 from flexopt.selection.proof.first_order import TIP
@@ -30,12 +30,18 @@ CORRECTIONS, ON_ROWS = 8, 1e-14
 DEPENDENT = 1e-9
 # Slopes of the equations of a_i parallel to b_i, in scaled variables, that count as none.
 VANISHING = 1e-7
+# Slopes of a_i or b_i where it is 0, as a share of its largest, along which it may stay so; and how long the steps are,
+# in scaled variables, that show whether it does.
+FLAT, ASIDE = 1e-5, 1e-2
 # A gain below this share of V's and the multipliers' size is rounding.
 NOISE = 1e-12
 
 
 def surface_at(problem: SelectionProblem, z: Vector) -> Parallel | None:
-    """The equations, about z, of what makes V = 0 there: a_i parallel to b_i; None where both of a mode vanish."""
+    """The equations, about z, of what makes V = 0 there: a_i parallel to b_i; None where both of a mode vanish.
+
+    Where one of them vanishes and goes on to do so along more than an edge of that, its own equations.
+    """
     modes = tuple(i for i, alpha in enumerate(problem.objective.alpha) if alpha > 0)
     if not modes:
         return None
@@ -47,7 +53,49 @@ def surface_at(problem: SelectionProblem, z: Vector) -> Parallel | None:
     told = sizes.prod(axis=1) * np.array(problem.objective.alpha) > TIP * problem.objective_scale
     if not all(same[i] < SHARED and away[i] and told[i] for i in modes):
         return None
-    return Parallel.at(f, slopes, modes)
+    sides = {i: 1 - farther(f[i], slopes[i]) for i in modes}
+    tips = {i: side for i, side in sides.items() if np.linalg.norm(f[i, side]) <= TIP * reach[i, side]}
+    resting = {i: _resting(problem, z, i, side) for i, side in tips.items()}
+    return Parallel.at(f, slopes, modes, {i: axes for i, axes in resting.items() if axes is not None})
+
+
+def _resting(problem: SelectionProblem, z: Vector, i: int, side: int) -> Vector | None:
+    """Axes e_k (k, r) of a_i or b_i, 0 at z, that are 0 where all of it is, fewer than r; None where there are none.
+
+    It then depends on fewer numbers than it has entries, as beyond a slide that a mode finds free: no force passes
+    along it. To first order that may be chance; so steps are made to where the e_k are 0, and all of it must be.
+    """
+    lower, upper, sizes = problem.row_bounds
+    n_task, scale, fixed = problem.target.size, problem.scale, problem.lower == problem.upper
+    equal = (lower == upper) | (np.arange(lower.size) < n_task)
+    wanted = np.append(problem.target, lower[n_task:])
+
+    def held(y: Vector) -> tuple[Vector, Vector]:
+        off, slopes = (problem.rows(y * scale) - wanted) / sizes, row_gradients(problem, y * scale) / sizes[:, None]
+        return np.append(off[equal], (y - start)[fixed]), np.vstack([slopes[equal] * scale, np.eye(y.size)[fixed]])
+
+    def tip(y: Vector) -> tuple[Vector, Vector]:
+        f, f_z, _ = problem.factors(y * scale)
+        return f[i, side] / reach, f_z[i, side] * scale / reach
+
+    start, reach = z / scale, 1.0
+    reach = float(np.linalg.norm(tip(start)[1], 2))
+    free = _null_space(held(start)[1])
+    across, singular, along = np.linalg.svd(tip(start)[1] @ free.T)
+    rank = int(np.sum(singular > FLAT))
+    axes, ways = across.T[:rank], along[rank:] @ free
+
+    def onto(y: Vector) -> tuple[Vector, Vector]:
+        (off, rows), (value, slopes) = held(y), tip(y)
+        return np.append(off, axes @ value), np.vstack([rows, axes @ slopes])
+
+    if rank == len(across) or not len(ways):
+        return None
+    for way in ways:
+        there, error = shortest_steps(onto, start + ASIDE * way, np.ones(z.size), ON_ROWS, steps=CORRECTIONS)
+        if not (error <= LANDED and np.linalg.norm(tip(there)[0]) <= DEPENDENT):
+            return None
+    return axes
 
 
 def dimension_of(program: Program, x: Vector, local: FirstOrderModel) -> int | None:
@@ -63,9 +111,16 @@ def dimension_of(program: Program, x: Vector, local: FirstOrderModel) -> int | N
         equations[kink.rows] = False
     across = surface.slopes(f, f_z * program.first.scale)[: surface.equations]
     # Where equations lose their slopes, as on an edge in a plane of symmetry, sets may cross.
-    if np.linalg.svd(across, compute_uv=False)[-1] <= VANISHING:
+    if np.linalg.svd(across, compute_uv=False).min(initial=np.inf) <= VANISHING:
         return None
     return x.size - _rank(np.vstack([local.equalities[equations], across]))
+
+
+def _null_space(rows: Vector) -> Vector:
+    """An orthonormal basis (d, n) of what the rows (k, n) leave free."""
+    _, singular, directions = np.linalg.svd(rows)
+    free: Vector = directions[int(np.sum(singular > DEPENDENT * singular[0])) :]
+    return free
 
 
 def _rank(rows: Vector) -> int:
@@ -82,8 +137,7 @@ def largest_curvature(
     derivatives change within the step. And along how many directions there is none.
     """
     rows = local.rows(list(range(len(local.inequalities))))
-    _, singular, directions = np.linalg.svd(rows)
-    free = directions[int(np.sum(singular > DEPENDENT * singular[0])) :] if len(rows) else np.eye(local.gradient.size)
+    free = _null_space(rows) if len(rows) else np.eye(local.gradient.size)
     if not free.size:
         return 0.0, 0
     weights = local.weights(multipliers, kept)
