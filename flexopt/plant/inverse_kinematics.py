@@ -206,9 +206,8 @@ def solve_postures(plant: Plant, target: Vector, bases: Vector, starts: Vector) 
 def held_steps(machine: AnyMachine) -> ca.Function:
     """`feasible_steps` of what springs and weight leave over and of the task in z = [base, q]; the last input is p."""
     plant = build_plant(machine)
-    g, m = plant.graph, plant.n_passive
-    left = plant.static_force(g.q[:m], g.base, g.q[m:], g.p)
-    return feasible_steps(ca.vertcat(left, g.end_point), ca.vertcat(g.base, g.q), [g.p])
+    g = plant.graph
+    return feasible_steps(plant.held_rows, ca.vertcat(g.base, g.q), [g.p])
 
 
 def solve_held(plant: Plant, target: Vector, bases: Vector, starts: Vector) -> tuple[Vector, Vector]:

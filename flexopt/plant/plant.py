@@ -334,6 +334,12 @@ class Plant:
         return self._function("held_step", inputs, [ca.densify(stepped)], ["next"])
 
     @cached_property
+    def held_rows(self) -> ca.SX:
+        """[K_p (q_p − q_p,rest) + g_p; r], (m + n_task,): what springs and weight leave over, and the end-point."""
+        g, m = self.graph, self.n_passive
+        return ca.vertcat(self._static_force(g.q[:m], g.base, g.q[m:], g.p), g.end_point)
+
+    @cached_property
     def sagging_jacobian(self) -> ca.Function:
         """∂r/∂q_a where springs hold the weight and give way as the arm turns, (n_task, n).
 
@@ -356,7 +362,7 @@ class Plant:
         passive coordinates, f is what springs and weight leave over, and the arm turns by T δs, T = `toward`.
         """
         g, m = self.graph, self.n_passive
-        left = self.static_force(q[:m], g.base, q[m:], g.p)
+        left = self._static_force(q[:m], g.base, q[m:], g.p)
         pulled = self._gravity_coupling(q, g.base, g.p) @ toward
         sags = ca.solve(self._tangent(q, g.base, g.p), ca.horzcat(left, pulled))
         jacobian, off = self.jacobian(q, g.base, g.p), target - self.end_point(q, g.base, g.p)
@@ -386,7 +392,7 @@ class Plant:
             q_p = deflection
             for _ in range(2):
                 q_p = self._newton_step(q_p, base, posture, p)
-            residual = self.static_force(deflection, base, posture, p)
+            residual = self._static_force(deflection, base, posture, p)
             q = ca.vertcat(q_p, posture)
             stiffness = ca.SX(stiffness)
             stiffness[:m, :m] += self.gravity_stiffness(q, base, p)
@@ -429,15 +435,14 @@ class Plant:
         c = ca.horzcat(ca.SX.zeros(self.n_task, n), at.jacobian)
         return self._of_posture(f"linearisation_{control_method(control)}", [a, b, c], ["A", "B", "C"])
 
-    def static_force(self, q_p: ca.SX, base: ca.SX, posture: ca.SX, p: ca.SX) -> ca.SX:
-        """K_p (q_p − q_p,rest) + g_p(q), (m,): what springs and weight leave over."""
+    def _static_force(self, q_p: ca.SX, base: ca.SX, posture: ca.SX, p: ca.SX) -> ca.SX:
         m = self.n_passive
         rest = self.rest(base, posture, p)[:m]
         return self.stiffness(p)[:m, :m] @ (q_p - rest) + self.gravity(ca.vertcat(q_p, posture), base, p)[:m]
 
     def _newton_step(self, q_p: ca.SX, base: ca.SX, posture: ca.SX, p: ca.SX) -> ca.SX:
         tangent = self._tangent(ca.vertcat(q_p, posture), base, p)
-        return q_p - ca.solve(tangent, self.static_force(q_p, base, posture, p))
+        return q_p - ca.solve(tangent, self._static_force(q_p, base, posture, p))
 
     def _tangent(self, q: ca.SX, base: ca.SX, p: ca.SX) -> ca.SX:
         """K_t = K_p + ∂g_p/∂q_p, (m, m)."""
