@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from contextlib import suppress
 from functools import lru_cache
 from typing import Any, cast
 
@@ -41,6 +40,8 @@ HOLD = 0.1
 INSIDE = 1e-3
 # How far off a posture of a machine that sags may be, as a share of the arm, to start from.
 NEARLY = 1e-3
+# How far beside a straight arm others are started from, rad, and as a share of its length.
+BESIDE = 0.1
 # Rounding may push |cos| past 1 by this much on the edge of the reach.
 EDGE = 1e-12
 
@@ -104,8 +105,10 @@ def inverse_kinematics(
     found = [posture for posture in reached if inside_limits(machine, posture[:, None])[0]]
     if not found and (gravity or (reached and free)):
         # Narrow limits may lie between the points of the sample: Newton steps lead into them.
-        with suppress(UnreachableTarget):
+        try:
             found = _by_iteration(plant, point, placement, gravity, seed)
+        except UnreachableTarget as nearer:
+            sagging = min(sagging, nearer.miss) if sagging is not None else None
     if elbow is not None and found:
         # Weight, or steps from far off, may bend it the other way.
         bends = (
@@ -146,7 +149,7 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
     off = float(np.nanmin(left))
     if gravity:
         # The border of the reach is another as the machine sags: the nearest are led there.
-        nearest = postures[:, np.argsort(left, kind="stable")[:NEAREST]]
+        nearest = bent(plant, postures[:, np.argsort(left, kind="stable")[:NEAREST]], seed)
         reached, off = _settled(plant, target, base, np.array(_distinct(reached, SAME)).T if reached else nearest)
         if not reached:
             reached, off = _settled(plant, target, base, nearest)
@@ -239,6 +242,14 @@ def solve_held(plant: Plant, target: Vector, bases: Vector, starts: Vector) -> t
     q = np.vstack([plant.deflected.call([bases, postures, p])[0].full(), postures])
     off = np.abs(plant.end_point.call([q, bases, p])[0].full() - goals).max(axis=0)
     return postures, np.where(np.isfinite(off) & holding(plant, q, bases), off, math.inf)
+
+
+def bent(plant: Plant, postures: Vector, seed: int) -> Vector:
+    """Postures (n, N), and beside them others (n, 2 N): from one of a straight arm steps lead to one side alone."""
+    length = arm_length(plant)
+    scale = np.array([1.0 if unit == "rad" else length for unit in plant.machine.joint_units])
+    aside = BESIDE * scale[:, None] * np.random.default_rng(seed).standard_normal(postures.shape)
+    return np.concatenate([postures, postures + aside], axis=1)
 
 
 def _settled(plant: Plant, target: Vector, base: Vector, starts: Vector) -> tuple[list[Vector], float]:

@@ -217,7 +217,8 @@ def build_one(
         sines = plant.singularity_sine_squared(between.base, between.posture, plant.parameter_values).full()
         if np.any(sines >= sine_squared):
             return between, off
-        return replace(scan, reached=scan.reached or between.reached), off
+        # What is reached with springs unloaded may not be as the machine sags.
+        return replace(scan, reached=between.reached or (scan.reached and not asked.gravity)), off
 
     scan, off = looked(asked.seed, kept)
     if scan.size == 0:

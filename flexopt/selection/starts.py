@@ -23,7 +23,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
 from flexopt.foundation.processes import in_parallel
 from flexopt.model.constraints import Constraints
-from flexopt.plant.inverse_kinematics import held_on, low_discrepancy, reach_steps, solve_held
+from flexopt.plant.inverse_kinematics import bent, held_on, low_discrepancy, reach_steps, solve_held
 from flexopt.selection.nlp.program import values_of
 from flexopt.selection.places import FEASIBLE, places_left_out
 from flexopt.selection.problem import SelectionProblem
@@ -130,20 +130,13 @@ def sample_configurations(problem: SelectionProblem, starts: int, areas: Constra
         more, far = onto_target(problem, more, standing=True)
         z, unit, off = (np.concatenate(pair, axis=-1) for pair in ((z, more), (unit, of_more), (off, far)))
     reaches = off <= FEASIBLE
-    if problem.gravity and not reaches.any():
-        # The border of the reach is another as the machine sags: the nearest are led there.
-        nearest = np.argsort(np.nan_to_num(off, nan=math.inf), kind="stable")[:NEAREST_HELD]
-        held, beside = solve_held(plant, problem.target, z[:n_b, nearest], z[n_b:, nearest])
-        z[n_b:, nearest], off[:] = held, math.inf
-        off[nearest] = beside / problem.row_bounds[2][0]
-        reaches = off <= FEASIBLE
+    if problem.gravity:
+        # The border of the reach is another as the machine sags.
+        nearest: NDArray[np.int64] = np.argsort(np.nan_to_num(off, nan=math.inf), kind="stable")[:NEAREST_HELD]
+        z, unit, reaches, off = _sagging(problem, z, unit, reaches, nearest)
     if not reaches.any():
         return empty_scan(plant, reached=False), float(np.nanmin(off) * problem.row_bounds[2][0])
     z, unit = z[:, reaches], unit[:, reaches]
-    if problem.gravity:
-        # What is turned beyond a limit misses the target, and may be moved.
-        held = held_on(plant, problem.target, z[:n_b], z[n_b:])
-        z[n_b:] = np.clip(held.T, problem.lower[n_b:], problem.upper[n_b:]).T
     left = violated(problem, z)
     # Those of areas that were left out are beside these.
     missing = ENOUGH * starts - int(np.sum(left[: int(reaches[:size].sum())] <= FEASIBLE))
@@ -161,6 +154,29 @@ def sample_configurations(problem: SelectionProblem, starts: int, areas: Constra
     return scanned(
         problem.quantities, problem.sought[0], unit, np.zeros(count), z[:n_b], z[n_b:], number, violation
     ), 0.0
+
+
+def _sagging(
+    problem: SelectionProblem, z: Vector, unit: Vector, reaches: NDArray[np.bool_], nearest: NDArray[np.int64]
+) -> tuple[Vector, Vector, NDArray[np.bool_], Vector]:
+    """Points as the machine sags: those that reach the target at rest, held on it, where any can be.
+
+    Else those to which the nearest lead. Besides points and their coordinates: which are to be looked at, and how far
+    off each is, in units of the scale.
+    """
+    plant, n_b, n_task = problem.measures.plant, problem.measures.plant.n_base, problem.target.size
+    if reaches.any():
+        # What is turned beyond a limit misses the target, and may be moved.
+        held = held_on(plant, problem.target, z[:n_b, reaches], z[n_b:, reaches])
+        z[n_b:, reaches] = np.clip(held.T, problem.lower[n_b:], problem.upper[n_b:]).T
+        off = np.full(reaches.size, math.inf)
+        off[reaches] = np.nan_to_num(beyond_rows(problem, z[:, reaches])[:, :n_task].max(axis=1), nan=math.inf)
+        if off.min() <= FEASIBLE:
+            return z, unit, reaches, off
+    bases = np.tile(z[:n_b, nearest], 2)
+    postures, beside = solve_held(plant, problem.target, bases, bent(plant, z[n_b:, nearest], problem.seed))
+    off = beside / problem.row_bounds[2][0]
+    return np.vstack([bases, postures]), np.tile(unit[:, nearest], 2), off <= FEASIBLE, off
 
 
 def violated(problem: SelectionProblem, z: Vector, *, target: bool = True) -> Vector:

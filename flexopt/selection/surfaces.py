@@ -24,8 +24,8 @@ from flexopt.selection.proof.check import prove
 from flexopt.selection.proof.second_order import DEPENDENT, surface_at
 from flexopt.selection.starts import worst_starts
 
-# Points that climb along surfaces: optima, those where what is sought is largest, and others, for each dimension up to
-# a number of dimensions.
+# Points that climb along surfaces: optima, on each combination of kinks those where what is sought is largest, and
+# others, for each dimension up to a number of dimensions.
 OPTIMA, STARTS, MOST = 12, 16, 2
 # The best sets, to which walks are tried from others.
 WALKED = 4
@@ -45,16 +45,6 @@ class Best:
     others: tuple[Vector, ...] = ()
 
 
-@dataclass(frozen=True)
-class _Climb:
-    """Where a climb ended: the value of what is sought, the optimum, the nearest that is alike, others of its set."""
-
-    value: float
-    end: Found
-    near: Vector
-    others: list[Vector]
-
-
 def along_surfaces(problem: SelectionProblem, found: list[Found], workers: int) -> tuple[list[Best], int]:
     """The optima; of each connected surface V = 0 that was found its best, after all that are no surface.
 
@@ -69,60 +59,42 @@ def along_surfaces(problem: SelectionProblem, found: list[Found], workers: int) 
         return [Best(item) for item in found], 0
     rest = [Best(item) for item in found if not any(item is other for other in wide)]
     stage, sought = _next(problem)
-    wide = sorted(wide, key=lambda item: -_value(stage, sought, item[0]))
-    beyond = max(item[1].dimension or 0 for item in wide[:OPTIMA]) - int(turns(problem))
+    wide = _best(sorted(wide, key=lambda item: -_value(stage, sought, item[0])))
+    beyond = max(item[1].dimension or 0 for item in wide) - int(turns(problem))
     more = worst_starts(problem, STARTS * min(max(beyond, 1), MOST), workers)
-    sets = _sets(problem, _climbs(problem, (stage, sought), wide[:OPTIMA], more, workers))
-    alone = list[Found]()
-    for item in wide[OPTIMA:]:
-        home = _home(problem, sets, item[0], nearest(problem, item[0]))
+    starts = [z for z, _, _ in wide] + more
+    climb = partial(_climbed, problem, stage, sought, starts)
+    ends = in_parallel(climb, len(starts), workers, lost=lambda number, _: (starts[number], 0))
+    proved = [(z, prove(problem, z), steps) for z, steps in ends]
+    good = [(number, item) for number, item in enumerate(proved) if item[1].holds and item[1].unsurpassed]
+    values = {number: _value(stage, sought, item[0]) for number, item in good}
+    # One that was lost on its way stays where it was.
+    good += [(k, item) for k, item in enumerate(wide) if k not in values]
+    values |= {k: _value(stage, sought, item[0]) for k, item in good if k not in values}
+    sets: list[tuple[Found, list[Vector]]] = []
+    ats: list[Vector] = []
+    for number, item in sorted(good, key=lambda each: -values[each[0]]):
+        near = nearest(problem, item[0])
+        alike = (others for (_, others), at in zip(sets, ats, strict=True) if same(problem, near, at))
+        walked = (others for best, others in sets[:WALKED] if _connected(problem, item[0], best[0]))
+        home = next(chain(alike, walked), None)
         if home is None:
-            alone.append(item)
+            sets.append((item, home := []))
+            ats.append(near)
         else:
-            home.others.append(item[0])
-    # Optima that no walk leads away from are of sets that the best ones are not of.
-    sets = _sets(problem, [*sets, *_climbs(problem, (stage, sought), alone, [], workers)]) if alone else sets
-    bests = [Best(each.end, tuple(_distinct(problem, each.end[0], each.others))) for each in sets]
+            home.append(item[0])
+        if number < len(wide):
+            home.append(wide[number][0])
+    bests = [Best(item, tuple(_distinct(problem, item[0], others))) for item, others in sets]
     return [*rest, *bests], len(more)
 
 
-def _climbs(
-    problem: SelectionProblem, sought: tuple[SelectionProblem, int], wide: list[Found], more: list[Vector], workers: int
-) -> list[_Climb]:
-    """Climbs along surfaces from optima, and from further points where these lead to optima as good."""
-    starts = [z for z, _, _ in wide] + more
-    climb = partial(_climbed, problem, *sought, starts)
-    ends = in_parallel(climb, len(starts), workers, lost=lambda number, _: (starts[number], 0))
-    climbs = list[_Climb]()
-    for number, (z, steps) in enumerate(ends):
-        proof = prove(problem, z)
-        end, good = (z, proof, steps), proof.holds and proof.unsurpassed
-        if number < len(wide) or good:
-            # One that was lost on its way stays where it was.
-            end = end if good else wide[number]
-            at = end[0]
-            origin = [wide[number][0]] if number < len(wide) else []
-            climbs.append(_Climb(_value(*sought, at), end, nearest(problem, at), origin))
-    return climbs
-
-
-def _sets(problem: SelectionProblem, climbs: list[_Climb]) -> list[_Climb]:
-    """Climbs that ended at the best of connected surfaces, the best first, and the others' ends with them."""
-    sets = list[_Climb]()
-    for climb in sorted(climbs, key=lambda each: -each.value):
-        home = _home(problem, sets, climb.end[0], climb.near)
-        if home is None:
-            sets.append(climb)
-        else:
-            home.others.extend([climb.end[0], *climb.others])
-    return sets
-
-
-def _home(problem: SelectionProblem, sets: list[_Climb], z: Vector, near: Vector) -> _Climb | None:
-    """The set that z, with what is nearest of all that is alike, is of, as far as is seen."""
-    alike = (each for each in sets if same(problem, near, each.near))
-    walked = (each for each in sets[:WALKED] if _connected(problem, z, each.end[0]))
-    return next(chain(alike, walked), None)
+def _best(ranked: list[Found]) -> list[Found]:
+    """Of ranked optima the best OPTIMA on each combination of kinks: what rests on others may be another surface."""
+    kept = dict[tuple[str, ...], list[Found]]()
+    for item in ranked:
+        kept.setdefault(tuple(item[1].kinks), []).append(item)
+    return [item for items in kept.values() for item in items[:OPTIMA]]
 
 
 def _landed(problem: SelectionProblem, item: Found) -> Found:

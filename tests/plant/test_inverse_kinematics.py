@@ -252,6 +252,29 @@ def test_beyond_the_border_of_the_sagging_reach_it_is_told_by_how_much(bearing, 
     assert 0.7 * nearest < caught.value.miss < 1.02 * nearest
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_with_joint_limits_the_nearest_posture_is_told(seed):
+    """By a grid of 80 x 80 postures within the limits; told is what was found, which may be nearer."""
+    rng = np.random.default_rng(seed)
+    data, limits = load("excavator").to_dict(), []
+    for link in data["links"]:
+        low = rng.uniform(-3.0, 2.0)
+        limits.append((low, min(low + rng.uniform(0.7, 2.5), 3.1)))
+        link["limits"] = limits[-1]
+    machine = machine_from_dict(data)
+    plant = build_plant(machine)
+    p, grid = plant.parameter_values, np.stack(np.meshgrid(*(np.linspace(*ends, 80) for ends in limits))).reshape(2, -1)
+    bases = np.zeros((1, grid.shape[1]))
+    q = np.vstack([plant.deflected.call([bases, grid, p])[0].full(), grid])
+    ends = plant.end_point.call([q, bases, p])[0].full()
+    for bearing in (-2.0, 0.0, 2.0):
+        target = np.array([0.17, 0.51]) + 3.2 * np.array([np.cos(bearing), np.sin(bearing)])
+        with pytest.raises(UnreachableTarget) as caught:
+            inverse_kinematics(machine, target, gravity=True)
+        least = np.linalg.norm(ends - target[:, None], axis=0).min()
+        assert caught.value.miss < 1.02 * least
+
+
 def test_in_space_too_it_is_told_by_how_much_the_sagging_machine_is_short():
     """A millimetre above the highest point with springs unloaded; by Nelder and Mead's method."""
     machine = load("slewing-excavator")

@@ -304,6 +304,32 @@ def test_what_only_the_sagging_machine_reaches_is_chosen(machine, posture):
     assert 0.05 < caught.value.miss < 0.2
 
 
+def test_below_itself_both_elbows_of_the_sagging_machine_are_looked_at(machine):
+    """Steps from a straight arm lead to one side alone; the other's w_1 is thousands of times as good here."""
+    arm = flexopt.build_plant(machine).arm_segments(p=flexopt.build_plant(machine).parameter_values)
+    target = arm["first_joint"].full().ravel() - np.array([0.0, float(arm["lengths"].full().sum()) + 5e-4])
+    postures = flexopt.inverse_kinematics(machine, target, gravity=True)
+    best = max(flexopt.evaluate(machine, posture, gravity=True).w[0] for posture in postures)
+    found = flexopt.select(
+        machine, target, gravity=True, objective="w1", base=0.0, base_range=(0.0, 0.0), singularity_margin_deg=1
+    )
+    assert len(postures) == len(found.candidates) == 2
+    assert found.best.objective == pytest.approx(best, rel=1e-6)
+
+
+def test_what_is_reached_with_springs_unloaded_alone_is_told_as_out_of_reach(machine):
+    """Upwards, where the machine as it sags is lower."""
+    arm = flexopt.build_plant(machine).arm_segments(p=flexopt.build_plant(machine).parameter_values)
+    target = arm["first_joint"].full().ravel() + np.array([0.0, float(arm["lengths"].full().sum()) - 1e-3])
+    asked = {"base": 0.0, "base_range": (-1e-5, 1e-5)}
+    with pytest.raises(flexopt.UnreachableTarget) as by_posture:
+        flexopt.inverse_kinematics(machine, target, gravity=True)
+    with pytest.raises(flexopt.UnreachableTarget, match="of the machine as it sags") as caught:
+        flexopt.select(machine, target, gravity=True, **asked)
+    assert caught.value.miss == pytest.approx(by_posture.value.miss, rel=0.02)
+    assert caught.value.miss > 2e-3
+
+
 def test_unreachable_target_of_three_joints(three_links):
     with pytest.raises(flexopt.UnreachableTarget, match="within reach with the base at"):
         flexopt.select(three_links, TARGET, base_range=(50.0, 51.0))

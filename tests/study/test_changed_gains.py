@@ -402,5 +402,12 @@ def test_of_gains_such_with_a_reserve_are_taken_but_not_such_that_grow(width, ha
     kp = best.settings.kp[0]
     assert 1000.0 < kp < 1000.0 * width
     assert (1.1 * kp < 1000.0 * width) == has == has_reserve(best, asked, members)
+    rng = np.random.default_rng(0)
+    for k in range(60):
+        low = 10 ** rng.uniform(2.5, 4.2)
+        narrow = Window(settings, low, low * rng.uniform(1.15, 2.0))
+        wide = Loop.model_validate({"kp": 2e3, "kv": 300.0} | ({"kp_range": (1e2, 1e5)} if k % 2 else {}))
+        # Between the points of the grid, too.
+        assert has_reserve(best_gains(narrow, wide, members, lambda loop: True), wide, members)
     never = best_gains(Window(settings, 3000.0, 4000.0), asked, members, lambda loop: True)
     np.testing.assert_allclose(never.settings.kp, 2500.0, rtol=1e-6)

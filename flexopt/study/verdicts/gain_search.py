@@ -44,8 +44,9 @@ def best_gains(loop: PlaceLoops, asked: Loop, members: Vector, does: Callable[[P
     def with_gains(x: Any) -> PlaceLoops:
         return loop.with_settings(_scaled(loop.settings, dict(zip(ranges, x, strict=True)) if ranges else x[0]))
 
-    def growth(x: Any) -> float:
-        return -float(with_gains(x).decays(members).min())
+    def growth(x: Any, times: float = 1.0) -> float:
+        tried = with_gains(x)
+        return -float((tried if times == 1.0 else lowered(tried, asked, times)).decays(members).min())
 
     def with_reserve(x: Any) -> bool:
         tried = with_gains(x)
@@ -57,12 +58,25 @@ def best_gains(loop: PlaceLoops, asked: Loop, members: Vector, does: Callable[[P
     points = list(product(*(axis.tolist() for axis in axes)))
     values = [growth(point) for point in points]
     order: list[int] = np.argsort(values, kind="stable").tolist()
+    bounds = [(float(axis[0]), float(axis[-1])) for axis in axes]
+
+    def lowest(of: Callable[[Any], float], start: Any) -> Any:
+        # The slowest decay of several is not smooth.
+        return minimize(
+            of, start, method="Nelder-Mead", bounds=bounds,
+            options={"maxfev": EVALUATIONS, "initial_simplex": _simplex(start, axes)},
+        )  # fmt: skip
+
     fits = with_reserve
-    first = next((k for k in order if values[k] < 0 and fits(points[k])), None)
+    first = next((points[k] for k in order if values[k] < 0 and fits(points[k])), None)
+    if first is None:
+        # Those with a reserve may lie between the points of the grid.
+        between = lowest(lambda x: max(growth(x), growth(x, RESERVE)), np.array(points[order[0]]))
+        first = between.x if between.fun < 0 and fits(between.x) else None
     if first is None:
         fits = without
-        first = next((k for k in order if fits(points[k])), None)
-    start = np.array(points[order[0] if first is None else first])
+        first = next((points[k] for k in order if fits(points[k])), None)
+    start = np.array(points[order[0]] if first is None else first)
     least = growth(start)
 
     def allowed(x: Any) -> float:
@@ -70,12 +84,7 @@ def best_gains(loop: PlaceLoops, asked: Loop, members: Vector, does: Callable[[P
         value = growth(x)
         return value if value >= least or first is None or fits(x) else math.inf
 
-    bounds = [(float(axis[0]), float(axis[-1])) for axis in axes]
-    # The slowest decay of several is not smooth.
-    found: Any = minimize(
-        allowed, start, method="Nelder-Mead", bounds=bounds,
-        options={"maxfev": EVALUATIONS, "initial_simplex": _simplex(start, axes)},
-    )  # fmt: skip
+    found = lowest(allowed, start)
     return with_gains(found.x if found.fun < least else start)
 
 
