@@ -20,7 +20,7 @@ def shown(value: float, digits: int) -> str:
     """A number beside a tick: 13500, and a power of ten where that is longer."""
     rounded = float(f"{value:.{digits}g}")
     if rounded == 0 or PLAIN[0] <= abs(rounded) < PLAIN[1]:
-        return f"{rounded:g}".replace("-", "\N{MINUS SIGN}")
+        return f"{rounded:.{max(digits, 6)}g}".replace("-", "\N{MINUS SIGN}")
     power = math.floor(math.log10(abs(rounded)))
     return f"${rounded / 10.0**power:.{digits}g} \\times 10^{{{power}}}$"
 

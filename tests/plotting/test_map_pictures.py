@@ -284,7 +284,7 @@ def test_numbers_beside_ticks_of_a_narrow_range_differ() -> None:
     rng = np.random.default_rng(0)
     for _ in range(300):
         low = 10 ** rng.uniform(-12, 12)
-        ticks = between_powers(low, low * 10 ** rng.uniform(1e-6, 2), 4)
+        ticks = between_powers(low, low * (1 + 10 ** rng.uniform(-8, 2)), 4)
         numbers = [shown(tick, digits_of(ticks)) for tick in ticks]
         assert len(set(numbers)) == len(numbers) > 1
     assert digits_of([1.0, 2.0, 5.0]) == 3
