@@ -239,9 +239,18 @@ def solve_held(plant: Plant, target: Vector, bases: Vector, starts: Vector) -> t
     rows = np.vstack([np.zeros((m, goals.shape[1])), goals])
     of_rows = rows, rows, np.append(np.where(springs > 0, springs, 1.0), np.ones(plant.n_task))
     postures = repeated(held_steps(plant.machine), z, of_z, of_rows, [p], REACHED)[0][n_b + m :]
+    return postures, sagging_off(plant, goals, bases, postures)
+
+
+def sagging_off(plant: Plant, target: Vector, bases: Vector, postures: Vector) -> Vector:
+    """How far off its target, (n_task,) or (n_task, N), the end-point of the machine as it sags is, (N,), m.
+
+    Infinite where no springs hold it.
+    """
+    p = plant.parameter_values
     q = np.vstack([plant.deflected.call([bases, postures, p])[0].full(), postures])
-    off = np.abs(plant.end_point.call([q, bases, p])[0].full() - goals).max(axis=0)
-    return postures, np.where(np.isfinite(off) & holding(plant, q, bases), off, math.inf)
+    off = np.abs(plant.end_point.call([q, bases, p])[0].full() - target.reshape(plant.n_task, -1)).max(axis=0)
+    return np.where(np.isfinite(off) & holding(plant, q, bases), off, math.inf)
 
 
 def bent(plant: Plant, postures: Vector, seed: int) -> Vector:
@@ -272,9 +281,7 @@ def held_on(plant: Plant, target: Vector, bases: Vector, postures: Vector) -> Ve
     p, count = plant.parameter_values, postures.shape[1]
     targets = np.repeat(target.reshape(-1, 1), count, axis=1)
     found = plant.held.call([bases, postures, p, targets])[0].full()
-    q = np.vstack([plant.deflected.call([bases, found, p])[0].full(), found])
-    off = np.abs(plant.end_point.call([q, bases, p])[0].full() - targets).max(axis=0, initial=0.0)
-    return np.where(off <= NEARLY * arm_length(plant), found, postures)
+    return np.where(sagging_off(plant, targets, bases, found) <= NEARLY * arm_length(plant), found, postures)
 
 
 def branch(plant: Plant, target: Vector, bases: Vector, unit: Vector, sign: float) -> tuple[Vector, Any]:

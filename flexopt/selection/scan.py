@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from flexopt.foundation.arrays import Interval, Vector
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
-from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, held_on, low_discrepancy
+from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, held_on, low_discrepancy, sagging_off
+from flexopt.plant.reach import arm_length
 from flexopt.selection.constraints import ConstraintSet
 from flexopt.selection.objective import Objective, Quantities
 from flexopt.selection.places import FEASIBLE, places_left_out
@@ -31,6 +32,8 @@ NEIGHBOURS_PER_DEGREE = 3
 # Postures of a placement in an area that the sample left out.
 POSTURES_EACH = 4
 NOWHERE: Vector = np.zeros((1, 0))
+# Of the arm's length, by which a posture that is held on its target may miss it.
+HELD = 1e-8
 # Rounding on the very edge of the margin.
 EDGE = 1e-10
 
@@ -184,6 +187,9 @@ def scan_redundancy(
     if not kept:
         return empty_scan(plant, reached=reached)
     redundancy, elbow, base, posture, index = (np.concatenate(parts, axis=-1) for parts in zip(*kept, strict=True))
+    if functions.measures.gravity and sagging_off(plant, target, base, posture).min() > HELD * arm_length(plant):
+        # Where it reaches with springs unloaded alone.
+        return empty_scan(plant, reached=False)
     violation = _violation(constraint_set, base, posture, p)
     return scanned(functions, objective, redundancy, elbow, base, posture, index, violation)
 

@@ -317,11 +317,12 @@ def test_below_itself_both_elbows_of_the_sagging_machine_are_looked_at(machine):
     assert found.best.objective == pytest.approx(best, rel=1e-6)
 
 
-def test_what_is_reached_with_springs_unloaded_alone_is_told_as_out_of_reach(machine):
+@pytest.mark.parametrize("margin", [10.0, 0.05])
+def test_what_is_reached_with_springs_unloaded_alone_is_told_as_out_of_reach(machine, margin):
     """Upwards, where the machine as it sags is lower."""
     arm = flexopt.build_plant(machine).arm_segments(p=flexopt.build_plant(machine).parameter_values)
     target = arm["first_joint"].full().ravel() + np.array([0.0, float(arm["lengths"].full().sum()) - 1e-3])
-    asked = {"base": 0.0, "base_range": (-1e-5, 1e-5)}
+    asked = {"base": 0.0, "base_range": (-1e-5, 1e-5), "singularity_margin_deg": margin}
     with pytest.raises(flexopt.UnreachableTarget) as by_posture:
         flexopt.inverse_kinematics(machine, target, gravity=True)
     with pytest.raises(flexopt.UnreachableTarget, match="of the machine as it sags") as caught:
