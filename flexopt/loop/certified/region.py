@@ -25,6 +25,7 @@ from flexopt.loop.evaluation import settings_at
 from flexopt.loop.outcome import NOWHERE_HELD, falling
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.spectrum import (
+    OTHER_WEIGHT,
     UNBRAKED,
     drifting_self_motion,
     driven_self_motion,
@@ -40,7 +41,8 @@ from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 LARGEST, EXACT, POINTS = 10.0, 1e-3, 64
 # How often the box that a guaranteed radius is looked for in is halved, as long as a smaller one may prove more.
 TRIES = 4
-# Share of the kinetic energy from which on a motion is told to be of the self-motion.
+# From how far off its target on a rest is told, m.
+TOLD_OFF = 1e-3
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,8 @@ class Region(Result):
         unheld: torques, N m, and forces, N, by joint, with which a weight that the controller does not know drives a
             redundant arm's self-motion, where that is most (`unheld_at`): no feedback of the end-point holds them, and
             the arm moves off. 0 of a joint where it is below 1 % of what that carries, empty where it is of all.
+        rests_off: how far beside its target feedback holds the end-point at rest, m, at most, of what was found
+            (`rests_off_at`): the loop is looked at about there; NaN where no member looked at comes to rest.
         self_motion, radius_self_motion: share of its kinetic energy that the slowest motion has in the arm's
             self-motion, at `critical` and at `radius_critical`: of most a drift of the arm that is taken for the loop's
             as it moves the base; NaN where nothing acts on the self-motion, or there is none.
@@ -98,13 +102,15 @@ class Region(Result):
     drift_critical: Mapping[str, float]
     unheld: Mapping[str, float]
     unheld_at: Mapping[str, float]
+    rests_off: float
+    rests_off_at: Mapping[str, float]
     self_motion: float
     radius_self_motion: float
     settings: LoopSettings
 
     DOCUMENT = """
     stable guaranteed rests_on certified boxes points decay[1/s] critical frequency_hz[Hz] radius radius_guaranteed
-    radius_critical drift[1/s] drift_critical unheld unheld_at self_motion radius_self_motion
+    radius_critical drift[1/s] drift_critical unheld unheld_at rests_off[m] rests_off_at self_motion radius_self_motion
     settings
     """
 
@@ -129,6 +135,11 @@ class Region(Result):
             bound = f"guaranteed up to a factor of {proven:.4g}" if proven > 1 else "no factor is guaranteed"
             lines.append(f"  radius, of the factors alone, all else as in the file: {bound}; {ends}")
         lines += [f"  {sentence}" for sentence in self._drifts]
+        if self.rests_off >= TOLD_OFF:
+            off = f"{self.rests_off:.3g} m off its target at rest, at {member_in_words(self.rests_off_at)}"
+            lines.append(
+                f"  {OTHER_WEIGHT} holds the end-point {off}, the most that was found: the loop is that about there"
+            )
         loop = repr(self.settings).splitlines()[0]
         return "\n".join([*lines, f"  loop: {loop}", *self.settings.proposed])
 
@@ -225,6 +236,8 @@ def stable_region(
         drift_critical=beside.drift_at,
         unheld=beside.unheld,
         unheld_at=beside.unheld_at,
+        rests_off=beside.rests_off,
+        rests_off_at=beside.rests_off_at,
         self_motion=last.self_motion,
         radius_self_motion=own,
         settings=settings,

@@ -158,7 +158,7 @@ class PlaceVerdict(Result):
         """Why the first of the nonlinear runs that does not confirm a stable loop does not; empty where all do."""
         words = zip(self.runs.verdicts, self.runs.reasons, strict=True) if self.runs else ()
         # That a loop grows where its eigenvalues do is no news.
-        return next((why for word, why in words if why and (word == "converges" or self.decay.least > 0)), "")
+        return next((why for word, why in words if why and (word != "grows" or self.decay.least > 0)), "")
 
     @property
     def _on_a_joint(self) -> bool:

@@ -278,7 +278,12 @@ def verdict(
         judged=len(others),
         selection=chosen,
         provenance=provenance(
-            machine, members=members, runs=runs, duration=duration, selection=chosen.provenance["options"]
+            machine,
+            members=members,
+            runs=runs,
+            duration=duration,
+            gain_ranges=gain_ranges(asked),
+            selection=chosen.provenance["options"],
         ),
         exclusions={name: breaks[name].told for name in stands if name not in fit and name != STAY},
         present_breaks=breaks[STAY].now if STAY in breaks else "",
