@@ -124,6 +124,7 @@ class OptimiserPart:
             values=np.concatenate(rows).tolist(),
             loss=self.writer.number(LOSS[self.real]),
             on_target=self.writer.number(self.on_target),
+            clearly=repr(CLEARLY),
             z_tolerance=self.writer.number(Z_TOLERANCE),
             compare_z=int(self.real == "double"),
             turns=[int(unit == "rad") for unit in self.at.choice_units],
