@@ -23,7 +23,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
 from flexopt.foundation.processes import in_parallel
 from flexopt.model.constraints import Constraints
-from flexopt.plant.inverse_kinematics import bent, held_on, low_discrepancy, reach_steps, solve_held
+from flexopt.plant.inverse_kinematics import bent, held_on, low_discrepancy, mostly_falls, reach_steps, solve_held
 from flexopt.selection.nlp.program import values_of
 from flexopt.selection.places import FEASIBLE, places_left_out
 from flexopt.selection.problem import SelectionProblem
@@ -175,7 +175,7 @@ def _sagging(
             return z, unit, reaches, off
     bases = np.tile(z[:n_b, nearest], 2)
     postures, beside = solve_held(plant, problem.target, bases, bent(plant, z[n_b:, nearest], problem.seed))
-    off = beside / problem.row_bounds[2][0]
+    off = np.where(mostly_falls(beside), math.inf, beside / problem.row_bounds[2][0])
     return np.vstack([bases, postures]), np.tile(unit[:, nearest], 2), off <= FEASIBLE, off
 
 
