@@ -27,6 +27,9 @@ from flexopt.loop.tangent import exponential
 # Share of the error at the start that is left when a move has settled, as in `flexopt.simulate`; how long it is
 # waited for, s; samples that are looked at together.
 SETTLED, LONGEST, BLOCK = 0.02, 60.0, 2048
+# Length of a move where numbers of it are told, m; how far off its target an end-point rests that has not settled then.
+MOVE = 0.1
+UNSETTLED = SETTLED * MOVE
 # Share of the band below which what is left of all motions together must lie before no more is looked at, less than 1
 # for what is between two places; how many times the longest wait is looked at for it.
 QUIET, PATIENCE = 0.95, 3

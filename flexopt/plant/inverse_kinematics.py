@@ -2,7 +2,7 @@
 
 In: a machine or its plant, targets, placements. Out: all postures of one placement (`inverse_kinematics`), those of an
 elbow of a planar arm in closed form (`branch`), and by iteration, for any machine and many placements and starts at
-once, those that starts lead to (`solve_postures`).
+once, those that starts lead to, with springs unloaded (`solve_postures`) or as it sags (`solve_held`).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any, cast
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from flexopt.algebra.feasible import feasible_steps, repeated
 from flexopt.errors import UnreachableTarget
@@ -148,11 +149,12 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
     reached = list(postures[:, left <= REACHED].T)
     off = float(np.nanmin(left))
     if gravity:
-        # The border of the reach is another as the machine sags: the nearest are led there.
-        nearest = bent(plant, postures[:, np.argsort(left, kind="stable")[:NEAREST]], seed)
-        reached, off = _settled(plant, target, base, np.array(_distinct(reached, SAME)).T if reached else nearest)
+        if reached:
+            reached, off = _settled(plant, target, base, np.array(_distinct(reached, SAME)).T)
         if not reached:
-            reached, off = _settled(plant, target, base, nearest)
+            # The border of the reach is another as the machine sags.
+            _, held, miss = led_from_nearest(plant, target, bases, postures, left, seed)
+            reached, off = _on_target(plant, held, miss)
     if not reached:
         raise missed(plant, target, base, off)
     turned = list(into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
@@ -221,10 +223,8 @@ def solve_held(plant: Plant, target: Vector, bases: Vector, starts: Vector) -> t
     """
     p, m, n_b = plant.parameter_values, plant.n_passive, plant.n_base
     low, high = (np.array(ends)[:, None] for ends in zip(*plant.machine.limits, strict=True))
-    starts, goals = (
-        np.clip(starts, low, high),
-        np.broadcast_to(target.reshape(plant.n_task, -1), (plant.n_task, starts.shape[1])),
-    )
+    starts = np.clip(starts, low, high)
+    goals = np.broadcast_to(target.reshape(plant.n_task, -1), (plant.n_task, starts.shape[1]))
     rest = plant.rest.call([bases, starts, p])[0].full()[:m]
     sagged = plant.deflected.call([bases, starts, p])[0].full()
     q_p = cast(Vector, np.where(np.isfinite(sagged), sagged, rest))
@@ -242,8 +242,28 @@ def solve_held(plant: Plant, target: Vector, bases: Vector, starts: Vector) -> t
     return postures, sagging_off(plant, goals, bases, postures)
 
 
-def mostly_falls(off: Vector) -> bool:
-    """Whether what keeps `solve_held` from the target is that most of these postures (N,) are held by no springs."""
+def led_from_nearest(
+    plant: Plant, target: Vector, bases: Vector, postures: Vector, left: Vector, seed: int
+) -> tuple[NDArray[np.int64], Vector, Vector]:
+    """As `solve_held`, from the nearest of postures (n, N) that are off their target, at rest, by `left` (N,).
+
+    From a straight arm steps lead to one side alone: others beside each are led, too. Where none reaches the target and
+    springs hold few of them, that is why, and all count as held by none.
+
+    Returns:
+        From which of the postures each comes (k,), postures (n, k), and how far off they are, (k,), m.
+    """
+    chosen = np.tile(np.argsort(np.nan_to_num(left, nan=math.inf), kind="stable")[:NEAREST], 2)
+    length = arm_length(plant)
+    scale = np.array([1.0 if unit == "rad" else length for unit in plant.machine.joint_units])
+    starts, count = postures[:, chosen], chosen.size // 2
+    aside = np.random.default_rng(seed).standard_normal((len(starts), count))
+    starts[:, count:] += BESIDE * scale[:, None] * aside
+    held, off = solve_held(plant, target, bases[:, chosen], starts)
+    return chosen, held, np.full(off.size, math.inf) if _mostly_falls(off) else off
+
+
+def _mostly_falls(off: Vector) -> bool:
     return bool(np.min(off, initial=math.inf) > REACHED and np.mean(np.isinf(off)) > 0.5)
 
 
@@ -258,35 +278,34 @@ def sagging_off(plant: Plant, target: Vector, bases: Vector, postures: Vector) -
     return np.where(np.isfinite(off) & holding(plant, q, bases), off, math.inf)
 
 
-def bent(plant: Plant, postures: Vector, seed: int) -> Vector:
-    """Postures (n, N), and beside them others (n, 2 N): from one of a straight arm steps lead to one side alone."""
-    length = arm_length(plant)
-    scale = np.array([1.0 if unit == "rad" else length for unit in plant.machine.joint_units])
-    aside = BESIDE * scale[:, None] * np.random.default_rng(seed).standard_normal(postures.shape)
-    return np.concatenate([postures, postures + aside], axis=1)
-
-
 def _settled(plant: Plant, target: Vector, base: Vector, starts: Vector) -> tuple[list[Vector], float]:
-    """Postures of the machine as it sags that starts (n, N) lead to, and how far off the nearest is, m.
+    """Postures of the machine as it sags that starts (n, N) lead to, and how far off the nearest is, m."""
+    return _on_target(plant, *solve_held(plant, target, np.repeat(base[:, None], starts.shape[1], axis=1), starts))
+
+
+def _on_target(plant: Plant, postures: Vector, off: Vector) -> tuple[list[Vector], float]:
+    """Those of postures (n, N) that are off by nothing, and how far off the nearest is, m.
 
     Raises:
-        InputError: the springs hold none.
+        InputError: the springs hold few, and none there.
     """
-    postures, off = solve_held(plant, target, np.repeat(base[:, None], starts.shape[1], axis=1), starts)
-    if mostly_falls(off):
+    if _mostly_falls(off):
         raise not_held()
     return list(into_limits(plant.machine, postures[:, off <= REACHED]).T), float(off.min())
 
 
-def held_on(plant: Plant, target: Vector, bases: Vector, postures: Vector) -> Vector:
+def held_on(plant: Plant, target: Vector, bases: Vector, postures: Vector) -> tuple[Vector, Vector]:
     """Of postures (n, N) that reach the target at rest, those near them with which the machine as it sags does.
 
-    Where none is found, as where it falls over, the posture as it is.
+    Where none is found, as where it falls over, the posture as it is. And how far off they then are, (N,), m: infinite
+    where none is found.
     """
     p, count = plant.parameter_values, postures.shape[1]
     targets = np.repeat(target.reshape(-1, 1), count, axis=1)
     found = plant.held.call([bases, postures, p, targets])[0].full()
-    return np.where(sagging_off(plant, targets, bases, found) <= NEARLY * arm_length(plant), found, postures)
+    off = sagging_off(plant, targets, bases, found)
+    near = off <= NEARLY * arm_length(plant)
+    return np.where(near, found, postures), np.where(near, off, math.inf)
 
 
 def branch(plant: Plant, target: Vector, bases: Vector, unit: Vector, sign: float) -> tuple[Vector, Any]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from flexopt.foundation.arrays import Interval, Vector
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
-from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, held_on, low_discrepancy, sagging_off
+from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch, held_on, low_discrepancy
 from flexopt.plant.reach import arm_length
 from flexopt.selection.constraints import ConstraintSet
 from flexopt.selection.objective import Objective, Quantities
@@ -172,12 +172,13 @@ def scan_redundancy(
         unit, bases, joints, numbers = _sample(intervals, leading, seed, np.concatenate(more, axis=1))
 
     kept: list[tuple[NDArray[Any], ...]] = []
-    reached = False
+    reached, misses = False, math.inf
     for sign in ELBOW_SIGN.values() if bases.size else ():
         postures, reaches = branch(plant, target, bases, joints, sign)
         reached = reached or bool(reaches.any())
         if functions.measures.gravity:
-            postures[:, reaches] = held_on(plant, target, bases[:, reaches], postures[:, reaches])
+            postures[:, reaches], off = held_on(plant, target, bases[:, reaches], postures[:, reaches])
+            misses = min(misses, float(off.min(initial=math.inf)))
         sines = plant.singularity_sine_squared(bases, postures, p).full().ravel()
         good: NDArray[np.int64] = np.flatnonzero(
             reaches & _inside(limits, postures) & (sines >= sine_squared_min - EDGE)
@@ -187,7 +188,7 @@ def scan_redundancy(
     if not kept:
         return empty_scan(plant, reached=reached)
     redundancy, elbow, base, posture, index = (np.concatenate(parts, axis=-1) for parts in zip(*kept, strict=True))
-    if functions.measures.gravity and sagging_off(plant, target, base, posture).min() > HELD * arm_length(plant):
+    if functions.measures.gravity and misses > HELD * arm_length(plant):
         # Where it reaches with springs unloaded alone.
         return empty_scan(plant, reached=False)
     violation = _violation(constraint_set, base, posture, p)

@@ -23,7 +23,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
 from flexopt.foundation.processes import in_parallel
 from flexopt.model.constraints import Constraints
-from flexopt.plant.inverse_kinematics import bent, held_on, low_discrepancy, mostly_falls, reach_steps, solve_held
+from flexopt.plant.inverse_kinematics import held_on, led_from_nearest, low_discrepancy, reach_steps
 from flexopt.selection.nlp.program import values_of
 from flexopt.selection.places import FEASIBLE, places_left_out
 from flexopt.selection.problem import SelectionProblem
@@ -59,8 +59,6 @@ SUMMITS = 16
 BLOCK = 32
 # The violation of an own constraint that is no number.
 NO_NUMBER = 1e100
-# So many of the points nearest to a target that none reaches at rest are led to it as the machine sags.
-NEAREST_HELD = 64
 # Starts that differ by less, in scaled variables, are one.
 SAME_START = 1e-3
 
@@ -131,9 +129,7 @@ def sample_configurations(problem: SelectionProblem, starts: int, areas: Constra
         z, unit, off = (np.concatenate(pair, axis=-1) for pair in ((z, more), (unit, of_more), (off, far)))
     reaches = off <= FEASIBLE
     if problem.gravity:
-        # The border of the reach is another as the machine sags.
-        nearest: NDArray[np.int64] = np.argsort(np.nan_to_num(off, nan=math.inf), kind="stable")[:NEAREST_HELD]
-        z, unit, reaches, off = _sagging(problem, z, unit, reaches, nearest)
+        z, unit, reaches, off = _sagging(problem, z, unit, off)
     if not reaches.any():
         return empty_scan(plant, reached=False), float(np.nanmin(off) * problem.row_bounds[2][0])
     z, unit = z[:, reaches], unit[:, reaches]
@@ -157,26 +153,27 @@ def sample_configurations(problem: SelectionProblem, starts: int, areas: Constra
 
 
 def _sagging(
-    problem: SelectionProblem, z: Vector, unit: Vector, reaches: NDArray[np.bool_], nearest: NDArray[np.int64]
+    problem: SelectionProblem, z: Vector, unit: Vector, at_rest: Vector
 ) -> tuple[Vector, Vector, NDArray[np.bool_], Vector]:
     """Points as the machine sags: those that reach the target at rest, held on it, where any can be.
 
-    Else those to which the nearest lead. Besides points and their coordinates: which are to be looked at, and how far
-    off each is, in units of the scale.
+    Else those to which the nearest lead: the border of the reach is another then. `at_rest`: how far off each is with
+    springs unloaded, in units of the scale. Besides points and their coordinates: which are to be looked at, and how
+    far off each is as it sags.
     """
     plant, n_b, n_task = problem.measures.plant, problem.measures.plant.n_base, problem.target.size
+    reaches = at_rest <= FEASIBLE
     if reaches.any():
         # What is turned beyond a limit misses the target, and may be moved.
-        held = held_on(plant, problem.target, z[:n_b, reaches], z[n_b:, reaches])
+        held, _ = held_on(plant, problem.target, z[:n_b, reaches], z[n_b:, reaches])
         z[n_b:, reaches] = np.clip(held.T, problem.lower[n_b:], problem.upper[n_b:]).T
         off = np.full(reaches.size, math.inf)
         off[reaches] = np.nan_to_num(beyond_rows(problem, z[:, reaches])[:, :n_task].max(axis=1), nan=math.inf)
         if off.min() <= FEASIBLE:
             return z, unit, reaches, off
-    bases = np.tile(z[:n_b, nearest], 2)
-    postures, beside = solve_held(plant, problem.target, bases, bent(plant, z[n_b:, nearest], problem.seed))
-    off = np.where(mostly_falls(beside), math.inf, beside / problem.row_bounds[2][0])
-    return np.vstack([bases, postures]), np.tile(unit[:, nearest], 2), off <= FEASIBLE, off
+    chosen, postures, off = led_from_nearest(plant, problem.target, z[:n_b], z[n_b:], at_rest, problem.seed)
+    off = off / problem.row_bounds[2][0]
+    return np.vstack([z[:n_b, chosen], postures]), unit[:, chosen], off <= FEASIBLE, off
 
 
 def violated(problem: SelectionProblem, z: Vector, *, target: bool = True) -> Vector:

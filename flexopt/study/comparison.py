@@ -20,10 +20,11 @@ from flexopt.foundation.doubt import with_doubt
 from flexopt.foundation.plain import shown
 from flexopt.foundation.results import Result
 from flexopt.foundation.rounding import without_rounding
+from flexopt.loop.standard_move import MOVE
 from flexopt.model.loop import GAINS
 from flexopt.model.simulation import SimulationOptions
 from flexopt.robustness.residues import residue_unit
-from flexopt.study.verdicts.places import MOVE, NO_GAIN, NO_GAIN_LOOKED_AT, STAY
+from flexopt.study.verdicts.places import NO_GAIN, NO_GAIN_LOOKED_AT, STAY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -201,6 +201,24 @@ def test_a_region_over_an_unknown_load_is_that_of_runs():
     assert region.critical["stick.mass"] == pytest.approx(low if slowest == -runs.linear_growth_rate[0] else high)
 
 
+def test_a_region_tells_how_far_off_its_target_runs_end():
+    """Of a controller that knows the file's weight alone, at the end of the interval where they end farthest."""
+    loads = [0.0, 60.0, 120.0]
+    loop = SERVED
+    runs = flexopt.simulate_ensemble(
+        EXCAVATOR, POSTURE, loop=loop, gravity=True, duration=60.0, vary={"payload.mass": loads}
+    )
+    asked = {"loop": loop, "ranges": {"payload.mass": (loads[0], loads[-1])}, "points": 8, "boxes": 0}
+    region = flexopt.stable_region(EXCAVATOR, POSTURE, gravity=True, **asked)
+    off = runs.dataset["end_error"].to_numpy()
+    assert region.rests_off == pytest.approx(off.max(), rel=1e-3)
+    assert region.rests_off_at["payload.mass"] == loads[int(off.argmax())]
+    assert f"holds the end-point {region.rests_off:.3g} m off its target at rest, at payload.mass 120" in repr(region)
+    weightless = flexopt.stable_region(EXCAVATOR, POSTURE, **asked)
+    assert weightless.rests_off == 0.0
+    assert "at rest" not in repr(weightless)
+
+
 BUCKET = flexopt.load("boom-stick-bucket")
 HELD_OUT = (-1.0222685173091457, -1.20691908739466, -2.196673998356711)
 

@@ -21,8 +21,9 @@ from flexopt.loop.outcome import MEASURES, LoopPoint
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.small_motions import BY, DEAD_TIME
 from flexopt.model.constraints import Constraints
+from flexopt.model.files import shipped_names
 from flexopt.model.own import check_function
-from flexopt.plant.inverse_kinematics import reach_steps
+from flexopt.plant.inverse_kinematics import held_steps, reach_steps
 from flexopt.robustness.atlas import fields as atlas_fields
 from flexopt.selection.ascent.model import Step
 from flexopt.selection.nlp import program as program_module
@@ -493,6 +494,34 @@ def test_steps_onto_rows(spatial):
     target, scale = problem.target, problem.row_bounds[2][: problem.target.size]
     left = reach_steps(problem.machine).call([near, 1e-9, *bounds, target, target, scale, p])[2]
     assert float(left) < 1e-13
+
+
+@pytest.mark.parametrize("name", shipped_names("models"))
+def test_steps_that_hold_a_machine_as_it_sags(name):
+    """By differences of what is solved, where nothing holds; and a call from beside a static equilibrium leads to it."""
+    machine = flexopt.load(name)
+    plant, rng = flexopt.build_plant(machine), np.random.default_rng(5)
+    g, p, m, n_b = plant.graph, plant.parameter_values, plant.n_passive, plant.n_base
+    low, high = np.clip(np.array(machine.limits), -1.5, 1.5).T
+    base, posture = rng.uniform(-0.3, 0.3, n_b), low + (high - low) * rng.uniform(0.2, 0.8, low.size)
+    at = ca.vertcat(g.base, g.q)
+    rows, slopes_of = (
+        ca.Function("of", [at, g.p], [ca.densify(x)]) for x in (plant.held_rows, ca.jacobian(plant.held_rows, at))
+    )
+    springs = np.diag(plant.stiffness(p).full())[:m]
+    size = np.append(springs, np.ones(plant.n_task))
+    q = np.concatenate([plant.deflected(base, posture, p).full().ravel(), posture])
+    beside = np.concatenate([base, q + 1e-2 * rng.standard_normal(q.size)])
+    slopes = slopes_of(beside, p).full()
+    assert away(slopes / size[:, None], lambda z: rows(z, p).full().ravel() / size, beside) < FIRST
+    target = plant.end_point(q, base, p).full().ravel()
+    near = np.concatenate([base, q + 1e-3 * rng.standard_normal(q.size)])
+    free = np.append(np.zeros(n_b), np.ones(q.size))
+    bounds = np.full(near.size, -np.inf), np.full(near.size, np.inf), free, np.ones(near.size)
+    wanted = np.append(np.zeros(m), target)
+    left = held_steps(machine).call([near, 1e-9, *bounds, wanted, wanted, size, p])[2]
+    # Of a redundant arm steps are damped where springs and rows differ by orders of magnitude.
+    assert float(left) < 1e-12
 
 
 @pytest.mark.parametrize("name", ["excavator", "slewing-excavator"])

@@ -1767,7 +1767,7 @@ def test_how_far_beside_its_target_the_end_point_rests_is_told() -> None:
     # No other corner is taken for the worst.
     assert off.max() > 1.02 * np.sort(off)[-2]
     farthest = max(found.places, key=lambda place: place.rests_off)
-    told = f"off its target at rest, by up to {farthest.rests_off:.3g} m ({spoken(farthest.name)})"
+    told = f"off its target at rest, by {farthest.rests_off:.3g} m ({spoken(farthest.name)} at "
     assert told in repr(found)
     assert told in found._html()
     assert repr(found).count("feedback pid") == 1
@@ -1778,9 +1778,8 @@ def test_how_far_beside_its_target_the_end_point_rests_is_told() -> None:
     assert [(place.rests_off, place.rests_off_at) for place in integral.places] == [(0.0, {})] * len(integral.places)
     assert "off its target at rest" not in repr(integral)
     grows = [replace(place, rests_off=0.02, decay=replace(place.decay, least=-0.1)) for place in found.places]
-    assert "by up to 0.02 m (the present place, not counting where it grows)" in remarks.rests_beside(
-        replace(found, places=(grows[0],))
-    )
+    assert "by 0.02 m (the present place at stick.mass " in remarks.rests_beside(replace(found, places=(grows[0],)))
+    assert ", not counting where it grows), the most" in remarks.rests_beside(replace(found, places=(grows[0],)))
     near = replace(found, places=tuple(replace(place, rests_off=0.00199) for place in found.places))
     assert "off its target at rest" not in repr(near)
 

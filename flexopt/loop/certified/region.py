@@ -32,6 +32,7 @@ from flexopt.loop.spectrum import (
     mostly_self_motion,
     slow_self_motion,
 )
+from flexopt.loop.standard_move import UNSETTLED
 from flexopt.loop.uncertain import MEMBERS, UncertainLoop, UncertaintyBox, member_in_words
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike
@@ -41,8 +42,6 @@ from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 LARGEST, EXACT, POINTS = 10.0, 1e-3, 64
 # How often the box that a guaranteed radius is looked for in is halved, as long as a smaller one may prove more.
 TRIES = 4
-# From how far off its target on a rest is told, m.
-TOLD_OFF = 1e-3
 
 
 @dataclass(frozen=True)
@@ -135,7 +134,7 @@ class Region(Result):
             bound = f"guaranteed up to a factor of {proven:.4g}" if proven > 1 else "no factor is guaranteed"
             lines.append(f"  radius, of the factors alone, all else as in the file: {bound}; {ends}")
         lines += [f"  {sentence}" for sentence in self._drifts]
-        if self.rests_off >= TOLD_OFF:
+        if self.rests_off >= UNSETTLED:
             off = f"{self.rests_off:.3g} m off its target at rest, at {member_in_words(self.rests_off_at)}"
             lines.append(
                 f"  {OTHER_WEIGHT} holds the end-point {off}, the most that was found: the loop is that about there"

@@ -184,7 +184,7 @@ def _valued(problem: SelectionProblem, z: Vector, reaches: NDArray[np.bool_]) ->
     if problem.gravity and reached.any():
         plant = problem.measures.plant
         n_b = plant.n_base
-        flat[n_b:, reached] = held_on(plant, problem.target, flat[:n_b, reached], flat[n_b:, reached])
+        flat[n_b:, reached], _ = held_on(plant, problem.target, flat[:n_b, reached], flat[n_b:, reached])
     off = np.where(reached, _violation(problem, flat), np.inf)
     value = np.full(off.size, -np.inf)
     good = np.flatnonzero(off <= EDGE)

@@ -10,12 +10,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from flexopt.loop.standard_move import SETTLED
+from flexopt.loop.standard_move import MOVE, UNSETTLED
 from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.several import BasePlan
 from flexopt.study.verdicts.decision import FASTER, spoken
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
-from flexopt.study.verdicts.places import FIRST, MOVE, STAY
+from flexopt.study.verdicts.places import FIRST, STAY
 
 if TYPE_CHECKING:
     from flexopt.study.verdicts.result import Verdict
@@ -73,7 +73,7 @@ def _worse(verdict: Verdict, there: PlaceVerdict, stay: PlaceVerdict) -> list[st
     # Where it grows on all grounds there is no less to compare with.
     if math.isnan(stay.rests_off) and there.rests_off >= FAR_OFF:
         found.append(f"comes to rest {there.rests_off:.3g} m off the target")
-    if there.rests_off >= SETTLED * MOVE and there.rests_off >= (1 + FASTER) * stay.rests_off:
+    if there.rests_off >= UNSETTLED and there.rests_off >= (1 + FASTER) * stay.rests_off:
         stands = "where it stands" if verdict.stay else "with the present ones"
         grows = f" ({stands}, {NOT_WHERE_IT_GROWS})" if stay.decay.least <= 0 else ""
         instead = f"instead of {stay.rests_off:.3g} m{grows}"

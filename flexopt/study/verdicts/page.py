@@ -15,12 +15,12 @@ from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.foundation.rounding import way
 from flexopt.loop.outcome import falling
 from flexopt.loop.settings import CHOSEN
-from flexopt.loop.standard_move import LONGEST
+from flexopt.loop.standard_move import LONGEST, MOVE
 from flexopt.selection import SelectionProblem
 from flexopt.study.page import PageTable, Picture, begun, coordinate, number, picture, sentence, with_minus
 from flexopt.study.verdicts.decision import BETTER, percent
 from flexopt.study.verdicts.drawbacks import first_gain
-from flexopt.study.verdicts.places import FALLS, MOVE, NEW_GAINS, STAY, allowed, told
+from flexopt.study.verdicts.places import FALLS, NEW_GAINS, STAY, allowed, told
 from flexopt.study.verdicts.remarks import on_places, on_the_loop
 
 if TYPE_CHECKING:

@@ -13,8 +13,6 @@ STAY, FIRST = "stay", "candidate 1"
 NEW_GAINS = "new gains"
 # How many of the places judged are told of, besides these two.
 TOLD = 3
-# Length of the standard move, m.
-MOVE = 0.1
 # In place of the number that stands for a decay of what feedback holds nowhere.
 FALLS = "falls"
 # Of an allowed gain that there is not, whose number is 0.

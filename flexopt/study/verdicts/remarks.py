@@ -13,13 +13,13 @@ from flexopt.foundation.plain import listed
 from flexopt.loop.evaluation import unseen_told
 from flexopt.loop.outcome import NOWHERE_HELD, falling
 from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion, mostly_self_motion
-from flexopt.loop.standard_move import LONGEST, SETTLED
+from flexopt.loop.standard_move import LONGEST, UNSETTLED
 from flexopt.loop.uncertain import member_in_words
 from flexopt.selection.problem import with_angles
 from flexopt.study.verdicts.confirmation import INTEGRAL
 from flexopt.study.verdicts.decision import BETWEEN, spoken
 from flexopt.study.verdicts.drawbacks import NOT_WHERE_IT_GROWS
-from flexopt.study.verdicts.places import FALLS, MOVE
+from flexopt.study.verdicts.places import FALLS
 
 if TYPE_CHECKING:
     from flexopt.study.verdicts.result import Verdict
@@ -119,7 +119,7 @@ def driven(verdict: Verdict) -> str:
 
 def rests_beside(verdict: Verdict) -> str:
     """How far beside its target the end-point rests, where a move would not have settled there; else empty."""
-    off = [place for place in verdict.rows if place.rests_off >= SETTLED * MOVE]
+    off = [place for place in verdict.rows if place.rests_off >= UNSETTLED]
     if not off:
         return ""
     off.sort(key=lambda place: -place.rests_off)

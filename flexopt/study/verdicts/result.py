@@ -19,6 +19,7 @@ from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.loop.outcome import falling
 from flexopt.loop.settings import CHOSEN, LoopSettings
+from flexopt.loop.standard_move import MOVE
 from flexopt.model import AnyMachine
 from flexopt.model.uncertainty import Uncertainty, parameters_of
 from flexopt.robustness.evaluation import in_words
@@ -33,7 +34,6 @@ from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import (
     FALLS,
     FIRST,
-    MOVE,
     NEW_GAINS,
     NO_GAIN,
     NO_GAIN_LOOKED_AT,

@@ -27,6 +27,7 @@ from flexopt.loop.lag import lagged_modes
 from flexopt.loop.outcome import falling
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.spectrum import from_sample_to_sample
+from flexopt.loop.standard_move import MOVE
 from flexopt.loop.uncertain import FEW, SENSES, UncertainLoop, UncertaintyBox, matters_most
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.beyond_limits import beyond_limits_told
@@ -72,7 +73,7 @@ from flexopt.study.verdicts.place_loops import (
     unreached,
 )
 from flexopt.study.verdicts.place_verdict import Band, PlaceVerdict
-from flexopt.study.verdicts.places import FIRST, MOVE, NEW_GAINS, STAY
+from flexopt.study.verdicts.places import FIRST, NEW_GAINS, STAY
 from flexopt.study.verdicts.result import Verdict
 from flexopt.study.verdicts.told_places import first_places, overlooked, shares_better, with_barring
 
