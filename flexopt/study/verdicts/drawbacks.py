@@ -91,7 +91,8 @@ def _no_better(verdict: Verdict, there: PlaceVerdict) -> str:
         breaks = breaks or verdict.present_breaks
     # Else another place would keep them with its end-point on the target, and this one would be none to move to.
     where = " on some ground" if WHERE in breaks else " with the present gains"
-    kept = verdict.stay is not None and not (verdict.stay.breaks or verdict.present_breaks)
+    stay = None if there.name == STAY else verdict.stay
+    kept = stay is not None and not (stay.breaks or verdict.present_breaks)
     every = breaks and f"every place found{' to move to' * kept} breaks constraints{where}: {name} {breaks}"
     return "; ".join(filter(None, (by_gains and f"with the new gains {name} {by_gains}", every)))
 
