@@ -145,6 +145,11 @@ class LoopPoint:
         return self._at_rest[0]
 
     @property
+    def posture(self) -> Vector:
+        """Of the actuated joints at rest (n,)."""
+        return self.configuration[self.motions.plant.n_passive :]
+
+    @property
     def end_point(self) -> Vector:
         """Where the end-point is at rest (n_task,), m."""
         return self.motions.plant.end_point(self.configuration, self.numbers["base"], self.numbers["p"]).full().ravel()

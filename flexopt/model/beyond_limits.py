@@ -44,6 +44,13 @@ def beyond_limits_told(machine: AnyMachine, where: str, postures: Sequence[Vecto
     return f"{where} holds {'; '.join(each)}, {beyond}" if each else ""
 
 
+def most_beyond(machine: AnyMachine, posture: Vector) -> dict[str, float]:
+    """How far a posture (n,) is beyond the nearer limit or end of stroke, rad or m, by joint; empty where none is."""
+    each = zip(machine.joints, posture.tolist(), machine.limits, strict=True)
+    found = {name: _beyond(q, low, high) for name, q, (low, high) in each}
+    return {name: max(by, 0.0) for name, by in found.items()} if max(found.values()) > CLIMBED_BEYOND else {}
+
+
 def holding(machine: AnyMachine, posture: Vector) -> AnyMachine:
     """The machine with limits and strokes as far as a posture (n,) is beyond them; itself where it is within.
 

@@ -20,11 +20,12 @@ from flexopt.foundation.doubt import with_doubt
 from flexopt.foundation.plain import shown
 from flexopt.foundation.results import Result
 from flexopt.foundation.rounding import without_rounding
+from flexopt.loop.outcome import NOWHERE_HELD, falling
 from flexopt.loop.standard_move import MOVE
 from flexopt.model.loop import GAINS
 from flexopt.model.simulation import SimulationOptions
 from flexopt.robustness.residues import residue_unit
-from flexopt.study.verdicts.places import NO_GAIN, NO_GAIN_LOOKED_AT, STAY
+from flexopt.study.verdicts.places import FALLS, NO_GAIN, NO_GAIN_LOOKED_AT, STAY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,7 +40,8 @@ class SavedQuantity(NamedTuple):
     whether more of it is better, None where neither is;  `turned`: whether it is shown with the other sign;
     `control`: where that is which says the unit of w_i. Of a list every entry is a quantity, numbered, or with names
     and units from the lists at `names` and `units`; of a number its unit is at `units`, or the first of a list there.
-    `zero`: the word of a number that is 0 where there is none.
+    `zero`: the word of a number that is 0 where there is none;  `rate`: where the rate of samples is of a decay that
+    may stand for what falls.
     """
 
     key: str
@@ -53,6 +55,7 @@ class SavedQuantity(NamedTuple):
     scale: str = ""
     control: str = ""
     zero: str = ""
+    rate: str = ""
 
 
 POSTURE = (
@@ -62,7 +65,7 @@ POSTURE = (
     SavedQuantity("epsilon_max", "ε_max", error="epsilon_max_error", more=True),
     SavedQuantity("frequencies_hz", "frequency", "Hz"),
     SavedQuantity("condition", "condition of Jv", more=False),
-    SavedQuantity("outcome.decay", "decay of the loop", "1/s", more=True),
+    SavedQuantity("outcome.decay", "decay of the loop", "1/s", more=True, rate="outcome.settings.rate"),
     SavedQuantity("outcome.allowed_gain", "allowed Kp", more=True, units="outcome.settings.gain_units", zero=NO_GAIN),
     SavedQuantity("outcome.delay_margin", "delay margin", "s", more=True),
     SavedQuantity("outcome.sensitivity_peak", "peak of the sensitivity", more=False),
@@ -85,7 +88,7 @@ RUN = (
 
 def within(prefix: str, quantities: Sequence[SavedQuantity]) -> tuple[SavedQuantity, ...]:
     """These quantities of a document inside another."""
-    keys = ("key", "error", "names", "units", "scale", "control")
+    keys = ("key", "error", "names", "units", "scale", "control", "rate")
     moved = [{key: f"{prefix}.{getattr(each, key)}" for key in keys if getattr(each, key)} for each in quantities]
     return tuple(each._replace(**keys) for each, keys in zip(quantities, moved, strict=True))
 
@@ -98,12 +101,20 @@ CHOICE = (
 # Of a place that a verdict tells of the worst over what is uncertain, as in its table.
 PLACE = (
     SavedQuantity("drive", "drive", "m", more=False),
-    SavedQuantity("decay.least", "slowest decay", "1/s", more=True),
+    SavedQuantity("decay.least", "slowest decay", "1/s", more=True, rate="settings.rate"),
     SavedQuantity("allowed_gain.least", "least allowed Kp", more=True, units="gain_units", zero=NO_GAIN),
     SavedQuantity("delay_margin.least", "least delay margin", "s", more=True),
     SavedQuantity("settling.greatest", "longest settling time", "s", more=False),
     SavedQuantity("swing.greatest", f"largest base swing, move of {MOVE:g} m", more=False, units="swing_units"),
 )
+
+
+def _of_place(key: str, label: str, quantities: Sequence[SavedQuantity]) -> list[SavedQuantity]:
+    """Of one place of a verdict, whose loop is the verdict's."""
+    each = zip(within(key, quantities), quantities, strict=True)
+    return [moved._replace(label=f"{label}: {own.label}", rate=own.rate) for moved, own in each]
+
+
 VERDICT = (
     SavedQuantity("word", "word"),
     SavedQuantity("place", "place"),
@@ -111,8 +122,8 @@ VERDICT = (
     SavedQuantity("new_gains.kp", "new Kp", units="new_gains.unit_kp"),
     SavedQuantity("new_gains.kv", "new Kv", units="new_gains.unit_kv"),
     SavedQuantity("new_gains.ki", "new Ki", units="new_gains.unit_ki"),
-    *(each._replace(label=f"staying: {each.label}") for each in within("staying", PLACE[1:])),
-    *(each._replace(label=f"its place: {each.label}") for each in within("pointed_to", PLACE)),
+    *_of_place("staying", "staying", PLACE[1:]),
+    *_of_place("pointed_to", "its place", PLACE),
 )
 # Kinds of documents: keys by which they are known, and their quantities.
 KINDS: dict[str, tuple[tuple[str, ...], tuple[SavedQuantity, ...]]] = {
@@ -211,6 +222,8 @@ class Comparison(Result):
             told.append("–: there is none, or no border was met")
         if any(NO_GAIN in row.texts() for row in self.rows if row.zero):
             told.append(f"{NO_GAIN}: the loop {NO_GAIN_LOOKED_AT}")
+        if any(FALLS in row.values for row in self.rows):
+            told.append(f"{FALLS}: {NOWHERE_HELD}")
         return "\n".join(told)
 
 
@@ -293,6 +306,8 @@ def _rows(quantity: SavedQuantity, documents: Sequence[Any]) -> list[ComparedRow
     values = [_at(document, quantity.key) for document in documents]
     if quantity.turned:
         values = [None if number is None else -number for number in map(_number, values)]
+    if quantity.rate:
+        values = [_or_falls(value, _at(d, quantity.rate)) for value, d in zip(values, documents, strict=True)]
     if all(value is None for value in values):
         return []
     if not any(isinstance(value, list) for value in values):
@@ -311,6 +326,11 @@ def _rows(quantity: SavedQuantity, documents: Sequence[Any]) -> list[ComparedRow
             found.setdefault(key, [None] * len(documents))[k] = _value(entry, scales[i] if i < len(scales) else None)
     none = (None,) * len(documents)
     return [ComparedRow(label, unit, tuple(row), none, quantity.more) for (label, unit), row in found.items()]
+
+
+def _or_falls(decay: Any, rate: Any) -> Any:
+    value, sampled = _number(decay), _number(rate)
+    return FALLS if value is not None and sampled is not None and value <= falling(sampled) else decay
 
 
 def _units(quantity: SavedQuantity, documents: Sequence[Any]) -> str:

@@ -214,9 +214,56 @@ def test_a_region_tells_how_far_off_its_target_runs_end():
     assert region.rests_off == pytest.approx(off.max(), rel=1e-3)
     assert region.rests_off_at["payload.mass"] == loads[int(off.argmax())]
     assert f"holds the end-point {region.rests_off:.3g} m off its target at rest, at payload.mass 120" in repr(region)
+    assert region.rests_beyond == {}
     weightless = flexopt.stable_region(EXCAVATOR, POSTURE, **asked)
     assert weightless.rests_off == 0.0
     assert "at rest" not in repr(weightless)
+
+
+def test_a_region_tells_which_joints_rest_beyond_their_limits():
+    """By SciPy, which solves for where springs and feedback hold the load."""
+    loads = (0.0, 120.0)
+    plant = (
+        settings_of(EXCAVATOR, POSTURE, SERVED, "inverse")
+        .outcome(EXCAVATOR, [0.0], POSTURE, gravity=True)
+        .motions.plant
+    )
+    own, heavy = numbers(EXCAVATOR, "payload.mass", np.array(loads)).T
+    sag = plant.deflected([0.0], POSTURE, own).full().ravel()
+    held = np.append(sag, POSTURE)
+    m = len(sag)
+    target = plant.end_point(held, [0.0], own).full().ravel()
+
+    def unbalanced(q: Vector) -> Vector:
+        """Springs against weight; Kp times the error against the rates that the servos need to carry what is unknown."""
+        taken = np.append(sag, q[m:])
+        pulls = plant.stiffness(heavy).full()[:m, :m] @ (q - plant.rest([0.0], q[m:], heavy).full().ravel())[:m]
+        weight = plant.gravity(q, [0.0], heavy).full().ravel()
+        carried = (weight - plant.gravity(taken, [0.0], own).full().ravel())[m:]
+        error = target - plant.end_point(q, [0.0], heavy).full().ravel()
+        rates = np.linalg.solve(plant.rigid_jacobian(taken, [0.0], own).full(), SERVED["kp"] * error)
+        return np.append(pulls + weight[:m], SERVED["servo_gain"] * rates - carried)
+
+    moved = root(unbalanced, held, tol=1e-12).x[m:] - POSTURE
+    assert np.abs(moved).min() > 1e-3
+    # A limit of each joint on the side that it rests on, at half the way.
+    told = EXCAVATOR.model_dump(by_alias=True)
+    for link, q, by in zip(told["links"], POSTURE, moved, strict=True):
+        link["limits"] = tuple(np.sort([q + by / 2, q - np.sign(by)]))
+    machine = type(EXCAVATOR)(**told)
+    asked = {"loop": SERVED, "gravity": True, "ranges": {"payload.mass": loads}, "points": 8, "boxes": 0}
+    region = flexopt.stable_region(machine, POSTURE, **asked)
+    assert [*region.rests_beyond.values()] == pytest.approx(np.abs(moved) / 2, rel=1e-6)
+    assert region.rests_beyond_at == {"payload.mass": loads[1]}
+    boom, stick = region.rests_beyond.values()
+    assert (
+        f"beyond its limits at rest: boom by {boom:.3g} rad and stick by {stick:.3g} rad, at payload.mass 120"
+        in repr(region)
+    )
+    # Of one that rests within, nothing; of the other, 0.
+    told["links"][0]["limits"] = None
+    one = flexopt.stable_region(type(EXCAVATOR)(**told), POSTURE, **asked)
+    assert one.rests_beyond == {"boom": 0.0, "stick": pytest.approx(stick)}
 
 
 BUCKET = flexopt.load("boom-stick-bucket")

@@ -183,6 +183,27 @@ def test_an_allowed_gain_that_there_is_not_is_none(command: Command, tmp_path: P
     assert "none:" not in command("compare", files[0], files[0]).stdout
 
 
+def test_the_rate_that_stands_for_falling_is_a_word(command: Command, tmp_path: Path) -> None:
+    asked: dict[str, Any] = {"members": 2, "runs": 0, "starts": 1, "base": 0.0, "gravity": True}
+    asked |= {"loop": {"kp": 2e3, "kv": 5e2, "rate": 200}}
+    loads = {"light": (0, 100), "heavy": (0, 1500)}
+    found = [
+        flexopt.verdict(flexopt.load("excavator"), (0.0, 1.6), ranges={"payload.mass": each}, **asked)
+        for each in loads.values()
+    ]
+    files = [save(tmp_path, name, each) for name, each in zip(loads, found, strict=True)]
+    rows = rows_of(command("compare", *files, "--json", "--plot", "beside.png").document)
+    assert rows["staying: slowest decay"] == [found[0].places[0].decay.least, "falls"]
+    assert found[1].places[0].decay.least < -1e5
+    with Image.open(tmp_path / "beside.png") as picture:
+        assert picture.width > 500
+    table = command("compare", *files).stdout
+    assert re.search(r"(?m)^staying: slowest decay, 1/s +[-0-9.]+ +falls$", table)
+    assert re.search(r"(?m)^falls: the feedback is not found to hold the weight", table)
+    assert "e+05" not in table
+    assert "falls" not in command("compare", files[0], files[0]).stdout
+
+
 @pytest.mark.long
 def test_selections_and_verdicts(command: Command, tmp_path: Path) -> None:
     found = [flexopt.solve_problem(flexopt.load_problem(name)) for name in ("article", "article-transpose")]

@@ -17,6 +17,7 @@ from flexopt.errors import InputError, raise_if_any
 from flexopt.foundation.arrays import BaseLike, PostureLike, Progress, Vector
 from flexopt.foundation.boundary import public, whole
 from flexopt.foundation.control import Control
+from flexopt.foundation.plain import listed
 from flexopt.foundation.results import Result
 from flexopt.foundation.stages import Stages
 from flexopt.loop.beside_decay import BesideDecay
@@ -35,6 +36,7 @@ from flexopt.loop.spectrum import (
 from flexopt.loop.standard_move import UNSETTLED
 from flexopt.loop.uncertain import MEMBERS, UncertainLoop, UncertaintyBox, member_in_words
 from flexopt.model import AnyMachine
+from flexopt.model.beyond_limits import most_beyond
 from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.uncertainty import GROUND, RangesLike, Uncertainty
 
@@ -73,6 +75,8 @@ class Region(Result):
             the arm moves off. 0 of a joint where it is below 1 % of what that carries, empty where it is of all.
         rests_off: how far beside its target feedback holds the end-point at rest, m, at most, of what was found
             (`rests_off_at`): the loop is looked at about there; NaN where no member looked at comes to rest.
+        rests_beyond: how far joints are beyond their limits there, rad or m, by joint, where one is the farthest of
+            what was found (`rests_beyond_at`), 0 of those within; empty where all are.
         self_motion, radius_self_motion: share of its kinetic energy that the slowest motion has in the arm's
             self-motion, at `critical` and at `radius_critical`: of most a drift of the arm that is taken for the loop's
             as it moves the base; NaN where nothing acts on the self-motion, or there is none.
@@ -103,14 +107,16 @@ class Region(Result):
     unheld_at: Mapping[str, float]
     rests_off: float
     rests_off_at: Mapping[str, float]
+    rests_beyond: Mapping[str, float]
+    rests_beyond_at: Mapping[str, float]
     self_motion: float
     radius_self_motion: float
     settings: LoopSettings
 
     DOCUMENT = """
     stable guaranteed rests_on certified boxes points decay[1/s] critical frequency_hz[Hz] radius radius_guaranteed
-    radius_critical drift[1/s] drift_critical unheld unheld_at rests_off[m] rests_off_at self_motion radius_self_motion
-    settings
+    radius_critical drift[1/s] drift_critical unheld unheld_at rests_off[m] rests_off_at rests_beyond rests_beyond_at
+    self_motion radius_self_motion settings
     """
 
     def __repr__(self) -> str:
@@ -138,6 +144,13 @@ class Region(Result):
             off = f"{self.rests_off:.3g} m off its target at rest, at {member_in_words(self.rests_off_at)}"
             lines.append(
                 f"  {OTHER_WEIGHT} holds the end-point {off}, the most that was found: the loop is that about there"
+            )
+        if self.rests_beyond:
+            each = zip(self.rests_beyond.items(), self.settings.joint_units, strict=True)
+            by = listed(f"{name} by {by:.3g} {unit}" for (name, by), unit in each if by > 0)
+            where = member_in_words(self.rests_beyond_at)
+            lines.append(
+                f"  beyond its limits at rest: {by}, at {where}, the most that was found; no stop is in the loop"
             )
         loop = repr(self.settings).splitlines()[0]
         return "\n".join([*lines, f"  loop: {loop}", *self.settings.proposed])
@@ -214,7 +227,9 @@ def stable_region(
     radius, first, own, more = _radius(whole_box, points)
     stages.reach(boxes)
     radius_guaranteed = _radius_guaranteed(whole_box, radius, boxes, stages)
-    beside = BesideDecay.of(whole_box, np.vstack([box.members(points)[:MEMBERS], at]))
+    few = np.vstack([box.members(points)[:MEMBERS], at])
+    beside = BesideDecay.of(whole_box, few)
+    rests_beyond, rests_beyond_at = _beyond_limits(whole_box, few)
     last = whole_box.outcome(at).loop
     stages.reach(stages.total)
     guaranteed = proof is not None and proof.share(None) == 0 and not growing
@@ -237,10 +252,24 @@ def stable_region(
         unheld_at=beside.unheld_at,
         rests_off=beside.rests_off,
         rests_off_at=beside.rests_off_at,
+        rests_beyond=rests_beyond,
+        rests_beyond_at=rests_beyond_at,
         self_motion=last.self_motion,
         radius_self_motion=own,
         settings=settings,
     )
+
+
+def _beyond_limits(loop: UncertainLoop, members: Vector) -> tuple[dict[str, float], dict[str, float]]:
+    """How far joints rest beyond their limits in that of members (n, k) where one is the farthest, and what it is."""
+    if not loop.gravity:
+        return {}, {}
+    points = [loop.outcome(u) for u in members]
+    # What grows comes to no rest.
+    resting = [k for k, point in enumerate(points) if point.loop.growth_rate <= point.loop.rounding]
+    each = {k: most_beyond(loop.box.machine, points[k].posture) for k in resting}
+    most = max(each, key=lambda k: max(each[k].values(), default=0.0), default=None)
+    return (each[most], loop.box.told(members[most])) if most is not None and each[most] else ({}, {})
 
 
 def _word(slowest: float, proof: RegionProof | None, *, guaranteed: bool) -> bool | None:
