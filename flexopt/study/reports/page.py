@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.doubt import with_doubt
-from flexopt.foundation.plain import listed
+from flexopt.foundation.plain import counted, listed
 from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.foundation.rounding import without_rounding
 from flexopt.robustness import Evaluation
@@ -196,7 +196,8 @@ def _gained(several: Stand | BasePlan) -> str:
     """What the base's way or its one placement is worth."""
     if isinstance(several, Stand):
         unit = f" {several.unit}" if several.unit else ""
-        return f"Candidate 1 is worth {number(several.worth)}{unit}; {len(several.alternatives)} other local optima."
+        others = counted(len(several.alternatives), "other local optimum", "other local optima")
+        return f"Candidate 1 is worth {number(several.worth)}{unit}; {others}."
     still = "no single placement reaches them all"
     if several.still is not None:
         still = f"{number(several.standing)} where the base stands still"
