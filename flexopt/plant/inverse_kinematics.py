@@ -42,7 +42,7 @@ INSIDE = 1e-3
 # How far off a posture of a machine that sags may be, as a share of the arm, to start from.
 NEARLY = 1e-3
 # How far beside a straight arm others are started from, rad, and as a share of its length.
-BESIDE = 0.1
+BESIDE = 0.3
 # Rounding may push |cos| past 1 by this much on the edge of the reach.
 EDGE = 1e-12
 
@@ -102,7 +102,10 @@ def inverse_kinematics(
             reached += list(postures[:, reaches].T)
     sagging, why = None, ""
     if gravity:
-        reached, sagging = _settled(plant, point, placement, np.array(reached).reshape(-1, plant.n_actuated).T)
+        starts = np.array(reached).reshape(-1, plant.n_actuated).T
+        # Weight on soft springs may bend an arm that is nearly straight the other way.
+        more = NEAREST // starts.shape[1] if starts.size else 0
+        reached, sagging = _settled(plant, point, placement, _with_others(plant, starts, np.tile(starts, more), seed))
     found = [posture for posture in reached if inside_limits(machine, posture[:, None])[0]]
     if not found and (gravity or (reached and free)):
         # Narrow limits may lie between the points of the sample: Newton steps lead into them.
@@ -110,13 +113,12 @@ def inverse_kinematics(
             found = _by_iteration(plant, point, placement, gravity, seed)
         except UnreachableTarget as nearer:
             sagging = min(sagging, nearer.miss) if sagging is not None else None
-    if elbow is not None and found:
-        # Weight, or steps from far off, may bend it the other way.
-        bends = (
-            plant.elbow.call([placement, np.array(found).T, plant.parameter_values])[0].full().ravel()
-            * ELBOW_SIGN[elbow]
-        )
-        found = [posture for posture, bend in zip(found, bends, strict=True) if bend >= -SAME]
+    if found and (gravity or elbow is not None):
+        # Steps from far off, too, may bend it the other way.
+        bends = plant.elbow.call([placement, np.array(found).T, plant.parameter_values])[0].full().ravel()
+        order = np.argsort(bends > SAME, kind="stable")
+        sign = 0.0 if elbow is None else ELBOW_SIGN[elbow]
+        found = [found[k] for k in order if sign * bends[k] >= -SAME]
         why = "" if found else f"no posture that was found to reach it has the elbow {elbow}"
     if not found:
         if reached and not gravity:
@@ -133,7 +135,7 @@ def inside_reach(plant: Plant, target: Vector, bases: Vector) -> tuple[Vector, V
     """
     annulus = reach(plant)
     center = annulus.center[:, None] + np.vstack([bases, np.zeros_like(bases)])
-    away, least = target[:, None] - center, INSIDE * annulus.outer
+    away, least = target[:, None] - center, min(INSIDE * annulus.outer, (annulus.outer - annulus.inner) / 4)
     distance = np.hypot(*away)
     inside = np.clip(distance, annulus.inner + least, annulus.outer - least)
     along = np.where(distance > 0, away / np.where(distance > 0, distance, 1.0), [[1.0], [0.0]])
@@ -153,8 +155,9 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
             reached, off = _settled(plant, target, base, np.array(_distinct(reached, SAME)).T)
         if not reached:
             # The border of the reach is another as the machine sags.
-            _, held, miss = led_from_nearest(plant, target, bases, postures, left, seed)
-            reached, off = _on_target(plant, held, miss)
+            z, limits = np.vstack([bases, postures]), _limits(plant)
+            _, held, miss = led_from_nearest(plant, target, z, left, seed, limits, standing=True)
+            reached, off = _on_target(plant, held[plant.n_base :], miss)
     if not reached:
         raise missed(plant, target, base, off)
     turned = list(into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
@@ -216,51 +219,81 @@ def held_steps(machine: AnyMachine) -> ca.Function:
 
 
 def solve_held(plant: Plant, target: Vector, bases: Vector, starts: Vector) -> tuple[Vector, Vector]:
-    """As `solve_postures`, with the end-point of the machine as it sags under its weight on the target.
+    """As `solve_postures`, with the end-point of the machine as it sags under its weight on the target."""
+    z, off = held_within(plant, target, np.vstack([bases, starts]), _limits(plant), standing=True)
+    return z[plant.n_base :], off
 
-    Steps turn the arm and let the springs give way at once. How far off a posture is, is told of where the springs
-    hold the machine then: infinite where they do not.
+
+def _limits(plant: Plant) -> tuple[Vector, Vector]:
+    """Ends of [base, posture], (n_b + n,) each: the joints' limits."""
+    low, high = (np.array(ends) for ends in zip(*plant.machine.limits, strict=True))
+    return np.append(np.full(plant.n_base, -np.inf), low), np.append(np.full(plant.n_base, np.inf), high)
+
+
+def held_within(
+    plant: Plant, target: Vector, z: Vector, ends: tuple[Vector, Vector], *, standing: bool = False
+) -> tuple[Vector, Vector]:
+    """Points z = [base, posture], (n_b + n, N), moved within ends to where the machine as it sags is on its target.
+
+    Steps move base and arm and let the springs give way at once. How far off a point is, is told of where the springs
+    hold the machine then: infinite where they do not. `standing`: the base stays.
     """
     p, m, n_b = plant.parameter_values, plant.n_passive, plant.n_base
-    low, high = (np.array(ends)[:, None] for ends in zip(*plant.machine.limits, strict=True))
-    starts = np.clip(starts, low, high)
-    goals = np.broadcast_to(target.reshape(plant.n_task, -1), (plant.n_task, starts.shape[1]))
+    low, high = ends
+    z = np.clip(z, low[:, None], high[:, None])
+    bases, starts = z[:n_b], z[n_b:]
+    goals = np.broadcast_to(target.reshape(plant.n_task, -1), (plant.n_task, z.shape[1]))
     rest = plant.rest.call([bases, starts, p])[0].full()[:m]
     sagged = plant.deflected.call([bases, starts, p])[0].full()
     q_p = cast(Vector, np.where(np.isfinite(sagged), sagged, rest))
-    z: Vector = np.vstack([bases, q_p, starts])
-    free, unbounded = np.ones(len(z)), np.full(n_b + m, np.inf)
-    free[:n_b] = 0.0
+    free = (low < high).astype(float)
+    free[: n_b * standing] = 0.0
+    free, low, high = (
+        np.insert(of_z, n_b, np.full(m, given)) for of_z, given in ((free, 1), (low, -np.inf), (high, np.inf))
+    )
     length = arm_length(plant)
     units = [*plant.machine.base_units, *plant.graph.coordinate_units]
     scale = np.array([1.0 if unit == "rad" else length for unit in units])
-    of_z = np.append(-unbounded, low), np.append(unbounded, high), free, scale
     springs = HOLD * np.diag(plant.stiffness.call([p])[0].full())[:m]
     rows = np.vstack([np.zeros((m, goals.shape[1])), goals])
     of_rows = rows, rows, np.append(np.where(springs > 0, springs, 1.0), np.ones(plant.n_task))
-    postures = repeated(held_steps(plant.machine), z, of_z, of_rows, [p], REACHED)[0][n_b + m :]
-    return postures, sagging_off(plant, goals, bases, postures)
+    of_z = low, high, free, scale
+    found = repeated(held_steps(plant.machine), np.vstack([bases, q_p, starts]), of_z, of_rows, [p], REACHED)[0]
+    found = np.delete(found, np.s_[n_b : n_b + m], axis=0)
+    return found, sagging_off(plant, goals, found[:n_b], found[n_b:])
 
 
 def led_from_nearest(
-    plant: Plant, target: Vector, bases: Vector, postures: Vector, left: Vector, seed: int
+    plant: Plant,
+    target: Vector,
+    z: Vector,
+    left: Vector,
+    seed: int,
+    ends: tuple[Vector, Vector],
+    *,
+    standing: bool = False,
 ) -> tuple[NDArray[np.int64], Vector, Vector]:
-    """As `solve_held`, from the nearest of postures (n, N) that are off their target, at rest, by `left` (N,).
+    """As `held_within`, from the nearest of points z (n_b + n, N) that are off their target, at rest, by `left` (N,).
 
     From a straight arm steps lead to one side alone: others beside each are led, too. Where none reaches the target and
     springs hold few of them, that is why, and all count as held by none.
 
     Returns:
-        From which of the postures each comes (k,), postures (n, k), and how far off they are, (k,), m.
+        From which of the points each comes (k,), points (n_b + n, k), and how far off they are, (k,), m.
     """
     chosen = np.tile(np.argsort(np.nan_to_num(left, nan=math.inf), kind="stable")[:NEAREST], 2)
+    nearest = z[plant.n_base :, chosen[: chosen.size // 2]]
+    starts = np.vstack([z[: plant.n_base, chosen], _with_others(plant, nearest, nearest, seed)])
+    held, off = held_within(plant, target, starts, ends, standing=standing)
+    return chosen, held, np.full(off.size, math.inf) if _mostly_falls(off) else off
+
+
+def _with_others(plant: Plant, postures: Vector, these: Vector, seed: int) -> Vector:
+    """Postures (n, N), and behind them others beside these (n, M)."""
     length = arm_length(plant)
     scale = np.array([1.0 if unit == "rad" else length for unit in plant.machine.joint_units])
-    starts, count = postures[:, chosen], chosen.size // 2
-    aside = np.random.default_rng(seed).standard_normal((len(starts), count))
-    starts[:, count:] += BESIDE * scale[:, None] * aside
-    held, off = solve_held(plant, target, bases[:, chosen], starts)
-    return chosen, held, np.full(off.size, math.inf) if _mostly_falls(off) else off
+    aside = np.random.default_rng(seed).standard_normal(these.shape)
+    return np.hstack([postures, these + BESIDE * scale[:, None] * aside])
 
 
 def _mostly_falls(off: Vector) -> bool:

@@ -111,6 +111,7 @@ def unreachable(
         advice = f"; by distance it is within reach with the base at {spans}"
     else:
         advice = "; no base position brings it within reach"
+    advice += "" if sagging is None else " with springs unloaded"
     return UnreachableTarget(where + by + advice, miss=miss, base_intervals=intervals)
 
 

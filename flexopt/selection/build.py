@@ -24,6 +24,7 @@ from flexopt.model.own import OBJECTIVES
 from flexopt.model.plausibility import WITHIN, distant_ranges
 from flexopt.model.problem import SelectionKeywords, SelectionOptions
 from flexopt.plant import Plant, build_plant
+from flexopt.plant.inverse_kinematics import SAMPLES, low_discrepancy
 from flexopt.plant.reach import arm_length, clipped, missed, outer_reach, reach, sampled_ranges, unreachable
 from flexopt.plant.singularity import unmoved_told
 from flexopt.plant.statics import not_held
@@ -324,8 +325,12 @@ def _placements(
         about = float(target[0] - annulus.center[0])
         whole = reach(plant).base_intervals(target) or [(about - annulus.outer, about + annulus.outer)]
         (name,) = machine.base_coordinates
-        span = given.get(name, _driven((whole[0][0], whole[-1][1]), present, 0, drive))
-        return {name: span}, {name: span}, clipped(intervals, span)
+        far = _sag(plant) if gravity else 0.0
+        span, wider = (
+            given.get(name, _driven((whole[0][0] - more, whole[-1][1] + more), present, 0, drive))
+            for more in (0.0, far)
+        )
+        return {name: wider}, {name: span}, clipped(intervals, span)
     center, outer = outer_reach(plant)
     rows = machine.task_rows
     rise = float(target[rows.index("z")] - center[2]) if "z" in rows else 0.0
@@ -335,6 +340,7 @@ def _placements(
         raise missed(plant, target, None, off, why)
     # The anchor is within this of the target, seen from above, however the base is turned.
     far = (math.sqrt(outer**2 - rise**2) if abs(rise) < outer else outer) + math.hypot(center[0], center[1])
+    more = _sag(plant) if gravity else 0.0
     bounds, sampled = Ranges(), Ranges()
     for k, name in enumerate(machine.base_coordinates):
         if name == "yaw":
@@ -342,8 +348,25 @@ def _placements(
             sampled[name] = given.get(name, (-math.pi, math.pi))
             continue
         about = float(target[rows.index(name)]) if name in rows else 0.0 if present is None else float(present[k])
-        bounds[name] = sampled[name] = given.get(name, _driven((about - far, about + far), present, k, drive))
+        sampled[name] = given.get(name, _driven((about - far, about + far), present, k, drive))
+        bounds[name] = given.get(name, _driven((about - far - more, about + far + more), present, k, drive))
     return bounds, sampled, []
+
+
+def _sag(plant: Plant) -> float:
+    """By how much more the base may have to move for its end-point to sag onto a target, m.
+
+    Twice the most of a sample, at most the arm's length: postures at the border of the reach sag more than those of it.
+    """
+    length = arm_length(plant)
+    low, high = sampled_ranges(plant.machine, length).T
+    postures = low[:, None] + (high - low)[:, None] * low_discrepancy(plant.n_actuated, SAMPLES, FIRST_SEED)
+    bases, p = np.zeros((plant.n_base, SAMPLES)), plant.parameter_values
+    sagged = np.vstack([plant.deflected.call([bases, postures, p])[0].full(), postures])
+    at_rest = plant.rest.call([bases, postures, p])[0].full()
+    ends = [plant.end_point.call([q, bases, p])[0].full() for q in (at_rest, sagged)]
+    # What falls over has no number.
+    return min(2 * float(np.nan_to_num(np.linalg.norm(ends[1] - ends[0], axis=0)).max()), length)
 
 
 def _faced(machine: AnyMachine, now: Any, ranges: Ranges) -> Vector | None:

@@ -157,9 +157,9 @@ def _sagging(
 ) -> tuple[Vector, Vector, NDArray[np.bool_], Vector]:
     """Points as the machine sags: those that reach the target at rest, held on it, where any can be.
 
-    Else those to which the nearest lead: the border of the reach is another then. `at_rest`: how far off each is with
-    springs unloaded, in units of the scale. Besides points and their coordinates: which are to be looked at, and how
-    far off each is as it sags.
+    Else those to which the nearest lead, base and arm: the border of the reach is another then. `at_rest`: how far off
+    each is with springs unloaded, in units of the scale. Besides points and their coordinates: which are to be looked
+    at, and how far off each is as it sags.
     """
     plant, n_b, n_task = problem.measures.plant, problem.measures.plant.n_base, problem.target.size
     reaches = at_rest <= FEASIBLE
@@ -171,9 +171,10 @@ def _sagging(
         off[reaches] = np.nan_to_num(beyond_rows(problem, z[:, reaches])[:, :n_task].max(axis=1), nan=math.inf)
         if off.min() <= FEASIBLE:
             return z, unit, reaches, off
-    chosen, postures, off = led_from_nearest(plant, problem.target, z[:n_b], z[n_b:], at_rest, problem.seed)
+    ends = problem.lower, problem.upper
+    chosen, led, off = led_from_nearest(plant, problem.target, z, at_rest, problem.seed, ends)
     off = off / problem.row_bounds[2][0]
-    return np.vstack([z[:n_b, chosen], postures]), unit[:, chosen], off <= FEASIBLE, off
+    return led, unit[:, chosen], off <= FEASIBLE, off
 
 
 def violated(problem: SelectionProblem, z: Vector, *, target: bool = True) -> Vector:

@@ -235,6 +235,37 @@ def test_under_gravity_each_elbow_is_found_up_to_the_border_of_the_reach(bearing
     assert len(inverse_kinematics(machine, target, gravity=True)) == 2
 
 
+@pytest.mark.parametrize(
+    ("softer", "posture"), [(0.1, (-1.2696, -0.03)), (0.06, (-1.7885, -0.1384)), (0.06, (-1.13, -0.3))]
+)
+def test_on_soft_springs_both_elbows_are_found(softer, posture):
+    """Of a nearly straight arm steps from either elbow may all lead to one; by SciPy the other is there, too."""
+    data = load("excavator").to_dict()
+    springs = {name: softer * k for name, k in data["base"]["stiffness"].items()}
+    machine = machine_from_dict(data | {"base": data["base"] | {"stiffness": springs}})
+    plant = build_plant(machine)
+    target = evaluate(machine, posture, base=[0.0], gravity=True).end_point
+
+    def off(q):
+        sagged = ca.vertcat(plant.deflected(0.0, q, plant.parameter_values), q)
+        return plant.end_point(sagged, 0.0, plant.parameter_values).full().ravel() - target
+
+    ends = [root(off, np.add(posture, by), tol=1e-12) for by in ([0.0, 0.0], [-0.1, 0.2], [-0.3, 0.5])]
+    known = sorted({tuple((e.x + 0.0).round(7)) for e in ends if e.success}, key=lambda q: q[1])
+    found = inverse_kinematics(machine, target, gravity=True)
+    np.testing.assert_allclose(found, known, atol=1e-6)
+    assert found[0][1] < 0 < found[1][1]
+    for elbow, own in zip(("up", "down"), found, strict=True):
+        np.testing.assert_allclose(inverse_kinematics(machine, target, gravity=True, elbow=elbow), [own], atol=1e-9)
+
+
+def test_a_last_link_of_next_to_no_length_is_no_fault_of_its_own():
+    data = load("excavator").to_dict()
+    data["links"] = (data["links"][0], dict(data["links"][1]) | {"length": 5e-4, "com": 2e-4})
+    with pytest.raises(UnreachableTarget, match="of the machine as it sags"):
+        inverse_kinematics(machine_from_dict(data), (1.5, 1.6), gravity=True)
+
+
 @pytest.mark.parametrize(("bearing", "beyond"), [(0.0, 0.03), (0.8, 0.01), (1.57, -0.003)])
 def test_beyond_the_border_of_the_sagging_reach_it_is_told_by_how_much(bearing, beyond):
     """Upwards what is within reach with springs unloaded is not as the machine sags."""

@@ -304,6 +304,40 @@ def test_what_only_the_sagging_machine_reaches_is_chosen(machine, posture):
     assert 0.05 < caught.value.miss < 0.2
 
 
+def test_beside_joint_limits_the_base_makes_up_for_the_sag(machine):
+    """A wider range of the base loses nothing; by default it goes as far as the sagging machine reaches from."""
+    data = machine.to_dict()
+    limits = ((-0.8, -0.6), (-0.15, -0.10))
+    links = [dict(link) | {"limits": ends} for link, ends in zip(data["links"], limits, strict=True)]
+    narrow = flexopt.machine_from_dict(data | {"links": tuple(links)})
+    target = flexopt.evaluate(narrow, (-0.605, -0.11), base=0.0, gravity=True).end_point
+    asked = {"objective": "w1", "gravity": True, "singularity_margin_deg": 1.0}
+    ranges = [{"base_range": (0.0, 0.0), "base": 0.0}, {"base_range": (-2.0, 2.0)}, {}]
+    found = [flexopt.select(narrow, target, **asked, **each).best for each in ranges]
+    for best in found:
+        again = flexopt.evaluate(narrow, best.evaluation.posture, base=best.evaluation.base, gravity=True)
+        np.testing.assert_allclose(again.end_point, target, atol=1e-8)
+    np.testing.assert_allclose(found[0].evaluation.posture, (-0.605, -0.11), atol=1e-6)
+    assert found[1].objective > found[0].objective
+    assert found[2].objective == pytest.approx(found[1].objective, rel=1e-6)
+    # With springs unloaded it is reached from farther away alone, which the error says.
+    far = dict(asked, base_range=(-6.0, -5.0))
+    with pytest.raises(flexopt.UnreachableTarget, match="with springs unloaded"):
+        flexopt.select(narrow, target, **far)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "target", "margin"),
+    [("boom-stick-bucket", (6.3242, 9.5624), 5.0), ("slewing-excavator", (6.32247, 0.0, 9.5634), 0.5)],
+)
+def test_in_corners_of_the_limits_the_base_makes_up_for_the_sag(name, target, margin):
+    asked = {"objective": "w1", "gravity": True, "singularity_margin_deg": margin, "starts": 3}
+    best = flexopt.select(flexopt.load(name), target, **asked).best.evaluation
+    again = flexopt.evaluate(flexopt.load(name), best.posture, base=best.base, gravity=True)
+    np.testing.assert_allclose(again.end_point, target, atol=1e-8)
+
+
 def test_below_itself_both_elbows_of_the_sagging_machine_are_looked_at(machine):
     """Steps from a straight arm lead to one side alone; the other's w_1 is thousands of times as good here."""
     arm = flexopt.build_plant(machine).arm_segments(p=flexopt.build_plant(machine).parameter_values)

@@ -74,7 +74,8 @@ class Region(Result):
             redundant arm's self-motion, where that is most (`unheld_at`): no feedback of the end-point holds them, and
             the arm moves off. 0 of a joint where it is below 1 % of what that carries, empty where it is of all.
         rests_off: how far beside its target feedback holds the end-point at rest, m, at most, of what was found
-            (`rests_off_at`): the loop is looked at about there; NaN where no member looked at comes to rest.
+            (`rests_off_at`), not counting where the loop grows: it is looked at about there; NaN where no member looked
+            at comes to rest.
         rests_beyond: how far joints are beyond their limits there, rad or m, by joint, where one is the farthest of
             what was found (`rests_beyond_at`), 0 of those within; empty where all are.
         self_motion, radius_self_motion: share of its kinetic energy that the slowest motion has in the arm's
@@ -140,18 +141,17 @@ class Region(Result):
             bound = f"guaranteed up to a factor of {proven:.4g}" if proven > 1 else "no factor is guaranteed"
             lines.append(f"  radius, of the factors alone, all else as in the file: {bound}; {ends}")
         lines += [f"  {sentence}" for sentence in self._drifts]
+        resting = "" if self.decay > 0 else ", not counting where it grows"
         if self.rests_off >= UNSETTLED:
             off = f"{self.rests_off:.3g} m off its target at rest, at {member_in_words(self.rests_off_at)}"
-            lines.append(
-                f"  {OTHER_WEIGHT} holds the end-point {off}, the most that was found: the loop is that about there"
-            )
+            most = f"the most that was found{resting}: the loop is that about there"
+            lines.append(f"  {OTHER_WEIGHT} holds the end-point {off}, {most}")
         if self.rests_beyond:
             each = zip(self.rests_beyond.items(), self.settings.joint_units, strict=True)
             by = listed(f"{name} by {by:.3g} {unit}" for (name, by), unit in each if by > 0)
             where = member_in_words(self.rests_beyond_at)
-            lines.append(
-                f"  beyond its limits at rest: {by}, at {where}, the most that was found; no stop is in the loop"
-            )
+            most = f"the most that was found{resting}; no stop is in the loop"
+            lines.append(f"  beyond its limits at rest: {by}, at {where}, {most}")
         loop = repr(self.settings).splitlines()[0]
         return "\n".join([*lines, f"  loop: {loop}", *self.settings.proposed])
 
