@@ -116,7 +116,7 @@ def inverse_kinematics(
     if found and (gravity or elbow is not None):
         # Steps from far off, too, may bend it the other way.
         bends = plant.elbow.call([placement, np.array(found).T, plant.parameter_values])[0].full().ravel()
-        order = np.argsort(bends > SAME, kind="stable")
+        order: list[int] = np.argsort(bends > SAME, kind="stable").tolist()
         sign = 0.0 if elbow is None else ELBOW_SIGN[elbow]
         found = [found[k] for k in order if sign * bends[k] >= -SAME]
         why = "" if found else f"no posture that was found to reach it has the elbow {elbow}"
