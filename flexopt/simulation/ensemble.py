@@ -38,7 +38,7 @@ from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Behaviour, behaviour
 from flexopt.simulation.linear import SampledLoop
-from flexopt.simulation.members import Keep, Plan, member_loops, motion_constants
+from flexopt.simulation.members import Keep, Members, Plan, member_loops, motion_constants
 from flexopt.simulation.real_loop import in_shorter_steps, with_loop
 from flexopt.simulation.run import OUTGREW, check_residual, grew, moves, note_run, runners, signals_at_end, unfollowed
 from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options
@@ -84,10 +84,15 @@ class Ensemble(Pictured, Tabled):
     measures: tuple[Behaviour, ...] = field(repr=False)
     ends: Vector | None = field(repr=False)
 
+    @property
+    def moved(self) -> bool:
+        """Whether base or target were."""
+        return moves(self.plan.scenario)
+
     @cached_property
     def linear_loops(self) -> list[SampledLoop | str]:
         """Of each member, exact between the samples; a sentence where it rests nowhere."""
-        return member_loops(self.plan, self.ends)
+        return member_loops(self.plan, self.ends if self.moved else None)
 
     @cached_property
     def linear_growth_rate(self) -> Vector:
@@ -180,8 +185,9 @@ class Ensemble(Pictured, Tabled):
 def judged_beside(ensemble: Ensemble, loops: Iterable[SampledLoop | str]) -> list[Judgement]:
     """Of each member its run beside the eigenvalues of a linear loop; a sentence where there is none."""
     shown = (share.shown(k) for share in ensemble.measures for k in range(len(share.grows)))
-    rests = ensemble.ends is not None
-    return [judge(run, loop, rests=rests) for run, loop in zip(shown, loops, strict=True)]
+    members = Members(ensemble.plan, ensemble.ends, ensemble.moved)
+    both = enumerate(zip(shown, loops, strict=True))
+    return [judge(run, loop, rests=ensemble.moved, ran=members.of(k)) for k, (run, loop) in both]
 
 
 def _vary(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> dict[str, Vector]:
@@ -285,7 +291,7 @@ def simulate_ensemble(
         names = [parameter.name for parameter in machine.parameters]
         zeros, motion = motion_constants(machine, {k: v for k, v in varied.items() if k in names}, n)
         s = build_scenario(machine, checked, zeros, watched=True, settings=settings, delays=delays)
-        plan = Plan(s, zeros, varied, motion, n, keep)
+        plan, redundant = Plan(s, zeros, varied, motion, n, keep), s.loop.shape.n_joints > s.loop.shape.n_task
         _check_room(plan)
         shares = _run(plan, threads or available_cores(), progress)
         _warn_of_outgrown(shares)
@@ -295,7 +301,7 @@ def simulate_ensemble(
             provenance(own, vary=shapes, keep=keep, **asked_for.model_dump(exclude_unset=True)),
             plan,
             tuple(share.measures for share in shares),
-            np.concatenate([share.last for share in shares], axis=1) if moves(s) else None,
+            np.concatenate([share.last for share in shares], axis=1) if moves(s) or redundant else None,
         )
 
     return in_shorter_steps(run, given, real)

@@ -169,14 +169,16 @@ def linearised(scenario: Scenario) -> SampledLoop:
             "the design posture is no equilibrium: the weight acts and the command does not carry it "
             f"(the states move by {moved:.2g} in one sample); give gravity_compensation = True"
         )
+    return loop_about(s, x, e, here)
+
+
+def loop_about(scenario: Scenario, x: Vector, e: Vector, here: Tangent) -> SampledLoop:
+    """The loop about a state of rest x, advanced exactly, or as the scenario's integrator does."""
+    s = scenario
     if s.exact:
-        return exactly(s, x, here)
-    return _spectrum(s, x, np.array(_derivative(structure).call([x, e, c])[0]), s.options.integrator)
-
-
-def exactly(scenario: Scenario, x: Vector, here: Tangent) -> SampledLoop:
-    """The loop about a state of rest x, advanced exactly."""
-    return _spectrum(scenario, x, here.sample(scenario.period, float(np.ravel(scenario.parts["early"])[0])), EXACT)
+        return _spectrum(s, x, here.sample(s.period, float(np.ravel(s.parts["early"])[0])), EXACT)
+    derivative = _derivative(s.loop.structure).call([x, e, s.constants])[0]
+    return _spectrum(s, x, np.array(derivative), s.options.integrator)
 
 
 def _spectrum(scenario: Scenario, x: Vector, matrix: Vector, integrator: str) -> SampledLoop:
@@ -184,7 +186,7 @@ def _spectrum(scenario: Scenario, x: Vector, matrix: Vector, integrator: str) ->
     s = scenario
     most = neutral_directions(s.loop.structure, s.loop.shape.n_joints, s.parts.get("kp"), s.parts.get("ki"))
     excess = s.loop.shape.n_joints - s.loop.shape.n_task
-    plant, q = build_plant(s.machine), _coordinates(s, x)
+    plant, q = build_plant(s.machine), coordinates(s, x)
 
     def own() -> OwnMotion:
         rows: Vector | None = None
@@ -203,7 +205,7 @@ def _resting_rows(machine: AnyMachine, control: Control) -> ca.Function:
     return resting_rows(build_plant(machine), control)
 
 
-def _coordinates(scenario: Scenario, x: Vector) -> Vector:
+def coordinates(scenario: Scenario, x: Vector) -> Vector:
     """All coordinates (n_q,) in a state."""
     s = scenario
     return s.q_design + s.loop.to_q @ (x - s.resting)[: s.loop.shape.n]
@@ -221,7 +223,7 @@ def self_motion(scenario: Scenario, x: Vector) -> SelfMotion | None:
 
     def along(there: Vector) -> Vector:
         # As the controller takes the arm, on the base that its design has.
-        taken = np.append(s.q_design[:m], _coordinates(s, there)[m:])
+        taken = np.append(s.q_design[:m], coordinates(s, there)[m:])
         return OwnMotion.at(plant, taken, s.base, plant.parameter_values, s.loop.to_q).directions[m:]
 
     held = along(x).T @ s.loop.to_q[m:]
@@ -250,8 +252,9 @@ def bare_scenario(
     *,
     exact: bool = True,
     paths: bool = False,
+    delays: Vector | None = None,
 ) -> Scenario:
-    """The like of checked options; `zeros` as of `build_scenario`; `paths`: base and target stay signals."""
+    """The like of checked options; `zeros`, `delays` as of `build_scenario`; `paths`: base and target stay signals."""
     bare = {"torque_limit": None, "dead_band": None, "rate_limit": None, "levers": None}
     clean = {"noise": 0.0, "rate_noise": 0.0, "resolution": 0.0, "rate_resolution": 0.0}
     update: dict[str, Any] = {
@@ -260,7 +263,7 @@ def bare_scenario(
         "baked": False,
     }
     update |= {} if paths else {"base_path": None, "target_path": None}
-    return build_scenario(machine, options.model_copy(update=update), zeros, exact=exact)
+    return build_scenario(machine, options.model_copy(update=update), zeros, exact=exact, delays=delays)
 
 
 @lru_cache(maxsize=64)

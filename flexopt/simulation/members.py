@@ -7,7 +7,8 @@ members, and their `SampledLoop`s.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -21,7 +22,7 @@ from flexopt.plant.machine_motion import constant_names, constants
 from flexopt.simulation.linear import SampledLoop, bare_scenario
 from flexopt.simulation.run import signals_at_end
 from flexopt.simulation.scenario import Scenario, start_states
-from flexopt.simulation.verdict import about
+from flexopt.simulation.verdict import Arrived, about, arrived_at, growth_about
 
 Keep = Literal["measures", "trajectories"]
 
@@ -105,6 +106,89 @@ def member_loops(plan: Plan, ends: Vector | None, among: Sequence[int] | None = 
             loops[key] = about(replace(bare, parts={**bare.parts, **own}, p=p[:, k]), x, e)
         found.append(loops[key])
     return found
+
+
+@dataclass(frozen=True)
+class Members:
+    """The loop of each member that was run, of which reasons ask.
+
+    Attributes:
+        plan: of the ensemble.
+        last: states of all members at the end (n_x, N), where their arms have a self-motion or `moved`; else None.
+        moved: whether base or target were.
+    """
+
+    plan: Plan
+    last: Vector | None
+    moved: bool
+
+    def of(self, k: int) -> Member:
+        """Of one member."""
+        return Member(self, k)
+
+    @cached_property
+    def exact(self) -> Scenario | None:
+        """The scenario of all members, to be advanced exactly; None where there is none."""
+        return self._bare(exact=True)
+
+    @cached_property
+    def stepped(self) -> Scenario | None:
+        """The like, to be advanced as the integrator does."""
+        return self._bare(exact=False)
+
+    def _bare(self, *, exact: bool) -> Scenario | None:
+        s, delays = self.plan.scenario, self.plan.varied.get("delay")
+        try:
+            return bare_scenario(s.machine, s.options, self.plan.zeros, exact=exact, paths=self.moved, delays=delays)
+        except FlexoptError:
+            return None
+
+    @cached_property
+    def parameters(self) -> Vector:
+        """Of all members (n_par, N)."""
+        return parameters_of_members(self.plan.scenario.machine, self.plan.varied, self.plan.n)
+
+
+@dataclass(frozen=True)
+class Member:
+    """One member's loop; see `verdict.Ran`."""
+
+    among: Members = field(repr=False)
+    k: int
+
+    @property
+    def integrator(self) -> str:
+        """Of the run."""
+        return self.among.plan.scenario.options.integrator
+
+    def integrated(self) -> float | None:
+        """See `verdict.Ran`."""
+        here = self._own(self.among.stepped)
+        if here is None:
+            return None
+        x = self._last if self.among.moved else here.resting
+        return None if x is None else growth_about(here, x, self._signals(here))
+
+    def arrived(self) -> Arrived | None:
+        """See `verdict.Ran`."""
+        here, x = self._own(self.among.exact), self._last
+        return None if self.among.moved or here is None or x is None else arrived_at(here, x, self._signals(here))
+
+    @property
+    def _last(self) -> Vector | None:
+        return None if self.among.last is None else self.among.last[:, self.k]
+
+    def _own(self, bare: Scenario | None) -> Scenario | None:
+        if bare is None:
+            return None
+        rows = slice(self.k, self.k + 1)
+        own = {name: np.ascontiguousarray(values[:, 0]) for name, values in self.among.plan.varying(rows).items()}
+        return replace(bare, parts={**bare.parts, **own}, p=self.among.parameters[:, self.k])
+
+    def _signals(self, here: Scenario) -> Vector:
+        total, s = here.loop.signals.total, self.among.plan.scenario
+        signals = s.signals() if self.among.moved else None
+        return np.zeros(total) if signals is None else signals_at_end(s, signals)[0, :total]
 
 
 def parameters_of_members(machine: AnyMachine, varied: Mapping[str, Vector], n: int) -> Vector:

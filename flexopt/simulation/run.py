@@ -119,7 +119,7 @@ def simulate_checked(scenario: Scenario, settings: LoopSettings | None = None) -
     records = runner(s.start, empty if folded else constants, steps=s.samples, e=signals)
     x = np.concatenate([s.start[:, None], records.x[:, :, 0].T], axis=1)
     outputs = shown_at(s, shown, x, signals)
-    ended, left = Ended(s.machine, s.options), "left the finite numbers"
+    ended, left = Ended(s.machine, s.options, x[:, -1].copy()), "left the finite numbers"
     breaks = int(unfollowed(loop.structure, records.monitor)[0])
     if breaks < s.samples:
         if moves(s) or not grew(ended.linear(), np.sum(outputs["error"][:, : breaks + 1] ** 2, axis=0)):
@@ -131,7 +131,7 @@ def simulate_checked(scenario: Scenario, settings: LoopSettings | None = None) -
     watched = outputs["monitor"][:, :-1].T[:, :, None]
     verdict = behaviour(s.times, watched, end_error, grounds_of(s), end_rotation)
     if signals is not None and moves(s):
-        ended = Ended(s.machine, s.options, x[:, -1].copy(), signals_at_end(s, signals)[0])
+        ended = replace(ended, x=x[:, -1].copy(), e=signals_at_end(s, signals)[0])
     return _trajectory(s, outputs, verdict, ended, settings, left)
 
 

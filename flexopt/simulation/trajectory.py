@@ -75,7 +75,7 @@ class Trajectory(Pictured, Result):
             the run lasts may make of the slope is in it; `fit_error` is without.
         linear_growth_rate: of `linear`, 1/s.
         integrated_growth_rate: of the same loop as the run's integrator makes it, 1/s (computed when asked for); None
-            where base or target were moved, or where it has no such loop.
+            where it has no such loop.
         self_motion_rate: of a redundant arm, the largest rate of a joint at the end that leaves the end-point where it
             is, rad/s or m/s; None where there is no such motion. It is no part of the verdict.
         settling_time: after which |e| stays below 2 % of its start, s; None where it does not.

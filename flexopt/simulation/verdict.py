@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -17,11 +17,11 @@ from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.doubt import with_doubt
 from flexopt.loop.spectrum import CAUSES, from_sample_to_sample, too_much
-from flexopt.loop.tangent import at_rest
+from flexopt.loop.tangent import Tangent, at_rest
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import SimulationOptions
-from flexopt.simulation.behaviour import Grounds, Shown
-from flexopt.simulation.linear import SampledLoop, bare_scenario, exactly, linearised, self_motion
+from flexopt.simulation.behaviour import ROUNDING, Grounds, Shown
+from flexopt.simulation.linear import SampledLoop, bare_scenario, coordinates, loop_about, self_motion
 from flexopt.simulation.scenario import Scenario
 
 LoopVerdict = Literal["converges", "grows", "undecided"]
@@ -33,6 +33,8 @@ BOTH, BEAT = 3.0, 0.5 / math.sqrt(2)
 DRAWN = 3.0
 # By which share an arm's self-motion must grow within a run to be told of.
 CREEPS = 0.01
+# ln of amplitudes by which what begins as rounding comes to be the largest.
+OUT_OF_ROUNDING = -math.log(ROUNDING) / 2
 NO_REST = "near its end the loop rests nowhere"
 
 
@@ -50,12 +52,43 @@ class Judgement:
 
 
 @dataclass(frozen=True)
+class Arrived:
+    """Where a redundant arm came to along its self-motion.
+
+    Attributes:
+        joint: the one that moved most, and by how much, in words.
+        linear: the linear loop about rest there.
+    """
+
+    joint: str
+    linear: SampledLoop
+
+
+class Ran(Protocol):
+    """The loop that was run, of which a reason asks what sets run and eigenvalues apart."""
+
+    @property
+    def integrator(self) -> str:
+        """Of the run."""
+        ...
+
+    def integrated(self) -> float | None:
+        """Growth rate of the linear loop as the run's integrator makes it, 1/s; None where it is not to be had."""
+        ...
+
+    def arrived(self) -> Arrived | None:
+        """Where the arm came to; None of an arm that has no self-motion, and where no rest is near the run's end."""
+        ...
+
+
+@dataclass(frozen=True)
 class Ended:
     """The loop that was run, and where it came to.
 
     Attributes:
         machine, options: of the run, checked.
-        x, e: states and signals at its end where base or target were moved; else None: it goes on about its design.
+        x: states at its end.
+        e: signals there where base or target were moved; else None: it goes on about its design.
     """
 
     machine: AnyMachine
@@ -63,12 +96,17 @@ class Ended:
     x: Vector | None = None
     e: Vector | None = None
 
+    @property
+    def integrator(self) -> str:
+        """See `Ran`."""
+        return self.options.integrator
+
     def linear(self, without: tuple[str, ...] = ()) -> SampledLoop | str:
         """The linear loop about rest, exact between the samples; a sentence where there is none.
 
         `without`: names of gains that are left out.
         """
-        if self.x is None or self.e is None:
+        if self.e is None or self.x is None:
             return _about_design(self.machine, _essential(self.options), without)  # pyright: ignore[reportArgumentType]
         try:
             bare = bare_scenario(self.machine, self.options, paths=True)
@@ -77,13 +115,26 @@ class Ended:
             return str(error)
 
     def integrated(self) -> float | None:
-        """Growth rate of the linear loop as the run's integrator makes it, 1/s; None where it is not to be had."""
-        if self.x is not None:
-            return None
+        """See `Ran`."""
+        moved = self.e is not None and self.x is not None
         try:
-            return linearised(bare_scenario(self.machine, self.options, exact=False)).growth_rate
+            bare = bare_scenario(self.machine, self.options, exact=False, paths=moved)
         except FlexoptError:
             return None
+        total = bare.loop.signals.total
+        if self.e is not None and self.x is not None:
+            return growth_about(bare, self.x, self.e[:total])
+        return growth_about(bare, bare.resting, np.zeros(total))
+
+    def arrived(self) -> Arrived | None:
+        """See `Ran`."""
+        if self.e is not None or self.x is None:
+            return None
+        try:
+            bare = bare_scenario(self.machine, self.options)
+        except FlexoptError:
+            return None
+        return arrived_at(bare, self.x, np.zeros(bare.loop.signals.total))
 
 
 def grounds_of(scenario: Scenario) -> Grounds:
@@ -123,17 +174,55 @@ def _without(scenario: Scenario, names: tuple[str, ...]) -> Scenario:
 
 def about(scenario: Scenario, x: Vector, e: Vector) -> SampledLoop | str:
     """The linear loop about the rest that is found from a state."""
-    if not np.all(np.isfinite(x)):
-        return NO_REST
-    found = at_rest(scenario.loop.structure, x, e, scenario.constants, self_motion(scenario, x))
+    found = _rest(scenario, x, e)
     try:
-        return NO_REST if found is None else exactly(scenario, *found)
+        return NO_REST if found is None else loop_about(scenario, found[0], e, found[1])
     except FlexoptError as error:
         return str(error)
 
 
-def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None, *, rests: bool = False) -> Judgement:
-    """The verdict; with `ended` the reason can name an integrator that hides what the loop does.
+def growth_about(scenario: Scenario, x: Vector, e: Vector) -> float | None:
+    """Growth rate of the like, 1/s; None where there is none."""
+    found = _rest(scenario, x, e)
+    try:
+        return None if found is None else loop_about(scenario, found[0], e, found[1]).growth_rate
+    except FlexoptError:
+        return None
+
+
+def arrived_at(scenario: Scenario, x: Vector, e: Vector) -> Arrived | None:
+    """Where a redundant arm's run that ends in a state x came to beside the rest of its design; see `Ran`."""
+    s, m = scenario, len(scenario.q_design) - len(scenario.posture)
+    if s.loop.shape.n_joints <= s.loop.shape.n_task:
+        return None
+    design, rest = _rest(s, s.resting, e), _rest(s, x, e)
+    if design is None or rest is None:
+        return None
+    moved = (coordinates(s, rest[0]) - coordinates(s, design[0]))[m:]
+    k = int(np.argmax(np.abs(moved)))
+    try:
+        linear = loop_about(s, rest[0], e, rest[1])
+    except FlexoptError:
+        return None
+    return Arrived(f"{s.machine.joints[k]} by {moved[k]:+.3g} {s.machine.joint_units[k]}", linear)
+
+
+def _rest(scenario: Scenario, x: Vector, e: Vector) -> tuple[Vector, Tangent] | None:
+    """The state of rest that is found from another, and the linear loop there."""
+    if not np.all(np.isfinite(x)):
+        return None
+    return at_rest(scenario.loop.structure, x, e, scenario.constants, self_motion(scenario, x))
+
+
+def judge(
+    run: Shown,
+    linear: SampledLoop | str,
+    ended: Ended | None = None,
+    *,
+    rests: bool = False,
+    ran: Ran | None = None,
+) -> Judgement:
+    """The verdict; with `ended` or `ran` the reason can name what hides what the loop does.
 
     `rests`: whether the loop is that about where the run comes to rest, which another load may draw away.
     """
@@ -148,7 +237,7 @@ def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None, *, 
     eigenvalues: LoopVerdict = ("grows" if rate > 0 else "converges") if known else "undecided"
     verb = {"grows": "grows", "converges": "decays", "undecided": "neither grows nor decays"}[eigenvalues]
     why = alternating(linear, ended)
-    there = " about the rest that it comes to" if rests or (ended is not None and ended.x is not None) else ""
+    there = " about the rest that it comes to" if rests or (ended is not None and ended.e is not None) else ""
     other = f"the linear loop{there} {verb} (decay {-rate:+z.4g}/s at {linear.frequency_hz:.4g} Hz{why})"
     creeps = [own for own in linear.drift[:1] if own * run.duration > CREEPS]
     other += "".join(f", the arm's self-motion drifts (decay {-own:+.3g}/s)" for own in creeps)
@@ -162,7 +251,7 @@ def judge(run: Shown, linear: SampledLoop | str, ended: Ended | None = None, *, 
         return Judgement(run.word, f"{said}; {other}")
     if eigenvalues == "undecided":
         return Judgement("undecided", f"{said}, but {other}, to rounding")
-    return Judgement("undecided", f"{said}, but {other}: {_why(run, linear, ended)}")
+    return Judgement("undecided", f"{said}, but {other}: {_why(run, linear, ended if ran is None else ran)}")
 
 
 def beating(linear: SampledLoop | str, duration: float) -> float:
@@ -190,20 +279,31 @@ def alternating(linear: SampledLoop, ended: Ended | None) -> str:
     return from_sample_to_sample(names, 1 / linear.period)
 
 
-def _why(run: Shown, linear: SampledLoop, ended: Ended | None) -> str:
+def _why(run: Shown, linear: SampledLoop, ran: Ran | None) -> str:
     """What sets run and eigenvalues apart."""
-    if linear.growth_rate < 0 < run.rate < DRAWN * max(linear.drift, default=0.0):
+    rate = linear.growth_rate
+    if rate < 0 < run.rate < DRAWN * max(linear.drift, default=0.0):
         return "the arm's self-motion, which the controller does not hold, takes the base with it"
-    own = None if ended is None else ended.integrated()
-    if own is not None and ended is not None and (own > 0) != (linear.growth_rate > 0):
-        integrator = ended.options.integrator
-        return f"the integrator {integrator} makes the decay {-own:+.4g}/s; more substeps or another show the loop"
-    whys = ["too short to show it", "too large for a linear loop"]
-    if own is None and linear.growth_rate > 0:
+    own = None if ran is None else ran.integrated()
+    if own is not None and ran is not None and (own > 0) != (rate > 0):
+        return f"the integrator {ran.integrator} makes the decay {-own:+.4g}/s; more substeps or another show the loop"
+    arrived = None if ran is None else ran.arrived()
+    there = 0.0 if arrived is None else arrived.linear.growth_rate
+    if arrived is not None and there * rate < 0 and abs(there) > arrived.linear.rounding:
+        verb = "grows" if there > 0 else "decays"
+        to = f"to a posture about which the linear loop {verb} (decay {-there:+.4g}/s)"
+        return f"the arm moved along its self-motion, {arrived.joint}, {to}"
+    # However little of a motion there is at first, it would have shown by then, or gone.
+    long = run.ended < run.duration or abs(rate) * run.duration > OUT_OF_ROUNDING
+    whys = ["too large for a linear loop"] if long else ["too short to show it", "too large for a linear loop"]
+    if own is None and rate > 0:
         whys.append("damped by its own integrator")
-    if linear.growth_rate < 0 and linear.neutral:
+    if long and rate > 0:
+        whys.append("without any of that motion")
+    if rate < 0 and linear.neutral:
         whys.append("drawn along by the arm's self-motion, which nothing brakes")
-    return f"the run is {', '.join(whys[:-1])}, or {whys[-1]}"
+    listed = ", ".join(whys[:-1])
+    return f"the run is {listed and f'{listed}, or '}{whys[-1]}"
 
 
 def _words(run: Shown) -> str:

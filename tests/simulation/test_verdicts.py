@@ -13,8 +13,9 @@ import flexopt
 from benchmarks import verdicts
 from flexopt.model.parameter_values import with_parameters
 from flexopt.simulation.behaviour import Shown
+from flexopt.simulation.ensemble import judged_beside
 from flexopt.simulation.linear import SampledLoop
-from flexopt.simulation.verdict import beating, judge
+from flexopt.simulation.verdict import Arrived, beating, judge
 from tests.oracles.sampled_loop import growth_rate
 from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
 
@@ -98,12 +99,83 @@ GROWN = {"word": "grows", "rate": 0.5, "grown": float(np.exp(5.0))}
         (GROWN, loop(-0.2), "undecided", "too short to show it, or too large for a linear loop"),
         (GROWN, replace(loop(-0.2), neutral=2), "undecided", "linear loop, or drawn along by the arm's self-motion"),
         ({}, replace(loop(0.2), neutral=2), "undecided", "linear loop, or damped by its own integrator"),
+        # What grows by e^103, or is out of the finite numbers, has had its time; what never began does not show.
+        (
+            {},
+            loop(10.3),
+            "undecided",
+            "the run is too large for a linear loop, damped by its own integrator, or without",
+        ),
+        (GROWN | {"ended": 4.0}, loop(-0.2), "undecided", ": the run is too large for a linear loop"),
     ],
 )
 def test_every_pair_of_run_and_eigenvalues(run, linear, verdict, words):
     judged = judge(shown(**run), linear)
     assert judged.verdict == verdict
     assert words in judged.reason
+
+
+@pytest.mark.parametrize(
+    ("there", "words"), [(-0.2, "decays (decay +0.2/s)"), (0.3, "the run is too short to show it")]
+)
+def test_another_posture_is_a_reason_where_its_loop_does_as_the_run(there: float, words: str) -> None:
+    class Ran:
+        integrator = "rk4"
+
+        def integrated(self) -> float:
+            return 0.1
+
+        def arrived(self) -> Arrived:
+            return Arrived("stick by -0.4 rad", loop(there))
+
+    reason = judge(shown(), loop(0.1), ran=Ran()).reason
+    assert words in reason
+    assert ("the arm moved along its self-motion, stick by -0.4 rad, to a posture" in reason) == (there < 0)
+    assert "integrator" not in reason
+
+
+@pytest.mark.long
+def test_a_redundant_arm_that_growth_moves_to_another_posture_says_so() -> None:
+    """Along its self-motion, on which the end-point is where it was; there the loop decays as the run does."""
+    machine, posture = flexopt.load("boom-stick-bucket"), (-1.407, -2.139, -2.012)
+    gains = {"kp": 6.965e5, "kv": 4.4775e5}
+    law = {"drive": "torque", "nullspace_damping": 1.6823e4, "rate": 100.0, "dead_time": 0.02} | gains
+    run = flexopt.simulate(machine, posture, loop=law, duration=20.0)
+    assert run.verdict == "undecided"
+    assert run.growth_rate < 0 < 1 < run.linear_growth_rate
+    end = run.q[-1, run.n_passive :]
+    moved = end - posture
+    k = int(np.argmax(np.abs(moved)))
+    told = f"the arm moved along its self-motion, {machine.joints[k]} by {moved[k]:+.3g} rad, to a posture about which"
+    assert told in run.verdict_reason
+    assert run.end_error < 1e-6
+    there = flexopt.outcome(machine, end, loop=law).decay
+    assert float(run.verdict_reason.split()[-1].removesuffix("/s)")) == pytest.approx(there, rel=1e-3)
+    assert there == pytest.approx(-run.growth_rate, abs=3 * run.growth_rate_error)
+    vary = {name: [value] for name, value in gains.items()}
+    many = flexopt.simulate_ensemble(machine, posture, loop=law, duration=20.0, vary=vary)
+    (member,) = judged_beside(many, many.linear_loops)
+    assert member.reason.split(": ")[1] == run.verdict_reason.split(": ")[1]
+
+
+def test_a_large_swing_that_drives_cannot_hold_up_is_no_matter_of_time() -> None:
+    """Of a loop that grows within a second and drives of little torque: the swing comes down to what these keep up."""
+    many = flexopt.simulate_ensemble(
+        EXCAVATOR, POSTURE_A, vary={"deflection": [[0.0, 0.0, 0.3]]}, offset=(0.0, 0.0), kp=1e6, kv=2e4, duration=20.0,
+        actuator={"torque_limit": [30.0, 30.0]},
+    )  # fmt: skip
+    (member,) = judged_beside(many, many.linear_loops)
+    assert (member.verdict, many.linear_growth_rate[0] > 1) == ("undecided", True)
+    assert member.reason.endswith(": the run is too large for a linear loop, or without any of that motion")
+
+
+def test_members_say_what_their_integrator_makes_of_the_decay() -> None:
+    """That of the same loop alone; one that damps no 4/s is no reason."""
+    fast = {"kp": 1e4, "kv": 1e3, "sensor": {"delay": 0.02}, "duration": 10.0}
+    many = flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"offset": [[1e-4, -1e-4]]}, **fast)
+    made = flexopt.sampled_loop(EXCAVATOR, POSTURE_B, integrator="rk4", kp=1e4, kv=1e3, sensor={"delay": 0.02})
+    (member,) = judged_beside(many, many.linear_loops)
+    assert f"the integrator rk4 makes the decay {-made.growth_rate:+.4g}/s" in member.reason
 
 
 def test_a_mode_that_ten_seconds_do_not_show():
@@ -164,6 +236,8 @@ def test_a_driven_base_is_judged_where_it_ends():
     assert run.verdict == "converges"
     there = flexopt.sampled_loop(EXCAVATOR, climb.posture[-1], base=climb.base[-1])
     assert run.linear_growth_rate == pytest.approx(there.growth_rate, rel=1e-4)
+    stepped = flexopt.sampled_loop(EXCAVATOR, climb.posture[-1], base=climb.base[-1], integrator="rk4")
+    assert run.integrated_growth_rate == pytest.approx(stepped.growth_rate, rel=1e-4)
     # Driven to the last moment there is nothing undisturbed to judge.
     driven = flexopt.simulate(EXCAVATOR, POSTURE_A, base_path=climb.path, duration=climb.time[-1])
     assert driven.verdict == "undecided"
