@@ -138,7 +138,14 @@ def _checked_robot(name: str) -> Check:
     from flexopt.model.robots.reading import read_description  # noqa: PLC0415  (readers that few machines need)
 
     robot, faults = read_description(Path(name), Path(name).name)
-    return Check(robot.name or name, "robot", None, tuple(faults), (), robot.warnings, provenance())
+    stuck = tuple(
+        f"{joint.element.place}: {joint.element.label}: its limits {joint.stuck} leave no room; "
+        f"to drive it say others in [joints.{joint.name}] of the machine file"
+        for link in robot.links
+        for joint in link.joints
+        if joint.stuck and joint.drivable
+    )
+    return Check(robot.name or name, "robot", None, tuple(faults), (), (*robot.warnings, *stuck), provenance())
 
 
 def _checked(loaded: AnyMachine | Problem | Experiment | Study, sentences: tuple[str, ...]) -> Check:

@@ -659,3 +659,45 @@ def test_joints_that_are_asked_for_say_which_arm_it_is(command: Command) -> None
     two.write_text(f'<robot name="two">{trunk}{arm.format("l")}{arm.format("r")}</robot>', encoding="utf-8")
     for side in "lr":
         assert read_chain(two, None, [f"{side}_lift", f"{side}_fold"]).end == f"{side}2"
+
+
+STUCK = """<robot name="stuck">
+  <link name="carrier"><inertial><origin xyz="0 0 0.3"/><mass value="900"/>
+    <inertia ixx="90" iyy="90" izz="120" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="boom"><inertial><origin xyz="0.6 0 0"/><mass value="80"/>
+    <inertia ixx="1" iyy="10" izz="10" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="tube"><inertial><origin xyz="0.5 0 0"/><mass value="50"/>
+    <inertia ixx="1" iyy="5" izz="5" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="lift" type="revolute"><parent link="carrier"/><child link="boom"/><origin xyz="0 0 0.6"/>
+    <axis xyz="0 -1 0"/><limit lower="0" upper="0" effort="0" velocity="0"/></joint>
+  <joint name="extend" type="prismatic"><parent link="boom"/><child link="tube"/><origin xyz="1.3 0 0"/>
+    <axis xyz="1 0 0"/><limit lower="0.2" upper="0.2" effort="0" velocity="0"/></joint>
+</robot>"""
+
+
+def test_joints_whose_limits_leave_no_room_are_named_and_get_some(command: Command) -> None:
+    """As pinocchio reads them; by what messages say a machine comes of it."""
+    Path("stuck.urdf").write_text(STUCK, encoding="utf-8")
+    model = pinocchio.buildModelFromUrdf("stuck.urdf")
+    assert model.lowerPositionLimit == pytest.approx(model.upperPositionLimit)
+    called = command("new", "--from", "stuck.urdf", "--out", "arm.toml", "--yes")
+    assert called.code != 0
+    message = " ".join(called.stderr.split())
+    assert "the limits leave no room, of lift (0 to 0 rad), extend (0.2 to 0.2 m); --actuated lift,extend" in message
+    assert not Path("arm.toml").exists()
+    found = flexopt.check("stuck.urdf")
+    assert (found.faults, len(found.warnings)) == ((), 2)
+    assert "joint 'extend': its limits (0.2 to 0.2 m) leave no room; to drive it say others in" in found.warnings[1]
+    followed(command, "arm.toml", "--from", "stuck.urdf", "--actuated", "lift,extend")
+    arm = flexopt.load("arm.toml")
+    reach = float(sum(np.linalg.norm(placed.translation) for placed in model.jointPlacements[1:]))
+    assert arm.joints == ("lift", "extend")
+    assert arm.limits == (pytest.approx((-3.14, 3.14)), pytest.approx((-reach, reach), rel=1e-5))
+    written = Path("arm.toml").read_text(encoding="utf-8")
+    assert written.count("# rad (proposed: those of the robot file, 0 to 0 rad, leave no room)") == 1
+    # Of one that has room nothing is proposed, and a joint that is not asked for stays where it is.
+    Path("half.urdf").write_text(STUCK.replace('lower="0" upper="0"', 'lower="-1" upper="1"'), encoding="utf-8")
+    followed(command, "half.toml", "--from", "half.urdf")
+    half = flexopt.load("half.toml")
+    assert (half.joints, half.limits) == (("lift",), ((-1.0, 1.0),))
+    assert "leave no room" not in Path("half.toml").read_text(encoding="utf-8")

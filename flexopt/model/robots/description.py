@@ -57,6 +57,18 @@ class Joint:
         """Unit of its coordinate."""
         return "rad" if self.kind == "hinge" else "m"
 
+    @property
+    def stuck(self) -> str:
+        """Its limits, (0 to 0 rad) say, where they leave no room to move; else empty."""
+        if self.limits is None or self.limits[0] < self.limits[1]:
+            return ""
+        return f"({self.limits[0]:g} to {self.limits[1]:g} {self.unit})"
+
+    @property
+    def drivable(self) -> bool:
+        """Whether a drive may move it, with other limits where it is `stuck`: not free, coupled or on a spring."""
+        return self.kind != "free" and self.mimic is None and not self.stiffness > 0
+
     def displaced(self, by: float) -> Pose:
         """T_j: the link's frame after the joint has moved by `by` (rad or m)."""
         if self.kind == "slide":

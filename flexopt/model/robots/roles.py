@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from flexopt.errors import Fault
@@ -91,12 +91,9 @@ class Roles:
                     f"with stiffness = 0 in [joints.{name}]"
                 )
                 return self._fault(joint, sentence)
-            if limits is not None and limits[0] >= limits[1]:
-                ends = f"{limits[0]:g} to {limits[1]:g}"
-                return self._fault(
-                    joint,
-                    f"is actuated, but its limits ({ends} {joint.unit}) leave no room; say others in [joints.{name}]",
-                )
+            if stuck := replace(joint, limits=limits).stuck:
+                sentence = f"is actuated, but its limits {stuck} leave no room; say others in [joints.{name}]"
+                return self._fault(joint, sentence)
             if table.rest is not None:
                 sentence = "belongs to a joint with a spring; this one is actuated"
                 self.faults.append(Fault(f"joints.{name}.rest", sentence, quoted(table.rest)))

@@ -44,6 +44,8 @@ ROWS = (("x", "y", "z"), ("x", "z"), ("x", "y"), ("y", "z"), ("x",), ("y",), ("z
 JOINTS_SHOWN, HAND_SHOWN = 80, 4
 # Folders to climb from which on a path is written from the root.
 FAR_UP = 3
+# Limits that are proposed where the file's leave no room: of hinges, rad, of slides of an arm without reach, m.
+TURN, SLIDE = 3.14, 1.0
 # Of the cosine of an axis to a plane's normal, up to which an arm moves in the plane.
 IN_PLANE = 1e-6
 # What a hand may be of the way to a finger's tip.
@@ -177,7 +179,8 @@ def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> R
     free = next((k for k, link in enumerate(way) if any(joint.kind == "free" for joint in link.joints)), None)
     root = None if free is None and len(ground) == 1 else way[free or 0].name
     way = way[free or 0 :]
-    driven = _driven(way if free is None else [*way[1:]])
+    moving = way if free is None else [*way[1:]]
+    driven = _driven(moving)
     if actuated is not None:
         known = {joint.name for link in robot.links for joint in link.joints}
         wrong = [
@@ -188,7 +191,12 @@ def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> R
         raise_if_any(InputError, "new", wrong)
         driven = list(actuated)
     if not driven:
-        raise InputError(f"new: {path.name}: no joint between the ground and link {at!r} can be driven")
+        why = f"no joint between the ground and link {at!r} can be driven"
+        if stuck := [joint for link in moving for joint in link.joints if joint.drivable]:
+            limits = ", ".join(f"{joint.name} {joint.stuck}" for joint in stuck)
+            why += f": the limits leave no room, of {limits}; --actuated {','.join(joint.name for joint in stuck)}"
+            why += " writes a file that proposes others, in [joints]"
+        raise InputError(f"new: {path.name}: {why}")
     sprung = any(joint.stiffness > 0 for link in robot.links for joint in link.joints)
     asked_for = tuple(word for word, given in (("end", end), ("actuated", actuated)) if given is not None)
     return RobotChain(
@@ -335,15 +343,7 @@ def _grips(link: RobotLink) -> bool:
 
 def _driven(way: Sequence[RobotLink]) -> list[str]:
     """Joints that can be: no spring, not coupled, not free, with some room between their limits."""
-    return [
-        joint.name
-        for link in way
-        for joint in link.joints
-        if joint.kind != "free"
-        and joint.mimic is None
-        and not joint.stiffness > 0
-        and (joint.limits is None or joint.limits[0] < joint.limits[1])
-    ]
+    return [joint.name for link in way for joint in link.joints if joint.drivable and not joint.stuck]
 
 
 def overlay_file(chain: RobotChain, name: str, folder: Path, ground: Ground) -> NewMachine:
@@ -438,7 +438,8 @@ class _Text:
             "placement_note": "" if len(placed) > 1 else " (proposed: in the plane of end_point.rows)",
             "rows": _listed(self.rows),
             "rows_note": "" if self.rows == ROWS[0] else " (proposed: what these joints can move)",
-            "first": quoted(chain.actuated[0]),
+            "stuck": self._freed(),
+            "first": next((quoted(name) for name in chain.actuated if name not in self._stuck), ""),
             "gains": gains,
         }
         return aligned(render("study/templates/robot_machine.toml", **values))
@@ -488,6 +489,21 @@ class _Text:
         return one_line(
             f"{joint.name}: {WORDS[joint.kind]}, {link.parent or 'the world'} → {link.name}{limits}{spring}{mimic}"
         )
+
+    @property
+    def _stuck(self) -> dict[str, Joint]:
+        """Actuated joints whose limits in the robot file leave no room."""
+        joints = (joint for link in self.chain.robot.links for joint in link.joints)
+        return {joint.name: joint for joint in joints if joint.stuck and joint.name in self.chain.actuated}
+
+    def _freed(self) -> list[dict[str, str]]:
+        """What these are given: of hinges a turn to either side, of slides the arm's reach."""
+        found: list[dict[str, str]] = []
+        for name, joint in self._stuck.items():
+            most = number(TURN if joint.kind == "hinge" else self.chain.reach or SLIDE)
+            note = f"{joint.unit} (proposed: those of the robot file, {joint.stuck[1:-1]}, leave no room)"
+            found.append({"name": quoted(name), "limits": f"[-{most}, {most}]", "note": one_line(note)})
+        return found
 
     def _locked(self, joints: Sequence[Joint]) -> dict[str, float]:
         """Joints that cannot stay where the file has them: coupled to one that moves, or that place out of limits."""
