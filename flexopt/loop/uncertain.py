@@ -54,6 +54,8 @@ FEW = 3
 SENSES = {ALLOWED_GAIN: 1.0, DELAY_MARGIN: 1.0, SETTLING: -1.0, SWING: -1.0}
 # Least eigenvalue, in units of the diagonal, as of the matrices of a file.
 INDEFINITE = 1e-12
+# So near to an end of an interval, as a share of it, a member is at that end: searches come there to rounding.
+AT_END = 1e-9
 # As how likely to be chance a correlation is none.
 CHANCE = 0.05
 # A measure, and the member (k,) whose it is.
@@ -229,8 +231,12 @@ class UncertaintyBox:
         return np.array(found)
 
     def told(self, u: Vector) -> dict[str, float]:
-        """A member by the names of its intervals: factors and values."""
-        return dict(zip(self.names, self.theta(u).tolist(), strict=True))
+        """A member by the names of its intervals: factors and values, at an end that which was given."""
+        found = dict[str, float]()
+        for each, x, value in zip(self.uncertainty, u.tolist(), self.theta(u).tolist(), strict=True):
+            low, high = each.factor or each.value or (value, value)
+            found[each.name] = low if x <= AT_END else high if x >= 1 - AT_END else value
+        return found
 
 
 def member_in_words(told: Mapping[str, float]) -> str:

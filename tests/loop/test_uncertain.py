@@ -246,6 +246,26 @@ def test_what_matters_most() -> None:
     assert 0 < abs(rank) < 0.5
 
 
+@pytest.mark.parametrize("beside", [0.0, 4e-16, 2e-11])
+def test_ends_of_intervals_are_told_as_they_were_given(beside: float) -> None:
+    """Factors are the exponentials of logarithms, and searches come to an end to rounding; in between it is e^(ln …)."""
+    ends = {"stiffness": (0.7, 1.4), "damping": (0.4, 1.6), "payload.mass": (3.1, 8.3), "dead_time": (0.007, 0.02)}
+    known = [Uncertainty(of=name, factor=pair) for name, pair in ends.items() if name in ("stiffness", "damping")]
+    known += [Uncertainty(of=name, value=pair) for name, pair in ends.items() if name not in ("stiffness", "damping")]
+    box = UncertaintyBox(flexopt.load("excavator"), tuple(known), 0.01)
+    for corner in itertools.product((0, 1), repeat=4):
+        u = np.abs(np.array(corner) - beside)
+        told = box.told(u)
+        assert [repr(value) for value in told.values()] == [
+            repr(ends[k][end]) for k, end in zip(ends, corner, strict=True)
+        ]
+    middle = box.told(np.full(4, 0.25))
+    assert middle["damping"] == pytest.approx(0.4 * (1.6 / 0.4) ** 0.25)
+    assert middle["payload.mass"] == pytest.approx(3.1 + 0.25 * (8.3 - 3.1))
+    # A thousandth away is no end.
+    assert box.told(np.full(4, 1e-3))["dead_time"] == pytest.approx(0.007 + 1e-3 * 0.013, rel=1e-12)
+
+
 def test_a_motion_that_is_the_slowest_in_a_narrow_part_of_the_box_is_found() -> None:
     """Two motions come near to each other there; none of eight members, nor a search from the slowest, lies in it."""
     machine = flexopt.load("excavator")
