@@ -44,6 +44,17 @@ class ConstraintValue:
         return -worst_size(-self.room)
 
     @property
+    def beyond_allowed(self) -> float:
+        """How far it is beyond its nearer bound, as a share of half of what lies between two bounds, or of the one.
+
+        0 of what keeps them; infinite where that is 0, or the value is no number.
+        """
+        size = max(0.0, -self.least_room)
+        ends = [abs(bound) for bound in (self.lower, self.upper) if math.isfinite(bound)]
+        much = (self.upper - self.lower) / 2 if len(ends) > 1 else max(ends, default=0.0)
+        return 0.0 if size == 0 else size / much if much > 0 else math.inf
+
+    @property
     def nearness(self) -> float:
         """What rows of one kind are compared by: between two bounds the room as a share of them, else in `unit`.
 

@@ -195,3 +195,16 @@ def test_a_joint_that_keeps_a_margin_rests_on_that_and_not_on_its_end() -> None:
         assert resting(problem, z) == [told]
         z[0] = problem.upper[0]
         assert resting(problem, z) == ["base.x upper bound (assumed: reach)", told]
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 720.0])
+def test_by_which_share_of_what_is_allowed_a_constraint_is_broken(scale: float) -> None:
+    """In any unit, and of a value between two bounds wherever its zero is."""
+    for shift in (0.0, 40.0):
+        between = ConstraintValue((shift + 1.02) * scale, (shift - 1.0) * scale, (shift + 1.0) * scale, "N m")
+        assert between.beyond_allowed == pytest.approx(0.02, rel=1e-9)  # 40 cancels two of sixteen digits
+    assert ConstraintValue(0.9 * scale, scale, math.inf, "m").beyond_allowed == pytest.approx(0.1)
+    assert ConstraintValue(-1.1 * scale, -scale, math.inf, "m").beyond_allowed == pytest.approx(0.1)
+    assert ConstraintValue(scale / 2, -math.inf, scale, "m").beyond_allowed == pytest.approx(0.0)
+    for value in (ConstraintValue(-1e-9 * scale, 0.0, math.inf, "m"), ConstraintValue(math.nan, -1.0, 1.0, "m")):
+        assert value.beyond_allowed == math.inf

@@ -61,6 +61,11 @@ def test_places_that_break_constraints_on_some_ground_count_where_all_do() -> No
     assert fit({"stay": beside, "candidate 1": broken, "candidate 2": kept}) == ["candidate 2"]
     assert fit({"stay": beside, "candidate 1": broken, "candidate 2": beside}) == ["stay", "candidate 2"]
     assert fit({"stay": broken, "candidate 1": broken._replace(at_rest=beside.at_rest)}) == ["stay"]
+    # By less than weights and springs are known to, it is as one that keeps them.
+    hardly = beside._replace(hardly=True)
+    assert fit({"stay": kept, "candidate 1": hardly, "candidate 2": beside}) == ["stay", "candidate 1"]
+    assert fit({"stay": broken, "candidate 1": hardly, "candidate 2": beside}) == ["candidate 1"]
+    assert fit({"stay": kept, "candidate 1": broken._replace(hardly=True)}) == ["stay"]
     # What grows is nowhere at rest, and no better than what breaks something there.
     grows_at = "candidate 2"
     assert fit({"stay": beside, "candidate 2": kept}) == ["stay", "candidate 2"]
@@ -421,17 +426,29 @@ def test_a_better_place_that_breaks_constraints_somewhere_is_told(
     word: Any, shares: dict[str, float], told: str
 ) -> None:
     """The first of those that are better on the most grounds."""
-    breaks = dict.fromkeys(shares, Breaks(somewhere="breaks holding of boom where payload.mass is 3000 kg"))
+    somewhere = Breaks(somewhere="breaks holding of boom where payload.mass is 3000 kg", barring="somewhere")
+    breaks = dict.fromkeys(shares, somewhere)
     found = with_barred(Decision(word, "stay", "because"), shares, breaks).reason
     share = 100 * max(shares.values(), default=0.0)
     better = f"; {told} decays at least 10 % faster on {share:.0f} % of the grounds, but breaks constraints on some: "
     assert found == "because" + f"{better}constraints.within seeks places that keep them there" * bool(told)
-    beside = dict.fromkeys(shares, Breaks(at_rest="breaks tool angle, 0.3 rad, where payload.mass is 3000 kg"))
-    found = with_barred(Decision(word, "stay", "because"), shares, beside).reason
-    assert ("but breaks constraints at rest beside its target: an integral part" in found) is bool(told)
+    at_rest = "breaks tool angle, 0.3 rad, where payload.mass is 3000 kg"
+    beside = dict.fromkeys(shares, Breaks(at_rest=at_rest, barring="at_rest"))
+    decision = with_barred(Decision(word, "stay", "because"), shares, beside)
+    assert (f"of the grounds, but at rest beside its target {at_rest}: an integral part" in decision.reason) is bool(
+        told
+    )
+    # No choice seeks places that keep constraints there: that none was found that does is no reason to stay.
+    assert (decision.word, decision.place) == (("cannot tell", told) if told and word == "stay" else (word, "stay"))
     # What a loop does not do with its own numbers is told elsewhere.
-    of_loop = dict.fromkeys(shares, Breaks(by_loop="breaks decay of the loop, 0.01/s"))
+    of_loop = dict.fromkeys(shares, Breaks(by_loop="breaks decay of the loop, 0.01/s", barring="by_loop"))
     assert with_barred(Decision(word, "stay", "because"), shares, of_loop).reason == "because"
+    # One of each kind, though what breaks constraints on some ground is better on more grounds.
+    both = {"candidate 8": 0.9, "candidate 9": 0.4}
+    kinds = {"candidate 8": somewhere, "candidate 9": Breaks(at_rest=at_rest, barring="at_rest")}
+    decision = with_barred(Decision("stay", "stay", "because"), both, kinds)
+    assert (decision.word, decision.place) == ("cannot tell", "candidate 9")
+    assert "candidate 8 decays at least 10 % faster on 90 % of the grounds" in decision.reason
 
 
 def test_why_it_is_no_nearer_place_is_told() -> None:

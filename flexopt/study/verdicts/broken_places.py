@@ -23,6 +23,7 @@ from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.held import held_with
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import own_with, rows_with
+from flexopt.study.verdicts.decision import HARDLY
 from flexopt.study.verdicts.place_loops import Chosen, PlaceLoops, problems_of
 
 # A constraint is broken by about as much where by this share.
@@ -42,6 +43,7 @@ class Breaks(NamedTuple):
         somewhere: at corners of what is uncertain.
         at_rest: where feedback holds the end-point beside its target.
         barring: by which of these it is none to go to or to stay at; see `with_barring`.
+        hardly: whether all that is broken at rest is by `HARDLY` at most: it is told, and bars nothing.
     """
 
     standing: str = ""
@@ -49,6 +51,7 @@ class Breaks(NamedTuple):
     somewhere: str = ""
     at_rest: str = ""
     barring: str = ""
+    hardly: bool = False
 
     @property
     def now(self) -> str:
@@ -68,11 +71,13 @@ class Breaks(NamedTuple):
 
 def breaks_of(chosen: Chosen, place: PlaceLoops, stand: Sequence[tuple[Vector, Vector]]) -> Breaks:
     """What a place breaks of what was asked for, (base, posture) at each target."""
+    at_rest, hardly = broken_at_rest(chosen, place)
     return Breaks(
         broken_standing(chosen, stand),
         broken_by_loop(chosen, stand, place),
         broken_within(chosen, stand, place.box),
-        broken_at_rest(chosen, place),
+        at_rest,
+        hardly=hardly,
     )
 
 
@@ -87,8 +92,8 @@ def broken_by_loop(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], place
     return _at_targets(chosen.loops_break(place.settings, stand)) if isinstance(chosen, ChosenByLoop) else ""
 
 
-def broken_at_rest(chosen: Chosen, place: PlaceLoops) -> str:
-    """Which constraints a place breaks where feedback holds it beside its target, and where most.
+def broken_at_rest(chosen: Chosen, place: PlaceLoops) -> tuple[str, bool]:
+    """Which constraints a place breaks where feedback holds it beside its target, and where most; whether `hardly`.
 
     Those that were asked for, and those that are assumed, as limits of joints are, and kept with the file's numbers. A
     load or springs that the controller does not know draw it there, of a loop without an integral part.
@@ -109,10 +114,11 @@ def broken_at_rest(chosen: Chosen, place: PlaceLoops) -> str:
                 if name not in standing and off > worst.get(name, (0.0,))[0]:
                     worst[name] = off, value, told_numbers(loop.box.machine, p.tolist())
     if not worst:
-        return ""
+        return "", False
     name, (_, value, where) = max(worst.items(), key=lambda each: each[1][0])
     more = f", and {len(worst) - 1} more" if len(worst) > 1 else ""
-    return f"breaks {name}, {value},{WHERE}{where}{more}"
+    hardly = all(value.beyond_allowed <= HARDLY for _, value, _ in worst.values())
+    return f"breaks {name}, {value},{WHERE}{where}{more}", hardly
 
 
 def _at_targets(each: Sequence[str]) -> str:

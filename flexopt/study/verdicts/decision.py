@@ -23,6 +23,9 @@ from flexopt.study.verdicts.places import STAY
 Word = Literal["move", "stay", "change gains", "cannot tell"]
 # By which share of its decay one is faster than the other, and in which share of the members it must be.
 FASTER, MOST = 0.1, 0.95
+# What is broken at rest beside the target by no more than this share of what is allowed takes no place out: weights and
+# springs, and by them where the arm rests, are not known to that.
+HARDLY = 0.01
 # Members of either sign that tell grounds apart.
 SEVERAL = 3
 # A turn or a shift below it is none, rad or m.
@@ -52,12 +55,15 @@ RULE = (
     "which it holds with a tenth higher ones, too, where some do, are lowered together until it does not grow with "
     f"twice as high ones, while the slowest decay is within {100 * FASTER:.0f} % of the best, worth the change, and "
     "runs confirm it. STAY: the present place is stable on every ground, runs confirm it, and no other is better on "
-    f"more than {100 * (1 - MOST):.0f} % of them. CANNOT TELL: all else. A present place that breaks constraints that "
-    "were asked for is none to stay at, unless it is what the loop does in no place found, and is not among those "
-    "compared, nor is one from which the arm does not reach a target within its limits; nor is one that breaks "
-    "constraints at a corner of what is uncertain, where another place keeps them with the end-point on the target, "
-    "or there at rest beside its target, where another that is stable on every ground does not. Where no nonlinear "
-    "runs were asked for, they need not confirm. Of several places to move to it is that with the least drive among "
+    f"more than {100 * (1 - MOST):.0f} % of them, one that is passed over for what it breaks at rest beside its target "
+    "counted, too, for a choice seeks no places that keep constraints there. CANNOT TELL: all else. A present place "
+    "that breaks constraints that were asked for is none to stay at, unless it is what the loop does in no place "
+    "found, and is not among those compared, nor is one from which the arm does not reach a target within its limits; "
+    "nor is one that breaks constraints at a corner of what is uncertain, where another place keeps them with the "
+    "end-point on the target, or there at rest beside its target, where another that is stable on every ground does "
+    f"not; what is broken at rest by {100 * HARDLY:.0f} % of what is allowed or less counts as kept, for weights and "
+    "springs, and by them where the arm rests, are not known to that. Where no nonlinear runs were asked for, they "
+    "need not confirm. Of several places to move to it is that with the least drive among "
     f"those whose slowest decay is within {100 * FASTER:.0f} % of the best, and of drives within {100 * FASTER:.0f} % "
     f"and {1e3 * LEAST_TOLD:.0f} mm of the least, and turns of the base on its way within {100 * FASTER:.0f} % and "
     f"{1e3 * LEAST_TOLD:.0f} mrad of the least of these, the fastest."

@@ -21,17 +21,21 @@ def with_barring(
     """What each place breaks, and by which of it it is none to move to or to stay at: others break nothing of the kind.
 
     None that breaks something as it stands is one. Of the others those whose loops do what they must are, where there
-    is one; of these those that break nothing on any ground; of these those that break nothing beside their targets,
-    where one of them `holds`, which is to say whether it is stable wherever that was looked at: what grows is nowhere
-    at rest. One that does not reach its target, as where the arm is held now, keeps nothing in another's stead.
+    is one; of these those that break nothing on any ground; of these those that break nothing beside their targets, or
+    hardly, where one of them `holds`, which is to say whether it is stable wherever that was looked at: what grows is
+    nowhere at rest. One that does not reach its target, as where the arm is held now, keeps nothing in another's stead.
     """
     found = {name: "standing" for name, each in breaks.items() if each.standing}
     for kind in ("by_loop", "somewhere", "at_rest"):
-        broken = {name: kind for name, each in breaks.items() if name not in found and getattr(each, kind)}
+        broken = {name: kind for name, each in breaks.items() if name not in found and _broken(each, kind)}
         keeping = [name for name in breaks if name not in found | broken and reaches(name)]
         if broken and (any(map(holds, keeping)) if kind == "at_rest" else keeping):
             found |= broken
     return {name: each._replace(barring=found.get(name, "")) for name, each in breaks.items()}
+
+
+def _broken(breaks: Breaks, kind: str) -> bool:
+    return bool(getattr(breaks, kind)) and not (kind == "at_rest" and breaks.hardly)
 
 
 def shares_better(decays: Mapping[str, Vector]) -> dict[str, float]:

@@ -44,7 +44,7 @@ from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.asked import any_problem
 from flexopt.study.verdicts.broken_places import Breaks, breaks_of, broken_at_rest, broken_by_loop
 from flexopt.study.verdicts.changed_gains import ChangedGains, GainChange, doubt_of
-from flexopt.study.verdicts.confirmation import Runs
+from flexopt.study.verdicts.confirmation import INTEGRAL, Runs
 from flexopt.study.verdicts.decision import (
     BETTER,
     MOST,
@@ -228,7 +228,7 @@ def verdict(
             points,
             partial(_runs_of, points[:runs], duration),
             lambda name, loop: broken_by_loop(chosen, held[name], loop),
-            lambda _, loop: broken_at_rest(chosen, loop),
+            lambda _, loop: _much_at_rest(chosen, loop),
         ).sought()
         if tried
         else None
@@ -267,7 +267,7 @@ def verdict(
         passed_over=decision.passed_over,
         gains_kept=kept,
         measure=_measure(decision, box, points, known, stay, bands, breaks)
-        if decision.word == "cannot tell" and known
+        if decision.word == "cannot tell" and known and decision.place in {"", *known}
         else "",
         gains=new.gains if new else {},
         with_gains=bands.pop(NEW_GAINS, None),
@@ -290,6 +290,12 @@ def verdict(
         present_breaks=breaks[STAY].now if STAY in breaks else "",
         name=problem.name if isinstance(problem, Problem) else "",
     )
+
+
+def _much_at_rest(chosen: Chosen, place: PlaceLoops) -> str:
+    """What a place breaks at rest beside its target; empty where that is hardly anything."""
+    told, hardly = broken_at_rest(chosen, place)
+    return "" if hardly else told
 
 
 def _sought(chosen: Chosen) -> str:
@@ -352,17 +358,31 @@ def _with_present(
 def with_barred(decision: Decision, barred: Mapping[str, float], breaks: Mapping[str, Breaks]) -> Decision:
     """The decision to stay, or that it cannot be told, with the best of the places that break constraints somewhere.
 
-    `barred`: the share of the grounds on which each of these is better than the present one.
+    One of those that do on some ground, and one of those that do at rest beside their targets alone. Where that is
+    better on many grounds it cannot be told whether to stay: no choice seeks places that keep constraints there.
+
+    Args:
+        decision: by `decide`.
+        barred: the share of the grounds on which each of these is better than the present one.
+        breaks: what each place breaks.
     """
-    shares = {name: share for name, share in barred.items() if breaks[name].otherwise}
-    name = max(shares, key=lambda each: shares[each], default="")
-    if decision.word not in ("stay", "cannot tell") or not name or shares[name] <= 1 - MOST:
+    if decision.word not in ("stay", "cannot tell"):
         return decision
-    how = "on some: constraints.within seeks places that keep them there"
-    if not breaks[name].somewhere:
-        how = "at rest beside its target: an integral part, or a higher Kp, brings it nearer"
-    better = f"{name} {BETTER} on {percent(shares[name])} of the grounds, but breaks constraints {how}"
-    return replace(decision, reason=f"{decision.reason}; {better}")
+    for kind in ("somewhere", "at_rest"):
+        shares = {name: share for name, share in barred.items() if breaks[name].barring == kind}
+        name = max(shares, key=lambda each: shares[each], default="")
+        if not name or shares[name] <= 1 - MOST:
+            continue
+        better, broken = f"{name} {BETTER} on {percent(shares[name])} of the grounds, but", breaks[name].at_rest
+        if kind == "somewhere":
+            told = f"{better} breaks constraints on some: constraints.within seeks places that keep them there"
+        else:
+            told = f"{better} at rest beside its target {broken}: {INTEGRAL}, a higher Kp brings it nearer"
+        if kind == "at_rest" and decision.word == "stay":
+            decision = Decision("cannot tell", name, f"{told}; {decision.reason}")
+        else:
+            decision = replace(decision, reason=f"{decision.reason}; {told}")
+    return decision
 
 
 def _runs_of(members: Vector, duration: float | None, loop: PlaceLoops) -> Runs | None:
