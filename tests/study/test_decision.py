@@ -570,3 +570,10 @@ def test_a_decay_that_stands_for_falling_is_told_in_words() -> None:
     told = decide(falls, [Place("near", 0.5 * np.ones(8), 0.5, 1.0)])
     assert told.word == "move"
     assert "slowest decay 0.5/s instead of none, for there it falls, for a drive of 1 m" in told.reason
+
+
+@pytest.mark.parametrize(("slowest", "told"), [(-19.94, "-19.9/s"), (0.0, "0/s"), (0.3, "")])
+def test_that_a_place_is_not_stable_is_told_with_its_slowest_decay(slowest: float, told: str) -> None:
+    """None that is stable."""
+    grows = Place("stay", np.full(4, slowest), slowest, 0.0).grows_told
+    assert grows == (told and f"; nor is it stable on every ground: slowest decay {told}")

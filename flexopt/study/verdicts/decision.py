@@ -97,6 +97,11 @@ class Place(NamedTuple):
         return "none, for there it falls" if self.falls else f"{self.slowest:.3g}/s"
 
     @property
+    def grows_told(self) -> str:
+        """That it is not stable, and its slowest decay, to follow why it is none to stay at; empty where it is."""
+        return "" if self.holds else f"; nor is it stable on every ground: slowest decay {self.slowest_told}"
+
+    @property
     def holds(self) -> bool:
         """Whether it is stable wherever that was looked at."""
         return self.slowest > 0

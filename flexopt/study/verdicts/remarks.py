@@ -19,7 +19,7 @@ from flexopt.selection.problem import with_angles
 from flexopt.study.verdicts.confirmation import INTEGRAL
 from flexopt.study.verdicts.decision import BETWEEN, spoken
 from flexopt.study.verdicts.drawbacks import NOT_WHERE_IT_GROWS
-from flexopt.study.verdicts.places import FALLS
+from flexopt.study.verdicts.places import FALLS, STAY
 
 if TYPE_CHECKING:
     from flexopt.study.verdicts.result import Verdict
@@ -43,7 +43,8 @@ def on_places(verdict: Verdict) -> list[str]:
     for place in verdict.places:
         found += [place.rest, place.beyond_limits, place.broken, place.broken_at_rest]
         if place.name in verdict.exclusions:
-            found.append(f"{place.name} is none to go to: {BARRED[place.breaking.barring]}")
+            none = "none to stay at" if place.name == STAY else "none to go to"
+            found.append(f"{spoken(place.name)} is {none}: {BARRED[place.breaking.barring]}")
         found.append(unconfirmed.get(place.name, ""))
     return [*filter(None, found)]
 

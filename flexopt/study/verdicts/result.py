@@ -89,9 +89,10 @@ class Verdict(Pictured, Printed, Result):
             is more than a centimetre off is told in words, too, and the numbers of staying are those beside the target.
         present_breaks: which constraints that were asked for staying does not keep, "breaks …"; empty where it keeps
             them.
-        exclusions: by name of candidates to which the word does not send, for they break constraints, by what their
-            loops do, on some ground or at rest beside their targets, and another place does not: what each of them
-            breaks, at the worst of the corners looked at, "breaks …".
+        exclusions: by name of candidates to which the word does not send, and `"stay"` where that is no choice, for
+            they break constraints, by what their loops do, on some ground or at rest beside their targets, and another
+            place does not, or the present one as it stands (`present_breaks`): what each of them breaks, at the worst
+            of the corners looked at, "breaks …".
         assumes_ground: whether nobody said what is uncertain, so that `uncertainty` is the usual one of springs.
         name: of the problem's file, or empty.
 
@@ -236,16 +237,17 @@ class Verdict(Pictured, Printed, Result):
         if len(names) == self.judged:
             return ""
         whys = {FIRST: f"comes first by {self.selection.objective}"}
-        kept = self.judged - len(self.excluded)
+        excluded = [name for name in self.excluded if name != STAY]
+        kept = self.judged - len(excluded)
         first = min(TOLD, kept or self.judged)
         more = [f", and {name}, which {whys.get(name, MOST_OFTEN)}" for name in names[first:]]
         found = found_in(self.selection)
         of_all = f" of {found}" if found > self.judged else ""
         shown = f"the {TOLD} that are stable on the most grounds and, of these, decay fastest in the worst case found"
-        if self.excluded and kept:
+        if excluded and kept:
             keep = "those that keep the constraints"
             shown = keep if kept <= TOLD else f"of {keep} {shown}"
-        breaks = [f"{name} {self.exclusions[name]}" for name in self.excluded if name not in names]
+        breaks = [f"{name} {self.exclusions[name]}" for name in excluded if name not in names]
         told = "".join(f"; {each}" for each in breaks[:TOLD])
         more_break = f"{len(breaks) - TOLD} more break{'s' * (len(breaks) == TOLD + 1)} some"
         told += f"; and {more_break}" if len(breaks) > TOLD else ""

@@ -169,8 +169,7 @@ def verdict(
     asked, uncertain = _real(problem, chosen, loop, ranges)
     stages.next()
     stands = configurations_of(chosen)
-    first = next(iter(stands.values()))[0]
-    settings = loop_settings(machine, asked, first, gravity=solved.gravity).with_chosen({
+    settings = loop_settings(machine, asked, next(iter(stands.values()))[0], gravity=solved.gravity).with_chosen({
         name: gain for name, gain in chosen_gains(chosen).items() if getattr(asked, name) is None
     })  # fmt: skip
     box = UncertaintyBox(machine, uncertain, settings.dead_time)
@@ -208,13 +207,14 @@ def verdict(
         stages.within,
     )
     stages.next()
-    absent = _breaking(chosen, breaks[STAY], held[STAY]) if STAY in stands else unreached(chosen)
-    known = {
+    every = {
         name: Place(name, decays[name], slowest[name].decay, drives[name][0],
                     besides_driving(solved, drives[name][1], stands[name]), drives[name][1],
                     slowest[name].decay <= falling(settings.rate))
-        for name in told if name in fit
+        for name in told
     }  # fmt: skip
+    known = {name: place for name, place in every.items() if name in fit}
+    absent = _breaking(chosen, breaks[STAY], held[STAY], every[STAY]) if STAY in every else unreached(chosen)
     stay, rest = known.get(STAY), [place for name, place in known.items() if name != STAY]
     doubts = {name: why for name, run in shown.items() if (why := doubt_of(run)) is not None}
     tried = tried_gains(asked) if known and _tries(asked, stay, rest, doubts) else ""
@@ -286,7 +286,7 @@ def verdict(
             gain_ranges=gain_ranges(asked),
             selection=chosen.provenance["options"],
         ),
-        exclusions={name: breaks[name].told for name in stands if name not in fit and name != STAY},
+        exclusions={name: breaks[name].told for name in stands if name not in fit},
         present_breaks=breaks[STAY].now if STAY in breaks else "",
         name=problem.name if isinstance(problem, Problem) else "",
     )
@@ -313,8 +313,11 @@ def _each(names: Collection[str], work: Callable[[str], T], tell: Progress) -> d
     return made
 
 
-def _breaking(chosen: Chosen, breaks: Breaks, now: Sequence[tuple[Vector, Vector]]) -> str:
-    """That the present place breaks constraints, now or on some ground, and in which posture where none was given."""
+def _breaking(chosen: Chosen, breaks: Breaks, now: Sequence[tuple[Vector, Vector]], stay: Place) -> str:
+    """That the present place breaks constraints, now or on some ground, and in which posture where none was given.
+
+    And that it is not stable where it is not.
+    """
     problem, *others = problems_of(chosen)
     if others:
         how = "as breaks the least and is best of these" if breaks.now else "as is best"
@@ -323,7 +326,7 @@ def _breaking(chosen: Chosen, breaks: Breaks, now: Sequence[tuple[Vector, Vector
         given = problem.present_posture is not None
         how = _beside_target(problem, now) if given else "in one of the postures that reach the target"
         held = f", {how}," if how else ""
-    return f"the present place{held} {breaks.now or breaks.otherwise}"
+    return f"the present place{held} {breaks.now or breaks.otherwise}{stay.grows_told}"
 
 
 def _beside_target(problem: SelectionProblem, held: Sequence[tuple[Vector, Vector]]) -> str:
