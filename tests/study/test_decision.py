@@ -569,7 +569,7 @@ def test_a_decay_that_stands_for_falling_is_told_in_words() -> None:
     falls = Place("stay", -1.4e5 * np.ones(8), -1.4e5, 0.0, falls=True)
     told = decide(falls, [Place("near", 0.5 * np.ones(8), 0.5, 1.0)])
     assert told.word == "move"
-    assert "slowest decay 0.5/s instead of none, for there it falls, for a drive of 1 m" in told.reason
+    assert "slowest decay 0.5/s instead of none (the arm falls), for a drive of 1 m" in told.reason
 
 
 @pytest.mark.parametrize(("slowest", "told"), [(-19.94, "-19.9/s"), (0.0, "0/s"), (0.3, "")])

@@ -94,7 +94,7 @@ class Place(NamedTuple):
     @property
     def slowest_told(self) -> str:
         """Its slowest decay, in words."""
-        return "none, for there it falls" if self.falls else f"{self.slowest:.3g}/s"
+        return "none (the arm falls)" if self.falls else f"{self.slowest:.3g}/s"
 
     @property
     def grows_told(self) -> str:
