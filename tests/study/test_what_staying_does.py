@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -166,3 +167,22 @@ def test_held_beside_a_target_that_is_out_of_reach_there_is_no_staying(target: t
     assert "from the present placement the arm does not reach the target within its limits" in found.sentence
     assert found.word == flexopt.verdict(machine, target, **few).word == "move"
     assert "limits of base" not in repr(found) + repr(found.selection)
+
+
+@pytest.mark.parametrize(("kp", "of"), [(1.0, "half of its largest"), (0.4, "as far as it began")])
+def test_how_near_the_end_point_had_to_come_is_told(kp: float, of: str) -> None:
+    """Beside how far off it is under a load that the controller does not know, of the errors of the run itself."""
+    machine, at = flexopt.load("excavator"), np.array([0.0448, -2.0499])
+    loop = flexopt.Loop(kp=kp, kv=0.0, drive="velocity", servo_gain=1e5)
+    settings, base = settings_at(machine, at, None, None, loop, gravity=True, call="test")
+    box = UncertaintyBox(machine, (Uncertainty(of=("payload.mass",), value=(0.0, 400.0)),), 0.0)
+    members, here = np.array([[1.0]]), UncertainLoop(settings, base, at, True, box)
+    decays = here.decays(members)
+    duration = 6.0 / float(decays[0])
+    why = nonlinear_runs(here, members, decays, duration).reasons[0]
+    errors = _ensemble(here, members, duration, None).dataset
+    start, peak, end = (float(errors[f"{name}_error"][0]) for name in ("start", "peak", "end"))
+    told = re.search(rf"in the end it is (\S+) m off, where at most (\S+) m \({of}\) would confirm", why)
+    assert told, (why, start, peak, end)
+    assert (float(told[1]), float(told[2])) == pytest.approx((end, min(peak / 2, start)), rel=1e-3)  # four digits
+    assert float(told[1]) > float(told[2])

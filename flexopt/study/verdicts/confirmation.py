@@ -15,6 +15,7 @@ import numpy as np
 from flexopt.errors import FlexoptWarning, InputError, NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.results import Result
+from flexopt.foundation.rounding import apart
 from flexopt.loop.levers import full_rates
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.model.beyond_limits import holding
@@ -157,9 +158,17 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                     swings = isinstance(linear, str) or linear.frequency_hz > 0
                     sags = _sags(loop, members[row], UNTIL * (not swings)) or tilts(loop, members[row], float(end))
                     # What a full lever does not bear no longer run shows.
-                    whys.append(f"{OFF} {end:.3g} m off{sags if sags.startswith(',') else short + sags}")
+                    off = f"{OFF} {_off_told(start, peak, end)}"
+                    whys.append(f"{off}{sags if sags.startswith(',') else short + sags}")
                 reasons[row] = "; ".join(whys)
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
+
+
+def _off_told(start: float, peak: float, end: float) -> str:
+    """How far off an end-point that does not come nearer is in the end, and what would have confirmed it, m."""
+    most, of = min((peak / 2, "half of its largest"), (start, "as far as it began"))
+    number = apart(end, (most,))
+    return f"{number(end)} m off, where at most {number(most)} m ({of}) would confirm"
 
 
 def _unheld(loop: UncertainLoop) -> str:
