@@ -18,7 +18,7 @@ from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, f
 from flexopt.study.verdicts.gain_search import tried_gains
 from flexopt.study.verdicts.places import gains_in_words
 from flexopt.study.verdicts.told_places import first_places, overlooked, shares_better, with_barring
-from flexopt.study.verdicts.verdict import with_barred
+from flexopt.study.verdicts.verdict import best_barred, with_barred
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
 
@@ -173,10 +173,15 @@ def test_nothing_is_said_that_runs_do_not_confirm() -> None:
             "near": "it is 0.2 m off; C",
             "far": "B",
         },
-        "confirm the present place (0.1 m in 2 s), near (0.2 m in 3 s) and far (0.2 m in 4 s)": {
+        "confirm the present place, near and far (0.1, 0.2 and 0.2 m in 2, 3 and 4 s)": {
             "stay": "0.1 m in 2 s",
             "near": "0.2 m in 3 s",
             "far": "0.2 m in 4 s",
+        },
+        "confirm the present place (0.1 m in 2 s of 5), near (0.2 m in 3 s of 5) and far (0.2 m in 4 s of 6)": {
+            "stay": "0.1 m in 2 s of 5",
+            "near": "0.2 m in 3 s of 5",
+            "far": "0.2 m in 4 s of 6",
         },
         "confirm the present place, near and far (A)": {"stay": "A", "near": "A", "far": "A"},
     }
@@ -428,13 +433,13 @@ def test_a_better_place_that_breaks_constraints_somewhere_is_told(
     """The first of those that are better on the most grounds."""
     somewhere = Breaks(somewhere="breaks holding of boom where payload.mass is 3000 kg", barring="somewhere")
     breaks = dict.fromkeys(shares, somewhere)
-    found = with_barred(Decision(word, "stay", "because"), shares, breaks).reason
+    found = with_barred(Decision(word, "stay", "because"), best_barred(shares, breaks), breaks).reason
     share = 100 * max(shares.values(), default=0.0)
     better = f"; {told} decays at least 10 % faster on {share:.0f} % of the grounds, but breaks constraints on some: "
     assert found == "because" + f"{better}constraints.within seeks places that keep them there" * bool(told)
     at_rest = "breaks tool angle, 0.3 rad, where payload.mass is 3000 kg"
     beside = dict.fromkeys(shares, Breaks(at_rest=at_rest, barring="at_rest"))
-    decision = with_barred(Decision(word, "stay", "because"), shares, beside)
+    decision = with_barred(Decision(word, "stay", "because"), best_barred(shares, beside), beside)
     assert (f"of the grounds, but at rest beside its target {at_rest}: an integral part" in decision.reason) is bool(
         told
     )
@@ -442,11 +447,11 @@ def test_a_better_place_that_breaks_constraints_somewhere_is_told(
     assert (decision.word, decision.place) == (("cannot tell", told) if told and word == "stay" else (word, "stay"))
     # What a loop does not do with its own numbers is told elsewhere.
     of_loop = dict.fromkeys(shares, Breaks(by_loop="breaks decay of the loop, 0.01/s", barring="by_loop"))
-    assert with_barred(Decision(word, "stay", "because"), shares, of_loop).reason == "because"
+    assert with_barred(Decision(word, "stay", "because"), best_barred(shares, of_loop), of_loop).reason == "because"
     # One of each kind, though what breaks constraints on some ground is better on more grounds.
     both = {"candidate 8": 0.9, "candidate 9": 0.4}
     kinds = {"candidate 8": somewhere, "candidate 9": Breaks(at_rest=at_rest, barring="at_rest")}
-    decision = with_barred(Decision("stay", "stay", "because"), both, kinds)
+    decision = with_barred(Decision("stay", "stay", "because"), best_barred(both, kinds), kinds)
     assert (decision.word, decision.place) == ("cannot tell", "candidate 9")
     assert "candidate 8 decays at least 10 % faster on 90 % of the grounds" in decision.reason
 

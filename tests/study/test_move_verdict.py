@@ -1894,3 +1894,34 @@ def test_the_rate_that_stands_for_falling_is_no_number_to_read() -> None:
     assert [(row.least, row.nominal, row.worst) for row in decay.rows] == [
         (-math.inf, place.decay.nominal, "falls") for place in found.places
     ]
+
+
+def test_each_place_that_a_sentence_names_has_its_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where it is none of those that are shown for their decay, too: the best that breaks constraints somewhere."""
+    chosen = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), base=0.0, starts=6)
+    judged: dict[str, Any] = {"loop": {"kp": 1e4, "kv": 1e3}, "members": 4, "runs": 1, "duration": 2.0}
+    free = flexopt.verdict(chosen, **judged | {"runs": 0})
+    breaks = Breaks(somewhere="breaks holding of boom, where stiffness is 2 of the file's", barring="somewhere")
+
+    def with_all_barred(found: dict[str, Breaks], *_: Any) -> dict[str, Breaks]:
+        return {name: Breaks() if name == "stay" else breaks for name in found}
+
+    monkeypatch.setattr(verdict_module, "with_barring", with_all_barred)
+    monkeypatch.setattr(verdict_module, "first_places", lambda names, *_: names[-1:])
+    found = flexopt.verdict(chosen, **judged)
+    rows = {place.name: place for place in found.places}
+    named = set(re.findall(r"candidate \d+", found.reason))
+    assert named
+    assert named <= set(rows)
+    # As many as before without it: the last in rank, and the first of the choice.
+    assert len(named - {"candidate 1", found.places[1].name}) == 1
+    assert all(f"\n  {name} " in repr(found) and rows[name].runs is not None for name in named)
+    assert set(rows) == {place["name"] for place in found.to_dict()["places"]}
+    both = named & {place.name for place in free.places}
+    assert both
+    for place in free.places:
+        if place.name in both:
+            row = rows[place.name]
+            # The search ends within 1e-6 of its rate.
+            assert (row.drive, row.better) == pytest.approx((place.drive, place.better))
+            assert row.decay.least == pytest.approx(place.decay.least, rel=1e-6)

@@ -34,6 +34,8 @@ LEAST_TOLD = 1e-3
 ALIKE = 1e-6
 # Between what a run shows and what helps, in why it does not confirm.
 BETWEEN = "; "
+# Of several places so many lists of numbers, each in their order, are still read.
+LISTS = 2
 NUMBER = re.compile(r"[-+±]?\d[\d.e+-]*")
 # How it begins that a place does not do what it must at least.
 BREAKS = "breaks "
@@ -273,10 +275,10 @@ def _doubted(names: Sequence[str], unconfirmed: Mapping[str, str]) -> str:
 
 
 def _of_all(whys: Sequence[str]) -> str:
-    """Doubts of one kind as one, which has the numbers of all where only one of them differs; else nothing."""
+    """Doubts of one kind as one, which has the numbers of all where no more than `LISTS` differ; else nothing."""
     each = [NUMBER.findall(why) for why in whys]
     differ = [k for k, numbers in enumerate(zip(*each, strict=True)) if len(set(numbers)) > 1]
-    if len(differ) > 1:
+    if len(differ) > LISTS:
         return ""
     # One for each, in their order, though some may be the same.
     told = [listed(numbers) if k in differ else numbers[0]

@@ -55,6 +55,8 @@ GROUND_ASSUMED = (
 )
 # Why a place is told of that is none of the best, if it is not the selection's first.
 MOST_OFTEN = "decays faster than the present place on the most grounds"
+# And of one to which the word does not send.
+THOUGH_IT_BREAKS = "decays faster than the present place on many grounds, but breaks constraints"
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,8 @@ class Verdict(Pictured, Printed, Result):
             where none are to be changed;  new_settings: `settings` with these gains, or None.
         rule: by which the word was found.
         places: the present one first, then the best of the candidates, candidate 1 where it is none of these, and where
-            none of all these is better than staying on more than 5 % of the grounds, one that is, if there is any;
+            none of all these is better than staying on more than 5 % of the grounds, one that is, if there is any, and
+            those of `exclusions` of which the sentence says that they are;
             table: a row of numbers for each;  judged: how many candidates were looked at.
         settings: of the loop, the same in every place.
         uncertainty: intervals by name;  members: how many points of them were looked at;  proven: False: bands are what
@@ -236,7 +239,8 @@ class Verdict(Pictured, Printed, Result):
         names = [place.name for place in self.places if place.name != STAY]
         if len(names) == self.judged:
             return ""
-        whys = {FIRST: f"comes first by {self.selection.objective}"}
+        whys = dict.fromkeys(self.exclusions, THOUGH_IT_BREAKS)
+        whys[FIRST] = f"comes first by {self.selection.objective}"
         excluded = [name for name in self.excluded if name != STAY]
         kept = self.judged - len(excluded)
         first = min(TOLD, kept or self.judged)

@@ -50,6 +50,7 @@ from flexopt.study.verdicts.decision import (
     MOST,
     Decision,
     Place,
+    Word,
     decide,
     deciding,
     may_stay,
@@ -83,6 +84,8 @@ MEMBERS, RUNS = 64, 16
 SIZES = {"members": whole(2, 100_000), "runs": whole(0, 100_000)}
 # Choosing places, decays there, runs, gains, and what the loop does in each place.
 STAGES = 5
+# With these words the machine keeps its place and its gains for now.
+KEPT: tuple[Word, ...] = ("stay", "cannot tell")
 UNPLACED = Fault("base", "is needed: where the machine stands now, from which it may pay to move")
 T = TypeVar("T")
 
@@ -160,8 +163,7 @@ def verdict(
         'move'
     """
     stages = Stages(progress, STAGES, 100 // STAGES)
-    asked_of = {"target": target, "constraints": constraints, **keywords}
-    chosen = _chosen(problem, asked_of, loop, ranges, stages.within)
+    chosen = _chosen(problem, {"target": target, "constraints": constraints, **keywords}, loop, ranges, stages.within)
     solved = problems_of(chosen)[0]
     machine, now = solved.machine, solved.present_base
     if now is None:
@@ -191,15 +193,14 @@ def verdict(
         lambda name: name != STAY or not any(map(elsewhere, problems_of(chosen), map(np.concatenate, held[name]))),
     )
     fit = [name for name, broken in breaks.items() if not broken.barring]
-    first_ones = first_places(
+    told = list(dict.fromkeys(name for name in (STAY, *first_places(
         [name for name in others if name in fit] or others, decays, lambda name: search(name).decay
-    )
-    told = list(dict.fromkeys(name for name in (STAY, *first_ones, FIRST) if name in stands))
+    ), FIRST) if name in stands))  # fmt: skip
     shares = shares_better(decays)
     fit_shares = {name: share for name, share in shares.items() if name in fit}
     told += overlooked(fit_shares, [name for name in told if name in fit])
     slowest = _each(told, search, lambda done, of: stages.within(of + done, 2 * of))
-    drives = {name: drive_to(stands[name], cast(Vector, now)) for name in told}
+    drives = {name: drive_to(stand, cast(Vector, now)) for name, stand in stands.items()}
     stages.next()
     shown = _each(
         told if runs else [],
@@ -244,18 +245,17 @@ def verdict(
         sought=_sought(chosen),
     )  # fmt: skip
     kept = gains_kept(gain_ranges(asked), sought, decision, known, doubts)
-    decision = with_barred(
-        _with_alternates(_of_gains(decision, confirmed), loops, slowest),
-        {name: shares[name] for name in others if STAY in fit and name not in fit},
-        breaks,
-    )
+    barred = best_barred({name: shares[name] for name in others if STAY in fit and name not in fit}, breaks)
+    decision = with_barred(_with_alternates(_of_gains(decision, confirmed), loops, slowest), barred, breaks)
+    # What a sentence names has its row.
+    told += [name for _, name, _ in barred if name not in told and decision.word in KEPT]
     decision = _with_present(decision, absent if stay is None else "", chosen, held.get(STAY))
     new = confirmed if decision.word == "change gains" else None
     bands = _each([*told, *[NEW_GAINS] * bool(new)], lambda name: _with_gains(
         new, stands, points, drives, chosen,
     ) if new and name == NEW_GAINS else _place(
-        name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), slowest[name], drives[name],
-        shown.get(name), chosen,
+        name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), search(name), drives[name],
+        shown.get(name) or _runs_of(points[:runs], duration, loops[name]), chosen,
         # `present_breaks` tells what staying does not do with the present loop.
         breaks[name]._replace(by_loop="") if name == STAY else breaks[name],
     ), stages.within)  # fmt: skip
@@ -358,25 +358,31 @@ def _with_present(
     return replace(decision, reason=f"{decision.reason}; {beside}; without a posture it is judged at the target")
 
 
-def with_barred(decision: Decision, barred: Mapping[str, float], breaks: Mapping[str, Breaks]) -> Decision:
-    """The decision to stay, or that it cannot be told, with the best of the places that break constraints somewhere.
+def best_barred(shares: Mapping[str, float], breaks: Mapping[str, Breaks]) -> list[tuple[str, str, float]]:
+    """The best of the places that break constraints on some ground, and of those that do so at rest alone.
 
-    One of those that do on some ground, and one of those that do at rest beside their targets alone. Where that is
-    better on many grounds it cannot be told whether to stay: no choice seeks places that keep constraints there.
+    Kind, name and share of the grounds on which it is better than the present place, where these are many.
 
     Args:
-        decision: by `decide`.
-        barred: the share of the grounds on which each of these is better than the present one.
-        breaks: what each place breaks.
+        shares: of places that are none to go to.
+        breaks: what each place breaks, and by which of it it is none.
     """
-    if decision.word not in ("stay", "cannot tell"):
-        return decision
+    found = list[tuple[str, str, float]]()
     for kind in ("somewhere", "at_rest"):
-        shares = {name: share for name, share in barred.items() if breaks[name].barring == kind}
-        name = max(shares, key=lambda each: shares[each], default="")
-        if not name or shares[name] <= 1 - MOST:
-            continue
-        better, broken = f"{name} {BETTER} on {percent(shares[name])} of the grounds, but", breaks[name].at_rest
+        of_kind = {name: share for name, share in shares.items() if breaks[name].barring == kind}
+        name = max(of_kind, key=lambda each: of_kind[each], default="")
+        found += [(kind, name, of_kind[name])] if name and of_kind[name] > 1 - MOST else []
+    return found
+
+
+def with_barred(decision: Decision, barred: Sequence[tuple[str, str, float]], breaks: Mapping[str, Breaks]) -> Decision:
+    """The decision to stay, or that it cannot be told, with the places of `best_barred`.
+
+    Where one that breaks constraints at rest beside its target alone is better on many grounds it cannot be told
+    whether to stay: no choice seeks places that keep them there.
+    """
+    for kind, name, share in barred if decision.word in KEPT else ():
+        better, broken = f"{name} {BETTER} on {percent(share)} of the grounds, but", breaks[name].at_rest
         if kind == "somewhere":
             told = f"{better} breaks constraints on some: constraints.within seeks places that keep them there"
         else:
