@@ -832,6 +832,25 @@ def test_a_place_without_an_allowed_gain_says_which_gains_were_looked_at() -> No
     assert found.no_gain.capitalize() in found._html()
 
 
+def test_the_allowed_gain_of_a_place_that_grows_says_that_lower_ones_may_grow() -> None:
+    """A place whose least allowed gain is above the border of another ground, which bears less, and then more again."""
+    machine = flexopt.load("excavator")
+    loop = {"kp": 1e4, "kv": 1e3}
+    judged = flexopt.verdict(machine, (0.0, 1.6), base=0.0, loop=loop, members=2, runs=0, starts=2)
+    decays = [replace(place, decay=replace(place.decay, least=1.0)) for place in judged.places]
+    free, stay = replace(judged, places=tuple(decays)), decays[0]
+    assert free.lower_gains == ""
+    grows = replace(stay, decay=replace(stay.decay, least=-1.0))
+    found = replace(free, places=(grows, *free.places[1:]))
+    assert found.lower_gains.startswith("allowed Kp of the present place: with the present gains it grows")
+    assert f"  {found.lower_gains}\n" in repr(found)
+    assert found.lower_gains[1:] in found._html()
+    # Of what has none, or no border, another sentence or the word itself tells.
+    for gain in (0.0, math.inf, math.nan):
+        other = replace(grows, allowed_gain=replace(stay.allowed_gain, least=gain))
+        assert replace(free, places=(other, *free.places[1:])).lower_gains == ""
+
+
 def test_what_is_worse_where_it_moves_is_told() -> None:
     """The word goes by the decay; what else is worse stands beside it, on the page and in the document, too."""
     found = judged("article", loop=ARTICLE, members=2, runs=0)

@@ -116,6 +116,7 @@ def judged(verdict: Verdict) -> dict[str, Any]:
         "sought_by": sentence(verdict.sought_by),
         "unverified": "",
         "no_gain": sentence(verdict.no_gain),
+        "lower_gains": sentence(verdict.lower_gains),
         "taken": verdict.taken and sentence(f"staying is judged in {verdict.taken}"),
         "present": verdict.present_told and sentence(f"{STAY}: {verdict.present_told}"),
         "where": _where(verdict),

@@ -54,6 +54,8 @@ class PlaceVerdict(Result):
         better: share of the members on which it decays a tenth faster than in the present place.
         allowed_gain, delay_margin: as of `evaluate`; the least over the members, across the box through the worst of
             them and where a search leads from there, the greatest that of few corners; NaN where there is no border.
+            Where it grows on some ground the allowed gain of that one is the largest lower one with which it decays,
+            and with the least of all it may grow on another.
         settling, swing: over corners of the first intervals, where slopes lead from the worst of these, and the slowest
             member: of the standard move (see `flexopt.Outcome`), s, and the base's largest turn about one of its
             axes, rad, of a base that cannot turn its largest shift, m (`swing_unit`).

@@ -402,6 +402,18 @@ class Verdict(Pictured, Printed, Result):
         return f"{NO_GAIN}: on some ground it {NO_GAIN_LOOKED_AT}"
 
     @property
+    def lower_gains(self) -> str:
+        """What an allowed gain says of places that grow on some ground, a sentence; empty where none has one."""
+        own = [place.name for place in self.rows if place.decay.least <= 0 < place.allowed_gain.least < math.inf]
+        if not own:
+            return ""
+        return (
+            f"allowed Kp of {listed(map(spoken, own))}: with the present gains it grows on some ground, and there the "
+            "number is the largest lower Kp with which it decays; the least of all grounds is told, and with that, or "
+            "a lower one, it may grow on another"
+        )
+
+    @property
     def assumed(self) -> list[str]:
         """See the class."""
         return [*map(str, self.problems[0].assumed), *filter(None, [self.assumed_ground])]
@@ -435,7 +447,7 @@ class Verdict(Pictured, Printed, Result):
         lines += [f"  {sentence}" for sentence in (self.left_out, self.sought_by, self.unverified) if sentence]
         grows = any(place.decay.least <= 0 for place in rows)
         late = any(math.isnan(place.settling.greatest) and place.decay.least > 0 for place in rows)
-        lines += [f"  {self.no_gain}"] if self.no_gain else []
+        lines += [f"  {each}" for each in (self.no_gain, self.lower_gains) if each]
         if grows or late:
             whys = ["there is none, for on some ground it grows"] * grows
             whys += ["where it decays on all, on some it does not settle in a minute"] * (grows and late)
