@@ -15,7 +15,8 @@ from flexopt.foundation.arrays import Vector
 from flexopt.model.loop import Loop
 from flexopt.study.verdicts import changed_gains
 from flexopt.study.verdicts.changed_gains import ChangedGains, GainChange
-from flexopt.study.verdicts.decision import Place
+from flexopt.study.verdicts.confirmation import OFF
+from flexopt.study.verdicts.decision import Place, decide, faster
 from flexopt.study.verdicts.gain_search import at_ends, best_gains, has_reserve
 from flexopt.study.verdicts.places import STAY
 
@@ -311,6 +312,46 @@ def test_gains_with_which_a_place_breaks_nothing_at_rest_are_sought(keeps_from: 
     # The decay falls away from 10, so that of those that keep them the lowest are the fastest; to where they are told.
     if 10.0 < keeps_from < 100.0:
         assert keeps_from <= float(found.loop.settings.kp[0]) < 1.2 * keeps_from
+
+
+@pytest.mark.parametrize("ranges", [{}, {"kp_range": (0.1, 100.0)}, {"kv_range": (0.1, 100.0)}])
+@pytest.mark.parametrize("load", [1.0, 2.5, 4.5, 60.0])
+def test_where_a_load_draws_the_arm_off_it_is_held_with_higher_gains_before_one_moves(
+    load: float, ranges: dict[str, Any]
+) -> None:
+    """The end-point rests off by the load over Kp, and moves by 1 m: where one stands runs refute low gains alone."""
+    low = Gains(np.array([2.0]), np.array([2.0]), np.zeros(1))
+    hills: Any = {STAY: Hill(low, 2.0, 2.5), "near": Hill(low, 1.3, 10.0)}
+    points = np.linspace(1.0, 1.1, 20)[:, None]
+    slow = {name: hill.decays(points)[0] for name, hill in hills.items()}
+    known = {name: Place(name, each, float(each.min()), float(name != STAY)) for name, each in slow.items()}
+
+    def runs(loop: Any) -> Any:
+        off = load / loop.settings.kp[0]
+        confirmed = off <= 1.0 / 2.0
+        reason = "" if confirmed else f"{OFF} {off:.3g} m off"
+        return SimpleNamespace(confirming=float(confirmed), growing=0.0, reasons=(reason,))
+
+    doubts = {name: "off" for name, hill in hills.items() if (why := runs(hill)) and not why.confirming}
+    slowest: Any = dict.fromkeys(hills, SimpleNamespace(member=points[0]))
+    found = GainChange(Loop(**ranges), known, hills, slowest, doubts, points, runs).sought().changed
+    # No Kp is tried that is higher than ten times this one, or than its range, or than this one where kv alone has one.
+    highest = 20.0 if not ranges else 100.0 if "kp_range" in ranges else 2.0
+    if 2.0 * load > highest:
+        assert found is None or found.doubt is not None
+        return
+    if not doubts:
+        # Nothing decays a tenth faster than with these.
+        assert found is None or not faster(np.array(found.place.slowest), np.array(known[STAY].slowest))
+        return
+    assert found is not None
+    assert (found.place.name, found.doubt) == (STAY, None)
+    kp = float(found.loop.settings.kp[0])
+    # Halved from the highest, of which the logarithm is at most that of 40 times the fastest.
+    assert 2.0 * load <= kp <= 2.0 * load * 40 ** (1 / 8)
+    assert found.place.slowest == pytest.approx(2.0 - 0.03 * np.log(kp / 2.5) ** 2)
+    decision = decide(known[STAY], [known["near"]], found.place, doubts)
+    assert (decision.word, decision.place) == ("change gains", STAY)
 
 
 @pytest.mark.parametrize(("best", "top"), [(1e-3, 0.1), (1e-3, -0.1), (0.1, -0.1)])

@@ -337,6 +337,29 @@ def test_reasons_say_what_is_so() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("times", "word"), [(0.95, "change gains"), (0.6, "change gains"), (0.56, "change gains"), (0.54, "cannot tell")]
+)
+def test_where_runs_refute_the_present_place_gains_that_they_confirm_there_need_not_be_faster(
+    times: float, word: str
+) -> None:
+    """Unless a place to move to, 0.6 times as fast as staying was, decays a tenth faster than staying with them."""
+    stay, near, doubts = place("stay", GROUNDS), place("near", 0.6 * GROUNDS), {"stay": "far off"}
+    changed = place("stay", times * GROUNDS)
+    assert (1.1 * times < 0.6) == (word == "cannot tell")
+    found = decide(stay, [near], changed, doubts)
+    assert found.word == word
+    # As others do where runs do not confirm them: they are not said to be faster where they are not.
+    refuted = decide(stay, [near], None, doubts, refuted=changed, doubt="it is short", gains="kp 2", tried="others")
+    does = "decays at least 10 % faster in the worst case" if times > 0.66 else "is stable on every ground, too"
+    told = f"; with other gains (kp 2) the present place {does}, but nonlinear runs do not confirm that: it is short"
+    assert refuted.reason.endswith(
+        told if word == "change gains" else "; no gains worth a change are found with others"
+    )
+    # One that is stable without them, and that runs confirm, is changed to what is faster alone.
+    assert decide(stay, [near], changed).word == "stay"
+
+
 def test_gains_that_runs_do_not_confirm_are_not_said_to_grow() -> None:
     grows = place("stay", -GROUNDS)
     refuted = decide(grows, [], tried="others", refuted=place("stay", GROUNDS))

@@ -17,7 +17,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.loop.outcome import falling
 from flexopt.loop.uncertain import FEW
 from flexopt.model.loop import Loop
-from flexopt.study.verdicts.confirmation import Runs
+from flexopt.study.verdicts.confirmation import Runs, ends_off
 from flexopt.study.verdicts.decision import (
     BETWEEN,
     BREAKS,
@@ -30,7 +30,15 @@ from flexopt.study.verdicts.decision import (
     passed_over,
     pays,
 )  # fmt: skip
-from flexopt.study.verdicts.gain_search import at_ends, best_gains, lowered, most_room, one_factor
+from flexopt.study.verdicts.gain_search import (
+    at_ends,
+    best_gains,
+    lowered,
+    most_raised,
+    most_room,
+    one_factor,
+    raised,
+)
 from flexopt.study.verdicts.place_loops import PlaceLoops, Slowest
 from flexopt.study.verdicts.places import STAY, gains_in_words
 
@@ -40,6 +48,8 @@ EXCHANGES = 3
 PLACES = 3
 # So often the way is halved from gains that runs do not confirm, or that break something, to higher that do not.
 HALVED = 2
+# So many higher gains are asked of runs that refute the fastest, the highest first.
+RAISED = 4
 
 
 class ChangedGains(NamedTuple):
@@ -194,7 +204,7 @@ class GainChange:
         if stay is None or other is None:
             return stay or other
         serves = self._changes(other.place) or not self._changes(stay.place)
-        if other.doubt is not None or not (standing is None or (serves and pays(other.place, standing))):
+        if other.doubt is not None or not serves or not (standing is None or pays(other.place, standing)):
             return stay
         told = f"staying with {stay.in_words} is stable on every ground, too: slowest decay {stay.place.slowest_told}"
         return other._replace(staying="" if stay.doubt is not None else told)
@@ -285,6 +295,7 @@ class GainChange:
     def _lowest(self, fastest: _Tried, standing: Place | None = None) -> ChangedGains:
         """The lowest gains with which a place is nearly as good as with its fastest, worth it, and of its highest rank.
 
+        Where the end-point ends too far off its target with these, the lowest higher ones with which it does not.
         `standing`: as one would stay, where a move there must be better.
         """
         (place, best, few), name = fastest, fastest.place.name
@@ -326,7 +337,43 @@ class GainChange:
                 kept, high = higher, middle
             else:
                 least = middle
-        return kept
+        if kept.rank > 0:
+            return kept
+        return self._raised(fastest, kept, standing) or kept
+
+    def _raised(self, fastest: _Tried, refuted: ChangedGains, standing: Place | None) -> ChangedGains | None:
+        """The lowest found of higher gains than a place's fastest that are worth a change, and that runs confirm.
+
+        None where none are, or where runs refute those for another reason than that the end-point ends too far off its
+        target: under a load that the controller does not know it rests the nearer the higher Kp is.
+
+        Args:
+            fastest: the place with its fastest gains;  refuted: what runs say of it.
+            standing: as one would stay, where a move there must be better.
+        """
+        if refuted.breaks or not ends_off(refuted.runs):
+            return None
+        best, name = fastest.loop, fastest.place.name
+        now, members = self.loops[name].settings, np.concatenate([fastest.few, self.points])
+        highest = most_raised(best, self.asked, now, members, lambda loop: not self.breaks(name, loop))
+        low, high, factor, found = 1.0, highest, highest, None
+        for _ in range(RAISED if highest > 1 + FASTER else 0):
+            loop = raised(best, self.asked, now, factor)
+            there, member = self._with(name, loop)
+            does = there.holds and self._changes(there) and (standing is None or pays(there, standing))
+            told = self._told(_Tried(there, loop, member[None])) if does else None
+            if told is not None and told.rank > 0 and (found is None or told.rank >= found.rank):
+                found, high = told, factor
+            elif found is not None:
+                low = factor
+            elif told is not None and told.runs is not None and ends_off(told.runs) and not told.runs.growing:
+                if factor == highest:
+                    break
+                low = factor
+            else:
+                high = factor
+            factor = math.sqrt(low * high)
+        return found
 
 
 def _nearest(places: Sequence[Place]) -> str:

@@ -124,6 +124,11 @@ def long_enough(modes_hz: Iterable[float], rate: float, least: float = DURATION,
     return max(least, min(PERIODS / slowest_hz, longest)) if slowest_hz * longest >= 2 * FEWEST_WINDOWS else least
 
 
+def ends_off(runs: Runs | None) -> bool:
+    """Whether there is one of these that does not confirm, for the end-point ends too far off its target."""
+    return runs is not None and any(OFF in why for why in runs.reasons)
+
+
 def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duration: float) -> Runs:
     """Runs of the nonlinear closed loop from the start of `flexopt.simulate`, one for each member (n, k).
 

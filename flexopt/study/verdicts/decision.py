@@ -48,7 +48,8 @@ RULE = (
     f"case, and {100 * MOST:.0f} % of the nonlinear runs confirm it: the base's oscillation decays, and the end-point "
     "ends no farther from its target than it began, and at most half as far as it ever was. CHANGE GAINS: other "
     "gains that were tried do in a place what no move does with the present gains, or no place is stable on every "
-    "ground and other gains make one so; runs confirm it; they are tried where the loop has ranges for them, or "
+    "ground and other gains make one so, or runs refute a present place that is stable, and no move with the present "
+    "gains is better than staying with others; runs confirm it; they are tried where the loop has ranges for them, or "
     "where the present place is not stable on every ground, or not confirmed, and there is none to move to. The "
     "place is the present one, unless another, each with its own other gains, the present one with those that it has "
     "where others are not worth a change, is better by the rule of MOVE; where runs refute a place with its own, "
@@ -56,8 +57,10 @@ RULE = (
     "its target is the last, and so are gains with which a place does. The fastest that are found, of those with "
     "which it holds with a tenth higher ones, too, where some do, are lowered together until it does not grow with "
     f"twice as high ones, while the slowest decay is within {100 * FASTER:.0f} % of the best, worth the change, and "
-    "runs confirm it. STAY: the present place is stable on every ground, runs confirm it, and no other is better on "
-    f"more than {100 * (1 - MOST):.0f} % of them, one that is passed over for what it breaks at rest beside its target "
+    "runs confirm it; where the end-point of runs that are long enough ends too far off its target with the fastest, "
+    "they are raised together to the lowest found, worth the change, that runs confirm. STAY: the present place is "
+    f"stable on every ground, runs confirm it, and no other is better on more than {100 * (1 - MOST):.0f} % of them, one "
+    f"that is passed over for what it breaks at rest beside its target "
     "counted, too, for a choice seeks no places that keep constraints there. CANNOT TELL: all else. A present place "
     "that breaks constraints that were asked for is none to stay at, unless it is what the loop does in no place "
     "found, and is not among those compared, nor is one from which the arm does not reach a target within its limits; "
@@ -169,7 +172,7 @@ def decide(
     staying = may_stay(stay, unconfirmed)
     every = [*([] if stay is None else [stay]), *others]
     doubted = [place.name for place in every if place.holds and place.name in unconfirmed]
-    if changed is not None and changed.holds and _spares(changed, staying, best, sound):
+    if changed is not None and changed.holds and _spares(changed, staying, best, sound, doubted=STAY in doubted):
         doubts = {name: unconfirmed[name] for name in doubted}
         return Decision("change gains", changed.name, _why_gains(changed, stay, best, sound, doubts, found))
     if best is not None:
@@ -197,7 +200,10 @@ def decide(
         if stay.holds:
             reason = f"nonlinear runs do not confirm the present place{_because(unconfirmed[stay.name])}, and "
             reason += f"{first.name}, which they confirm, {BETTER} {where}"
-        does = f"{BETTER} in the worst case" if refuted is not None and _spares(refuted, staying, None, sound) else ""
+        does = ""
+        if refuted is not None and _spares(refuted, staying, None, sound, doubted=STAY in doubted):
+            more = faster(np.array(refuted.slowest), np.array(max(place.slowest for place in sound)))
+            does = f"{BETTER} in the worst case" if more else "is stable on every ground, too"
         return Decision("cannot tell", first.name, reason + _no_gains(tried, refuted, does, doubt, gains))
     if doubted:
         reason = f"nonlinear runs do not confirm {_doubted(doubted, unconfirmed)}"
@@ -395,10 +401,18 @@ def may_stay(stay: Place | None, unconfirmed: Mapping[str, str]) -> Place | None
     return stay if stay is not None and stay.holds and stay.name not in unconfirmed else None
 
 
-def _spares(changed: Place, staying: Place | None, best: Place | None, sound: Sequence[Place]) -> bool:
-    """Whether other gains are worth more than what can be had with these, in any place that runs confirm."""
+def _spares(
+    changed: Place, staying: Place | None, best: Place | None, sound: Sequence[Place], *, doubted: bool
+) -> bool:
+    """Whether other gains are worth more than what can be had with these, in any place that runs confirm.
+
+    `doubted`: whether runs refute the present place with these, though it is stable.
+    """
     if best is not None:
         return changed.slowest >= best.slowest and nearer(changed, best)
+    # Where runs refute a stable present place, gains that they confirm there need not be faster than what is elsewhere.
+    if changed.name == STAY and doubted:
+        return not any(pays(place, changed) for place in sound)
     had = [place.slowest for place in (*sound, *([] if staying is None else [staying]))]
     return not had or bool(faster(np.array(changed.slowest), np.array(max(had))))
 

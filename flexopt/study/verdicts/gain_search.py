@@ -130,6 +130,52 @@ def most_room(
     return kept
 
 
+def raised(loop: PlaceLoops, asked: Loop, now: LoopSettings, factor: float) -> PlaceLoops:
+    """The loop with the gains that `best_gains` seeks times one factor, each at most the highest that it looks at.
+
+    `now`: the gains that there are.
+    """
+    ranges, has = gain_ranges(asked), loop.settings
+    if not ranges:
+        return lowered(loop, asked, min(factor, _highest(asked, now, has)))
+    logs = {name: min(math.log(factor * getattr(has, name)[0]), logarithms(ends)[1]) for name, ends in ranges.items()}
+    return loop.with_settings(_scaled(has, logs))
+
+
+def most_raised(
+    loop: PlaceLoops, asked: Loop, now: LoopSettings, members: Vector, does: Callable[[PlaceLoops], bool]
+) -> float:
+    """The largest factor of the best gains, from 1 in steps of 2^(1/4), up to which `raised` ones decay and `does`.
+
+    Of such as hold with `ROOM` times as high ones, too; where the next ones do not, with `RESERVE` times as high ones.
+    """
+    most = _highest(asked, now, loop.settings)
+
+    def up_to(room: float) -> float:
+        kept = 1.0
+        while kept < most:
+            higher = min(kept / LOWER, most)
+            tried = raised(loop, asked, now, higher)
+            if not all(float(each.decays(members).min()) > 0 for each in (tried, lowered(tried, asked, room))):
+                break
+            if not does(tried):
+                break
+            kept = higher
+        return kept
+
+    roomy = up_to(ROOM)
+    return roomy if roomy > 1.0 else up_to(RESERVE)
+
+
+def _highest(asked: Loop, now: LoopSettings, has: LoopSettings) -> float:
+    """How many times the Kp of a loop the highest is that `best_gains` looks at; 1 where it looks at no other Kp."""
+    ranges, kp = gain_ranges(asked), float(has.kp.max())
+    highest = (
+        MOST * float(now.kp.max()) if not ranges else math.exp(logarithms(ranges["kp"])[1]) if "kp" in ranges else kp
+    )
+    return highest / kp if kp > 0 else 1.0
+
+
 def tried_gains(asked: Loop) -> str:
     """Which gains `best_gains` looks at, in words."""
     if gain_ranges(asked):
