@@ -314,6 +314,40 @@ def test_gains_with_which_a_place_breaks_nothing_at_rest_are_sought(keeps_from: 
         assert keeps_from <= float(found.loop.settings.kp[0]) < 1.2 * keeps_from
 
 
+@dataclass(frozen=True)
+class Cliff(Hill):
+    """A hill that grows from Kp 40 on."""
+
+    def with_settings(self, settings: Gains) -> Cliff:
+        return Cliff(settings, self.top, self.best)
+
+    def decays(self, members: Vector) -> Vector:
+        return super().decays(members) if self.settings.kp[0] < 40.0 else np.full((1, len(members)), -1.0)
+
+
+@pytest.mark.parametrize("load", [5.0, 12.0, 16.0, 19.5])
+def test_gains_that_hold_with_twice_as_high_ones_are_raised_to_before_others_that_hold(load: float) -> None:
+    """Below 20 they do; to 36 they hold with a tenth higher ones, and runs confirm 2 times the load and more."""
+    hill: Any = Cliff(Gains(np.array([5.0]), np.array([5.0]), np.zeros(1)), 2.0, 5.0)
+    points = np.linspace(1.0, 1.1, 20)[:, None]
+    known = {STAY: Place(STAY, hill.decays(points)[0], 2.0, 0.0)}
+
+    def runs(loop: Any) -> Any:
+        confirmed = load / loop.settings.kp[0] <= 1.0 / 2.0
+        reason = "" if confirmed else f"{OFF} 1 m off"
+        return SimpleNamespace(confirming=float(confirmed), growing=0.0, reasons=(reason,))
+
+    slowest: Any = {STAY: SimpleNamespace(member=points[0])}
+    asked = Loop(kp_range=(0.1, 100.0))
+    found = GainChange(asked, known, {STAY: hill}, slowest, {STAY: "off"}, points, runs).sought().changed
+    assert found is not None
+    kp = float(found.loop.settings.kp[0])
+    assert (found.doubt is None) == (load <= 16.0)
+    if found.doubt is None:
+        assert 2.0 * load <= kp < 40.0 / 1.1
+        assert (kp < 40.0 / 2.0) == (2.0 * load < 40.0 / 2.0)
+
+
 @pytest.mark.parametrize("ranges", [{}, {"kp_range": (0.1, 100.0)}, {"kv_range": (0.1, 100.0)}])
 @pytest.mark.parametrize("load", [1.0, 2.5, 4.5, 60.0])
 def test_where_a_load_draws_the_arm_off_it_is_held_with_higher_gains_before_one_moves(

@@ -31,6 +31,8 @@ from flexopt.study.verdicts.decision import (
     pays,
 )  # fmt: skip
 from flexopt.study.verdicts.gain_search import (
+    RESERVE,
+    ROOM,
     at_ends,
     best_gains,
     lowered,
@@ -353,27 +355,36 @@ class GainChange:
         """
         if refuted.breaks or not ends_off(refuted.runs):
             return None
-        best, name = fastest.loop, fastest.place.name
+        best, name, low, found = fastest.loop, fastest.place.name, 1.0, None
         now, members = self.loops[name].settings, np.concatenate([fastest.few, self.points])
-        highest = most_raised(best, self.asked, now, members, lambda loop: not self.breaks(name, loop))
-        low, high, factor, found = 1.0, highest, highest, None
-        for _ in range(RAISED if highest > 1 + FASTER else 0):
-            loop = raised(best, self.asked, now, factor)
-            there, member = self._with(name, loop)
-            does = there.holds and self._changes(there) and (standing is None or pays(there, standing))
-            told = self._told(_Tried(there, loop, member[None])) if does else None
-            if told is not None and told.rank > 0 and (found is None or told.rank >= found.rank):
-                found, high = told, factor
-            elif found is not None:
-                low = factor
-            elif told is not None and told.runs is not None and ends_off(told.runs) and not told.runs.growing:
-                if factor == highest:
+        for room in (ROOM, RESERVE):
+            highest = most_raised(best, self.asked, now, members, room, lambda loop: not self.breaks(name, loop))
+            if highest <= (1 + FASTER) * low:
+                continue
+            high = factor = highest
+            for _ in range(RAISED):
+                loop = raised(best, self.asked, now, factor)
+                there, member = self._with(name, loop)
+                does = there.holds and self._changes(there) and (standing is None or pays(there, standing))
+                told = self._told(_Tried(there, loop, member[None])) if does else None
+                if told is not None and told.rank > 0 and (found is None or told.rank >= found.rank):
+                    found, high = told, factor
+                elif found is not None or (told is not None and _too_low(told)):
+                    low = factor
+                else:
+                    high = factor
+                if low >= high:
                     break
-                low = factor
-            else:
-                high = factor
-            factor = math.sqrt(low * high)
+                factor = math.sqrt(low * high)
+            # Higher ones, with less room, help alone where the highest are too low.
+            if found is not None or low < highest:
+                break
         return found
+
+
+def _too_low(told: ChangedGains) -> bool:
+    """Whether runs refute gains, for the end-point ends too far off its target, and not as they grow."""
+    return told.runs is not None and ends_off(told.runs) and not told.runs.growing
 
 
 def _nearest(places: Sequence[Place]) -> str:

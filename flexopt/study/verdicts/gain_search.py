@@ -143,28 +143,26 @@ def raised(loop: PlaceLoops, asked: Loop, now: LoopSettings, factor: float) -> P
 
 
 def most_raised(
-    loop: PlaceLoops, asked: Loop, now: LoopSettings, members: Vector, does: Callable[[PlaceLoops], bool]
+    loop: PlaceLoops,
+    asked: Loop,
+    now: LoopSettings,
+    members: Vector,
+    room: float,
+    does: Callable[[PlaceLoops], bool],
 ) -> float:
-    """The largest factor of the best gains, from 1 in steps of 2^(1/4), up to which `raised` ones decay and `does`.
+    """The largest factor of the best gains, from 1 in steps of 2^(1/4), up to which the loop does what it must.
 
-    Of such as hold with `ROOM` times as high ones, too; where the next ones do not, with `RESERVE` times as high ones.
+    With `raised` gains, and with `room` times as high ones, too, it decays for every member (n, k).
     """
-    most = _highest(asked, now, loop.settings)
-
-    def up_to(room: float) -> float:
-        kept = 1.0
-        while kept < most:
-            higher = min(kept / LOWER, most)
-            tried = raised(loop, asked, now, higher)
-            if not all(float(each.decays(members).min()) > 0 for each in (tried, lowered(tried, asked, room))):
-                break
-            if not does(tried):
-                break
-            kept = higher
-        return kept
-
-    roomy = up_to(ROOM)
-    return roomy if roomy > 1.0 else up_to(RESERVE)
+    most, kept = _highest(asked, now, loop.settings), 1.0
+    while kept < most:
+        higher = min(kept / LOWER, most)
+        tried = raised(loop, asked, now, higher)
+        decays = (each.decays(members).min() for each in (tried, lowered(tried, asked, room)))
+        if not (all(decay > 0 for decay in decays) and does(tried)):
+            break
+        kept = higher
+    return kept
 
 
 def _highest(asked: Loop, now: LoopSettings, has: LoopSettings) -> float:
