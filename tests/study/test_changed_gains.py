@@ -452,6 +452,56 @@ def test_gains_are_changed_to_the_lowest_that_were_tried_and_that_is_said() -> N
     assert "no lower ones were tried than 0.01 times the present ones: kp_range and kv_range" in found.sentence
 
 
+@pytest.mark.long
+def test_an_arm_that_an_unknown_load_draws_off_is_held_more_stiffly_where_the_machine_stands() -> None:
+    """Candidate 1, 0.14 m away, has gains that runs confirm, too, but decays more slowly than staying with these."""
+    numbers = {
+        "length": 1.0977,
+        "com": 0.4008,
+        "com_offset": 0.4054,
+        "mass": 2300.0,
+        "inertia": 620.0,
+        "rest_angle": 1.0459,
+    }
+    springs = {
+        "stiffness": {"x": 9e5, "y": 1.6e6, "rotation": 3.4e5},
+        "damping": {"x": 3e3, "y": 5e3, "rotation": 900.0},
+    }
+    boom = {"length": 1.5, "com": 0.7, "com_offset": 0.08, "mass": 165.0, "inertia": 36.0, "limits": [-1.3, 0.4]}
+    dipper = {"length": 1.1, "com": 0.5, "mass": 95.0, "inertia": 11.0, "limits": [-2.5, -0.3]}
+    wrist = {"length": 0.65, "com": 0.38, "mass": 190.0, "inertia": 9.0, "limits": [-1.8, 1.2]}
+    machine = flexopt.machine_from_dict(
+        {"schema": 1, "name": "stiff", "base": numbers | springs, "links": [boom, dipper, wrist]}
+    )
+    chosen = flexopt.select(
+        machine,
+        (2.6, 0.15),
+        base=0.0,
+        posture=[-0.5921, -1.2096, -0.9725],
+        base_range=(-1.0, 1.0),
+        gravity=True,
+        starts=4,
+    )
+    loop = {"rate": 200.0, "dead_time": 0.01, "drive": "torque", "nullspace_damping": 3e3}
+    ground = {"stiffness": (0.5, 1.6), "payload.mass": (0.0, 5.0)}
+
+    def asked(kp: float) -> flexopt.Verdict:
+        return flexopt.verdict(chosen, loop=loop | {"kp": kp, "kv": kp / 3}, ranges=ground, members=4, runs=2)
+
+    found = asked(6e3)
+    assert found.with_gains is not None
+    assert (found.word, found.place, found.with_gains.name) == ("change gains", "stay", "stay")
+    kp = found.gains["kp"][0]
+    # With these gains as the present ones the word is what it said, and with a third less of them runs refute it.
+    again, less = asked(kp), asked(kp / 1.5)
+    assert (again.word, again.places[0].runs.confirming) == ("stay", 1.0)  # type: ignore[union-attr]
+    assert less.places[0].runs.confirming == 0.5  # type: ignore[union-attr]
+    # From lower gains and from higher ones the same are found, to the step that is halved to.
+    assert less.word == "change gains"
+    assert less.place == "stay"
+    assert less.gains["kp"][0] == pytest.approx(kp, rel=0.25)
+
+
 class Window:
     """A loop that decays for gains Kp between two, fastest right below the higher."""
 
