@@ -17,7 +17,7 @@ from flexopt.foundation.arrays import Vector
 from flexopt.loop.outcome import falling
 from flexopt.loop.uncertain import FEW
 from flexopt.model.loop import Loop
-from flexopt.study.verdicts.confirmation import Runs, ends_off
+from flexopt.study.verdicts.confirmation import SHORT, Runs, ends_off
 from flexopt.study.verdicts.decision import (
     BETWEEN,
     BREAKS,
@@ -353,9 +353,10 @@ class GainChange:
             fastest: the place with its fastest gains;  refuted: what runs say of it.
             standing: as one would stay, where a move there must be better.
         """
-        if refuted.breaks or not ends_off(refuted.runs):
-            return None
         best, name, low, found = fastest.loop, fastest.place.name, 1.0, None
+        # What is short for the present gains is no reason to change them.
+        if refuted.breaks or SHORT in self.doubts.get(name, "") or not ends_off(refuted.runs):
+            return None
         now, members = self.loops[name].settings, np.concatenate([fastest.few, self.points])
         for room in (ROOM, RESERVE):
             highest = most_raised(best, self.asked, now, members, room, lambda loop: not self.breaks(name, loop))

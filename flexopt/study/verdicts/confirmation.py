@@ -37,6 +37,7 @@ DURATIONS, ALIKE = 1e4, 1e-6
 UNFINISHED = "the integrator could not finish the run"
 # Why a run that converges does not confirm; and more where the controller does not know the weight.
 OFF = "the end-point does not come to its target: in the end it is"
+SHORT = "; the run is short, "
 INTEGRAL = "an integral part takes it to the target (loop.feedback pid with ki)"
 SAGS = (
     "; the controller carries the load of the machine's file, and a heavier or lighter one draws the arm off: "
@@ -125,8 +126,8 @@ def long_enough(modes_hz: Iterable[float], rate: float, least: float = DURATION,
 
 
 def ends_off(runs: Runs | None) -> bool:
-    """Whether there is one of these that does not confirm, for the end-point ends too far off its target."""
-    return runs is not None and any(OFF in why for why in runs.reasons)
+    """Whether there is one of these that is long enough and does not confirm, for the end-point ends too far off."""
+    return runs is not None and any(OFF in why and SHORT not in why for why in runs.reasons)
 
 
 def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duration: float) -> Runs:
@@ -191,7 +192,7 @@ def _short(over: float, needed: float) -> str:
         return ""
     step = 10.0 ** (math.floor(math.log10(needed)) - 1)
     long = f" ({AT_REST:g} of them take {math.ceil(needed / step - ALIKE) * step:g} s)" if needed < DURATIONS else ""
-    return f"; the run is short, {over:.2g} time constants of the slowest motion{long}"
+    return f"{SHORT}{over:.2g} time constants of the slowest motion{long}"
 
 
 def _sags(loop: UncertainLoop, u: Vector, until: str) -> str:
