@@ -1557,7 +1557,8 @@ def test_a_load_that_the_controller_does_not_know_is_named_where_the_arm_stays_o
         assert 20 < place.runs.duration < 60
     # Rounded up, of the slowest member: the first that is told of may be a faster one.
     short = flexopt.verdict(chosen, loop=loop | {"feedback": "pid", "ki": 0.2}, duration=10.0, **asked)
-    assert short.word == "cannot tell"
+    # Where one is long enough for a place, higher gains may hold the arm on its target there.
+    assert short.word in ("cannot tell", "change gains")
     told = re.findall(
         r"the run is short, (.+?) time constants of the slowest motion \(5 of them take (.+?) s\)", short.reason
     )
