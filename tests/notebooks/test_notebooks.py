@@ -1,5 +1,6 @@
 """Every notebook runs from top to bottom, and what is kept of it is what its text says."""
 
+import html
 from pathlib import Path
 
 import jupytext
@@ -9,6 +10,7 @@ import pytest
 from scipy.linalg import eigvalsh
 
 import flexopt
+from flexopt.study.verdicts.decision import RULE
 from tests.notebooks.execution import FOLDER, executed, texts
 
 
@@ -29,6 +31,28 @@ def test_text_and_notebook_have_the_same_cells(path: Path):
     # Warnings of other packages name files of the machine on which it was recorded.
     outputs = [output for cell in kept.cells if cell.cell_type == "code" for output in cell.outputs]
     assert not any("site-packages" in output.get("text", "") for output in outputs)
+
+
+def kept(path: Path) -> str:
+    """All outputs that are kept of a notebook, without the quotations of HTML."""
+    cells = nbformat.read(path.with_suffix(".ipynb"), as_version=4).cells
+    outputs = [output for cell in cells if cell.cell_type == "code" for output in cell.outputs]
+    shown = [
+        text for output in outputs for text in (output.get("text", ""), output.get("data", {}).get("text/html", ""))
+    ]
+    return html.unescape("\n".join(shown))
+
+
+def test_kept_outputs_are_of_todays_rule_and_explorer():
+    """The documentation shows what is kept. If not: `python -m tests.notebooks.execution NAME`."""
+    templates = Path(flexopt.__file__).parent / "explorer" / "templates"
+    scripts = [(templates / name).read_text(encoding="utf-8").strip() for name in ("page.js", "map.js", "linear.js")]
+    parts = {"\nprint(answer.rule)": [RULE], "flexopt.explore(": scripts}
+    for call, told in parts.items():
+        with_it = [path for path in texts() if call in path.read_text(encoding="utf-8")]
+        assert with_it
+        for path in with_it:
+            assert [each[:60] for each in told if each not in kept(path)] == []
 
 
 # The kernel's own libraries warn about their internals.
