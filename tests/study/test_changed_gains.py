@@ -388,6 +388,49 @@ def test_where_a_load_draws_the_arm_off_it_is_held_with_higher_gains_before_one_
     assert (decision.word, decision.place) == ("change gains", STAY)
 
 
+@dataclass(frozen=True)
+class Steep(Hill):
+    """A hill that falls faster, and whose end-point ends on the target from a Kp on."""
+
+    slope: float = 0.2
+    from_kp: float = 0.0
+
+    def with_settings(self, settings: Gains) -> Steep:
+        return Steep(settings, self.top, self.best, self.slope, self.from_kp)
+
+    def decays(self, members: Vector) -> Vector:
+        off = float(np.log(self.settings.kp[0] / self.best))
+        return (self.top - self.slope * off**2) * members[:, 0][None]
+
+
+@pytest.mark.parametrize("near", [0.5, 0.75, 1.0, 1.7, 1.95])
+def test_of_places_with_raised_gains_and_with_their_fastest_the_better_is_taken(near: float) -> None:
+    """That which is faster far away with gains that runs refute decays at 0.8/s with those that they confirm."""
+    low = Gains(np.array([1.0]), np.array([1.0]), np.zeros(1))
+    hills: Any = {"near": Steep(low, near, 1.0), "far": Steep(low, 2.0, 1.0, from_kp=10.0)}
+    drives, points = {"near": 1.0, "far": 3.0}, np.linspace(1.0, 1.1, 20)[:, None]
+    slow = {name: hill.decays(points)[0] - 5.0 for name, hill in hills.items()}
+    known = {name: Place(name, each, float(each.min()), drives[name]) for name, each in slow.items()}
+
+    def runs(loop: Any) -> Any:
+        confirmed = loop.settings.kp[0] >= loop.from_kp
+        return SimpleNamespace(
+            confirming=float(confirmed), growing=0.0, reasons=("" if confirmed else f"{OFF} 1 m off",)
+        )
+
+    slowest: Any = dict.fromkeys(hills, SimpleNamespace(member=points[0]))
+    found = GainChange(Loop(kp_range=(0.1, 100.0)), known, hills, slowest, {}, points, runs).sought().changed
+    assert found is not None
+    assert found.doubt is None
+    far = hills["far"].with_settings(found.loop.settings).decays(points)[0].min()
+    assert found.place.name == ("far" if near < 0.7 else "near")
+    if found.place.name == "far":
+        assert found.place.slowest == pytest.approx(far)
+        assert f"its slowest decay is {near:g}/s only" in found.passed_over
+    else:
+        assert found.passed_over == ""
+
+
 @pytest.mark.parametrize(("best", "top"), [(1e-3, 0.1), (1e-3, -0.1), (0.1, -0.1)])
 def test_a_present_place_that_grows_is_said_to_grow_with_the_gains_that_were_tried(best: float, top: float) -> None:
     """It may decay with lower ones than these, and is none of the places passed over."""

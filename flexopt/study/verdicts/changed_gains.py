@@ -183,19 +183,28 @@ class GainChange:
         others = places if standing is None else [place for place in places if pays(place, standing)]
         # What a move does with the present gains is no merit of others.
         others = [place for place in others if self._changes(place)] or others
-        other, tried, at_rest = None, 0, dict[str, str]()
-        while others and tried < PLACES and (other is None or other.rank < 2):
+        best, tried, at_rest = list[ChangedGains](), 0, dict[str, str]()
+        while others and tried < PLACES:
             found = self._lowest(fastest[_nearest(others)], standing)
-            other = found if other is None or found.rank > other.rank else other
+            if not best or found.rank >= best[0].rank:
+                best = [*(best if best and found.rank == best[0].rank else []), found]
             others = [place for place in others if place.name != found.place.name]
+            as_fast = found.place.slowest >= _alike(fastest[found.place.name].place.slowest)
+            if found.rank == 2 and as_fast:
+                break
+            # Where its gains had to be raised others may be faster with theirs.
+            tried += found.doubt is not None or not as_fast
             if found.doubt is not None:
-                doubts[found.place.name], tried = found.doubt, tried + 1
+                doubts[found.place.name] = found.doubt
             elif found.breaks_at_rest:
                 at_rest[found.place.name] = f"{found.breaks_at_rest}, at rest beside its target"
+        other = _best_of(best)
         # Where another breaks nothing there that is why it is none of these.
         doubts |= at_rest if other is not None and other.rank == 2 else {}
         if other is not None and other.doubt is None:
-            other = self._spared(other, _alike(fastest[other.place.name].place.slowest), standing, doubts)
+            as_well = _alike(fastest[other.place.name].place.slowest)
+            as_well = as_well if other.place.slowest >= as_well else _alike(other.place.slowest)
+            other = self._spared(other, as_well, standing, doubts)
             if other.place.name == STAY:
                 return other
             moves = [place for place in places if place.name != STAY]
@@ -381,6 +390,14 @@ class GainChange:
             if found is not None or low < highest:
                 break
         return found
+
+
+def _best_of(alike: Sequence[ChangedGains]) -> ChangedGains | None:
+    """Of places of one rank with other gains the nearest as by `RULE`, where runs confirm them, else the first."""
+    if not alike:
+        return None
+    name = _nearest([each.place for each in alike]) if alike[0].doubt is None else alike[0].place.name
+    return next(each for each in alike if each.place.name == name)
 
 
 def _too_low(told: ChangedGains) -> bool:
