@@ -7,6 +7,7 @@ A machine may be called `rig $x_{$`, `???/` or `掘削機-2`; whoever puts a nam
 from __future__ import annotations
 
 import codecs
+import json
 import re
 import unicodedata
 from functools import cache
@@ -128,3 +129,8 @@ def _glyphs_of(names: tuple[str, ...]) -> frozenset[int]:
     for path in paths or {str(font_manager.findfont("DejaVu Sans"))}:
         found |= set(font_manager.get_font(path).get_charmap())
     return frozenset(found)
+
+
+def toml_key(name: str) -> str:
+    """A name as a key of TOML: quoted where it is none by itself."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(one_line(name), ensure_ascii=False)

@@ -33,6 +33,8 @@ SAMPLES = 256
 NEAREST = 64
 # Postures closer than this, found by iteration, are one.
 SAME = 1e-6
+# The like of a machine that sags: steps onto a nearly straight arm end up to twice the root of 2 `REACHED` apart.
+HELD_SAME = 3e-5
 # A target is reached to this share of a metre, position and orientation rows alike.
 REACHED = 1e-10
 # A row of springs in units of what so much gives way, m or rad: rather is the end-point off than that they do not hold.
@@ -125,7 +127,7 @@ def inverse_kinematics(
             bent = "" if elbow is None else f" with the elbow {elbow}"
             why = f"every posture{bent} that reaches it breaks a joint limit"
         raise unreachable(plant, point, placement, why, sagging=sagging)
-    return _distinct(found)
+    return _distinct(plant, found, HELD_SAME if gravity else 1e-7)
 
 
 def inside_reach(plant: Plant, target: Vector, bases: Vector) -> tuple[Vector, Vector]:
@@ -152,7 +154,7 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
     off = float(np.nanmin(left))
     if gravity:
         if reached:
-            reached, off = _settled(plant, target, base, np.array(_distinct(reached, SAME)).T)
+            reached, off = _settled(plant, target, base, np.array(_distinct(plant, reached, SAME)).T)
         if not reached:
             # The border of the reach is another as the machine sags.
             z, limits = np.vstack([bases, postures]), _limits(plant)
@@ -161,7 +163,10 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
     if not reached:
         raise missed(plant, target, base, off)
     turned = list(into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
-    return _distinct(sorted(turned, key=lambda posture: float(np.abs(posture - (low + high) / 2).max())), SAME)
+    middle = (low + high) / 2
+    return _distinct(
+        plant, sorted(turned, key=lambda posture: float(np.abs(posture - middle).max())), HELD_SAME if gravity else SAME
+    )
 
 
 def _nearest_turn(plant: Plant, postures: Vector) -> Vector:
@@ -391,10 +396,16 @@ def low_discrepancy(dimensions: int, count: int, seed: int) -> Vector:
     return (shift[:, None] + steps[:, None] * np.arange(count)) % 1.0
 
 
-def _distinct(postures: list[Vector], tolerance: float = 1e-7) -> list[Vector]:
-    """The same list without repeats (both elbows agree where the arm is straight)."""
+def _distinct(plant: Plant, postures: list[Vector], tolerance: float) -> list[Vector]:
+    """The same list without repeats, by whole turns of hinges without limits, too (a straight arm's elbows agree)."""
     points, kept = np.array(postures), np.ones(len(postures), dtype=bool)
+    limits = zip(plant.machine.joint_units, plant.machine.limits, strict=True)
+    turn = np.array(
+        [2 * math.pi if unit == "rad" and not np.isfinite(ends).any() else math.inf for unit, ends in limits]
+    )
     for i in range(len(postures)):
         if kept[i]:
-            kept[i + 1 :] &= np.abs(points[i + 1 :] - points[i]).max(axis=1) > tolerance
+            apart = points[i + 1 :] - points[i]
+            apart -= np.where(np.isfinite(turn), turn, 0.0) * np.rint(apart / turn)
+            kept[i + 1 :] &= np.abs(apart).max(axis=1) > tolerance
     return [posture for posture, keep in zip(postures, kept, strict=True) if keep]

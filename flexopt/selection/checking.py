@@ -15,6 +15,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Document
 from flexopt.foundation.boundary import TABLE, instance, path, public
 from flexopt.foundation.documents import provenance
+from flexopt.foundation.escapes import toml_key
 from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Result
 from flexopt.model import AnyMachine, Problem, load_file
@@ -140,7 +141,7 @@ def _checked_robot(name: str) -> Check:
     robot, faults = read_description(Path(name), Path(name).name)
     stuck = tuple(
         f"{joint.element.place}: {joint.element.label}: its limits {joint.stuck} leave no room; "
-        f"to drive it say others in [joints.{joint.name}] of the machine file"
+        f"to drive it say others in [joints.{toml_key(joint.name)}] of the machine file"
         for link in robot.links
         for joint in link.joints
         if joint.stuck and joint.drivable

@@ -291,8 +291,8 @@ def _why(run: Shown, linear: SampledLoop, ran: Ran | None) -> str:
     there = 0.0 if arrived is None else arrived.linear.growth_rate
     if arrived is not None and there * rate < 0 and abs(there) > arrived.linear.rounding:
         verb = "grows" if there > 0 else "decays"
-        to = f"to a posture about which the linear loop {verb} (decay {-there:+.4g}/s)"
-        return f"the arm moved along its self-motion, {arrived.joint}, {to}"
+        there_told = f"about which the linear loop {verb} (decay {-there:+.4g}/s)"
+        return f"along its self-motion the arm ends in another posture, {arrived.joint}, {there_told}"
     # However little of a motion there is at first, it would have shown by then, or gone.
     long = run.ended < run.duration or abs(rate) * run.duration > OUT_OF_ROUNDING
     whys = ["too large for a linear loop"] if long else ["too short to show it", "too large for a linear loop"]

@@ -259,6 +259,22 @@ def test_on_soft_springs_both_elbows_are_found(softer, posture):
         np.testing.assert_allclose(inverse_kinematics(machine, target, gravity=True, elbow=elbow), [own], atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("softer", "posture"),
+    [(2.592105560548508, (-0.611877976, 0.000341044176)), (0.09820129205410259, (-1.04047384, 2.70723915))],
+)
+def test_under_gravity_no_posture_is_told_twice(softer, posture):
+    """Steps onto a nearly straight arm end a little apart, and turned hinges by whole turns."""
+    data = load("excavator").to_dict()
+    springs = {name: softer * k for name, k in data["base"]["stiffness"].items()}
+    machine = machine_from_dict(data | {"base": data["base"] | {"stiffness": springs}})
+    target = evaluate(machine, posture, base=[0.0], gravity=True).end_point
+    found = inverse_kinematics(machine, target, gravity=True)
+    assert len(found) == 2
+    assert np.abs(wrapped(found[0] - found[1])).max() > 5e-5
+    assert min(np.abs(wrapped(each - posture)).max() for each in found) < 1e-4
+
+
 def test_a_last_link_of_next_to_no_length_is_no_fault_of_its_own():
     data = load("excavator").to_dict()
     data["links"] = (data["links"][0], dict(data["links"][1]) | {"length": 5e-4, "com": 2e-4})

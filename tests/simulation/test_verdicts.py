@@ -130,7 +130,9 @@ def test_another_posture_is_a_reason_where_its_loop_does_as_the_run(there: float
 
     reason = judge(shown(), loop(0.1), ran=Ran()).reason
     assert words in reason
-    assert ("the arm moved along its self-motion, stick by -0.4 rad, to a posture" in reason) == (there < 0)
+    assert ("along its self-motion the arm ends in another posture, stick by -0.4 rad, about which" in reason) == (
+        there < 0
+    )
     assert "integrator" not in reason
 
 
@@ -146,7 +148,7 @@ def test_a_redundant_arm_that_growth_moves_to_another_posture_says_so() -> None:
     end = run.q[-1, run.n_passive :]
     moved = end - posture
     k = int(np.argmax(np.abs(moved)))
-    told = f"the arm moved along its self-motion, {machine.joints[k]} by {moved[k]:+.3g} rad, to a posture about which"
+    told = f"along its self-motion the arm ends in another posture, {machine.joints[k]} by {moved[k]:+.3g} rad, about which"
     assert told in run.verdict_reason
     assert run.end_error < 1e-6
     there = flexopt.outcome(machine, end, loop=law).decay

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from flexopt.errors import Fault
+from flexopt.foundation.escapes import toml_key
 from flexopt.model.file_model import quoted
 from flexopt.model.robots.description import Description, Joint, RobotLink
 from flexopt.model.robots.elements import there_are
@@ -88,11 +89,11 @@ class Roles:
             if stiffness > 0:
                 sentence = (
                     f"is actuated and has a spring ({stiffness:g}): take it out of `actuated`, or the spring away "
-                    f"with stiffness = 0 in [joints.{name}]"
+                    f"with stiffness = 0 in [joints.{toml_key(name)}]"
                 )
                 return self._fault(joint, sentence)
             if stuck := replace(joint, limits=limits).stuck:
-                sentence = f"is actuated, but its limits {stuck} leave no room; say others in [joints.{name}]"
+                sentence = f"is actuated, but its limits {stuck} leave no room; say others in [joints.{toml_key(name)}]"
                 return self._fault(joint, sentence)
             if table.rest is not None:
                 sentence = "belongs to a joint with a spring; this one is actuated"
@@ -110,8 +111,8 @@ class Roles:
             return self._locked(joint, joint.zero)
         return self._fault(
             joint,
-            f"is neither listed in `actuated`, nor has a spring (stiffness in [joints.{name}]), nor is in `locked`; "
-            "lock_others = true locks every such joint",
+            f"is neither listed in `actuated`, nor has a spring (stiffness in [joints.{toml_key(name)}]), nor is in "
+            "`locked`; lock_others = true locks every such joint",
         )
 
     def _locked(self, joint: Joint, value: float) -> Role:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import shlex
 import tomllib
 import warnings
 from collections.abc import Sequence
@@ -80,6 +81,7 @@ class RobotChain:
         asked: which of "end" and "actuated" the call names.
         site: of an MJCF file, which is the end-point; empty where the link's own origin is.
         chosen: why the end is another of the links fixed to the last body, in words; else empty.
+        stuck: joints on the way that could be driven, but for limits that leave no room.
     """
 
     path: Path
@@ -94,6 +96,7 @@ class RobotChain:
     site: str = ""
     chosen: str = ""
     asked: tuple[str, ...] = ()
+    stuck: tuple[Joint, ...] = ()
 
     @property
     def name(self) -> str:
@@ -190,17 +193,30 @@ def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> R
         ]
         raise_if_any(InputError, "new", wrong)
         driven = list(actuated)
+    stuck = [joint for link in moving for joint in link.joints if joint.drivable and joint.stuck]
     if not driven:
         why = f"no joint between the ground and link {at!r} can be driven"
-        if stuck := [joint for link in moving for joint in link.joints if joint.drivable]:
-            limits = ", ".join(f"{joint.name} {joint.stuck}" for joint in stuck)
-            why += f": the limits leave no room, of {limits}; --actuated {','.join(joint.name for joint in stuck)}"
-            why += " writes a file that proposes others, in [joints]"
+        if stuck:
+            names = shlex.quote(",".join(joint.name for joint in stuck))
+            why += f": the limits leave no room, of {_stuck_told(stuck)}; --actuated {names} writes a file that "
+            why += "proposes others, in [joints]"
         raise InputError(f"new: {path.name}: {why}")
     sprung = any(joint.stiffness > 0 for link in robot.links for joint in link.joints)
     asked_for = tuple(word for word, given in (("end", end), ("actuated", actuated)) if given is not None)
     return RobotChain(
-        path, robot, tuple(ignore), at, root, tuple(driven), sprung, free is not None, hand, site, chosen, asked_for
+        path,
+        robot,
+        tuple(ignore),
+        at,
+        root,
+        tuple(driven),
+        sprung,
+        free is not None,
+        hand,
+        site,
+        chosen,
+        asked_for,
+        tuple(stuck),
     )
 
 
@@ -341,6 +357,10 @@ def _grips(link: RobotLink) -> bool:
     return any(word in names for word in GRIPPING) and not any(word in names for word in TURNING)
 
 
+def _stuck_told(joints: Sequence[Joint]) -> str:
+    return ", ".join(f"{joint.name} {joint.stuck}" for joint in joints)
+
+
 def _driven(way: Sequence[RobotLink]) -> list[str]:
     """Joints that can be: no spring, not coupled, not free, with some room between their limits."""
     return [joint.name for link in way for joint in link.joints if joint.drivable and not joint.stuck]
@@ -418,7 +438,7 @@ class _Text:
             "ignore": _listed(chain.ignore) if chain.ignore else "",
             "joints": [*shown, *([f"and {more} more"] if more > 0 else [])],
             "actuated": _listed(chain.actuated),
-            "actuated_note": "" if "actuated" in chain.asked else " (proposed: all on the way to the end-point)",
+            "actuated_note": "" if "actuated" in chain.asked else f" (proposed: {self._actuated_told()})",
             "locked": f"{{ {', '.join(f'{quoted(name)} = {x!r}' for name, x in locked.items())} }}" if locked else "",
             "locked_note": self.held and f" (proposed: {self.held})",
             "root_told": self._root(),
@@ -495,6 +515,13 @@ class _Text:
         """Actuated joints whose limits in the robot file leave no room."""
         joints = (joint for link in self.chain.robot.links for joint in link.joints)
         return {joint.name: joint for joint in joints if joint.stuck and joint.name in self.chain.actuated}
+
+    def _actuated_told(self) -> str:
+        """Why these joints are proposed."""
+        every = "all on the way to the end-point"
+        if not self.chain.stuck:
+            return every
+        return one_line(f"{every} with room between their limits; not {_stuck_told(self.chain.stuck)}: see --actuated")
 
     def _freed(self) -> list[dict[str, str]]:
         """What these are given: of hinges a turn to either side, of slides the arm's reach."""
