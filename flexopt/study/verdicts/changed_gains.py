@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.rounding import way
 from flexopt.loop.outcome import falling
 from flexopt.loop.uncertain import FEW
 from flexopt.model.loop import Loop
@@ -29,6 +30,7 @@ from flexopt.study.verdicts.decision import (
     nearer,
     passed_over,
     pays,
+    spoken,
 )  # fmt: skip
 from flexopt.study.verdicts.gain_search import (
     RESERVE,
@@ -215,8 +217,16 @@ class GainChange:
         if stay is None or other is None:
             return stay or other
         serves = self._changes(other.place) or not self._changes(stay.place)
-        if other.doubt is not None or not serves or not (standing is None or pays(other.place, standing)):
+        if other.doubt is not None or not (standing is None or pays(other.place, standing)):
             return stay
+        if not serves:
+            told = (
+                f"{spoken(other.place.name)} with {other.in_words} is faster yet, {other.place.slowest_told} at worst"
+            )
+            told += (
+                f", for a drive of {way(other.place.drive):.3g} m; as one can move with the present gains, others are "
+            )
+            return stay._replace(passed_over=f"{told}for what is nearer")
         told = f"staying with {stay.in_words} is stable on every ground, too: slowest decay {stay.place.slowest_told}"
         return other._replace(staying="" if stay.doubt is not None else told)
 

@@ -71,7 +71,7 @@ class Verdict(Pictured, Printed, Result):
             the way of a plan does between its targets, in words; empty where nothing is.
         passed_over: where it sends the machine: of the nearest place with less to drive that is better than staying on
             some grounds, or where there is no staying of any, why it does not send it there, where gains are to be
-            changed why not with others, either; else empty.
+            changed why not with others, either; where it stays with others, a faster place with its own; else empty.
         gains_kept: where gains are not to be changed, though the loop has ranges for others: what these do at best, and
             by what of the rule that is not enough, unless the reason says it; else empty.
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
