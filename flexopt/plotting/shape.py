@@ -29,6 +29,9 @@ DEEPER = 0.45
 LIFTED = 0.07
 # Below this share of the machine's size an arm has no main direction to be seen from the side.
 UPRIGHT = 1e-3
+# Level part of a unit axis below which a hinge stands upright, and from which it lies level, but for what
+# springs give; sine of the angle up to which two have one direction.
+LEAST_LEVEL, LEVEL, ONE_WAY = 0.1, 0.99, 0.01
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,7 @@ class Shape:
         support: what it stands on: corners (d, s), or none.
         base: the segments that no actuated joint moves.
         springs: whether these stand on springs; elastic: columns of the skeleton where a joint of the arm gives.
+        across: the level direction (2,) that all level hinges of an arm in space have; None where they have no one.
     """
 
     skeleton: Points
@@ -56,6 +60,7 @@ class Shape:
     base: frozenset[tuple[int, int]] = frozenset()
     springs: bool = False
     elastic: tuple[int, ...] = ()
+    across: Points | None = None
 
     def moved(self, points: Points) -> Points:
         """Points (d, K) of what stands on springs, from where they are with these unloaded."""
@@ -118,10 +123,29 @@ def shape_at(machine: AnyMachine, q: Points, base: Points) -> Shape:
         base=frozenset((i, j) for i, j in segments if tree.drawn[i] is None or tree.drawn[i] in fixed),
         springs=not gives.isdisjoint(fixed),
         elastic=tuple(k for k, body in enumerate(tree.drawn) if body in gives - fixed),
+        across=_across(plant, at) if len(skeleton) == 3 else None,
     )
     stands = [k for k, body in enumerate(tree.drawn) if body is None or body in standing]
     skeleton[:, stands] = shape.moved(stood[:, stands])
     return shape
+
+
+def _across(plant: Plant, at: Inputs) -> Points | None:
+    """See `Shape.across`; hinges that stand nearly upright, as slews, have no say."""
+    tree, structure = plant.machine.kinematic_tree, plant.graph.at.skeleton
+    rotations, found = plant.body_frames.call(at)[1].full(), list[Points]()
+    for i in structure.way_to(structure.tip):
+        joint = tree.bodies[i].joint
+        k = tree.frames.index(i)
+        axis = rotations[:, 3 * k : 3 * k + 3] @ np.array(joint.axis)
+        level = float(np.hypot(*axis[:2]))
+        if joint.passive or joint.kind != "hinge" or level < LEAST_LEVEL:
+            continue
+        if level < LEVEL:
+            return None
+        found.append(axis[:2] / level)
+    alike = all(abs(float(each[0] * found[0][1] - each[1] * found[0][0])) < ONE_WAY for each in found)
+    return found[0] if found and alike else None
 
 
 def chain(skeleton: Points) -> Shape:
@@ -204,12 +228,17 @@ def _support(machine: AnyMachine, base: Points) -> Points | None:
 def views(shape: Shape, along: Points | None = None) -> tuple[View, ...]:
     """One view of a planar machine; of one in space from the side, across the arm's upright plane, and from above.
 
-    Of an arm in no one plane that which its links are nearest to. `along`: another direction, (2,), level.
+    That plane is square to its level hinges, where they all have one direction; else its links are nearest to it.
+    `along`: another direction, (2,), level.
     """
     if shape.skeleton.shape[0] == 2:
         return (View("", np.eye(2), ("x, m (inertial frame)", "y, m"), upright=True, origin=shape.skeleton[:, 0]),)
     arm = _arm(shape)
-    along = _main_direction(arm[:2]) if along is None else along
+    if along is None:
+        along = _main_direction(arm[:2])
+        if shape.across is not None:
+            straight = np.array([shape.across[1], -shape.across[0]])
+            along = float(np.copysign(np.hypot(*along), straight @ along)) * straight
     length = float(np.hypot(*along))
     along = along / length if length > UPRIGHT * shape.size else np.array([1.0, 0.0])
     yaw = math.degrees(math.atan2(along[1], along[0]))
