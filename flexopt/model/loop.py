@@ -191,6 +191,9 @@ def under_control(loop: Loop, machine: Any, control: Control, call: str) -> Loop
     if not _says_rates(own) and drive_of(own, machine) == "velocity":
         why = ", which is to be said, as efforts and speeds in the file make it velocity"
         faults += [Fault(f"loop.{each.field}", each.sentence, each.value) for each in _limit_faults(own, why)]
+    if loop == machine.loop and control != control_of(None, loop, machine):
+        way_out = "the loop is the machine file's own: loop = 'default', in the shell --loop default, leaves it out"
+        faults = [Fault(each.field, f"{each.sentence}; {way_out}", each.value) for each in faults]
     raise_if_any(InputError, call, faults)
     return own
 

@@ -89,6 +89,10 @@ def test_control_is_one():
         flexopt.evaluate(EXCAVATOR, POSTURE_B, control="inverse", loop=GAINS | {"control": "transpose"})
     with pytest.raises(InputError, match="velocity-served joints want rates"):
         flexopt.evaluate(DIGGER, STAND, control="transpose", loop={"drive": "velocity"})
+    served = flexopt.tree_from_dict(DIGGER.to_dict() | {"loop": {"drive": "velocity", "kp": 1.0}})
+    with pytest.raises(InputError, match="the loop is the machine file's own: loop = 'default'"):
+        flexopt.evaluate(served, STAND, control="transpose")
+    assert flexopt.evaluate(served, STAND, control="transpose", loop="default").control == "transpose"
     # What drives are taken for follows from the control, too.
     assert flexopt.evaluate(DIGGER, STAND, control="transpose", loop={}).outcome.settings.drive == "torque"
 

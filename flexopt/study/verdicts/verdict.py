@@ -319,14 +319,16 @@ def _breaking(chosen: Chosen, breaks: Breaks, now: Sequence[tuple[Vector, Vector
     And that it is not stable where it is not.
     """
     problem, *others = problems_of(chosen)
+    given = not others and problem.present_posture is not None
     if others:
         how = "as breaks the least and is best of these" if breaks.now else "as is best"
         held = f", held {how} by {chosen.objective} at each target,"
     else:
-        given = problem.present_posture is not None
         how = _beside_target(problem, now) if given else "in one of the postures that reach the target"
         held = f", {how}," if how else ""
-    return f"the present place{held} {breaks.now or breaks.otherwise}{stay.grows_told}"
+    # With the file's numbers that is known.
+    others_may = "; in other postures it may keep that" * (not breaks.now and not given)
+    return f"the present place{held} {breaks.now or breaks.otherwise}{others_may}{stay.grows_told}"
 
 
 def _beside_target(problem: SelectionProblem, held: Sequence[tuple[Vector, Vector]]) -> str:
