@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.uncertain import UncertainLoop
 
 
@@ -33,11 +34,11 @@ class BesideDecay(NamedTuple):
     rests_off_at: dict[str, float]
 
     @classmethod
-    def of(cls, loop: UncertainLoop, members: Vector) -> BesideDecay:
-        """Of the members (n, k) of one loop."""
+    def of(cls, loop: UncertainLoop, members: Vector, points: Sequence[LoopPoint] = ()) -> BesideDecay:
+        """Of the members (n, k) of one loop; `points`: the loop of each, where these are known."""
         if not (loop.gravity or loop.settings.redundant):
             return cls(math.nan, {}, {}, {}, 0.0, {})
-        points = [loop.outcome(u) for u in members]
+        points = points or [loop.outcome(u) for u in members]
         drift, drifting = loop.fastest_drift(members, points)
         unheld = np.array([point.unheld for point in points])
         driven = int(np.argmax(np.abs(unheld).max(axis=1)))

@@ -7,7 +7,7 @@ search with exact gradients, and where zero exclusion over boxes proves it, a gu
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -23,7 +23,7 @@ from flexopt.foundation.stages import Stages
 from flexopt.loop.beside_decay import BesideDecay
 from flexopt.loop.certified.certificate import BOXES, DECAY, RegionProof, certified_radius, certify
 from flexopt.loop.evaluation import settings_at
-from flexopt.loop.outcome import NOWHERE_HELD, falling
+from flexopt.loop.outcome import NOWHERE_HELD, LoopPoint, falling
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.spectrum import (
     OTHER_WEIGHT,
@@ -228,8 +228,9 @@ def stable_region(
     stages.reach(boxes)
     radius_guaranteed = _radius_guaranteed(whole_box, radius, boxes, stages)
     few = np.vstack([box.members(points)[:MEMBERS], at])
-    beside = BesideDecay.of(whole_box, few)
-    rests_beyond, rests_beyond_at = _beyond_limits(whole_box, few)
+    resting = [whole_box.outcome(u) for u in few] if gravity else []
+    beside = BesideDecay.of(whole_box, few, resting)
+    rests_beyond, rests_beyond_at = _beyond_limits(box, few, resting)
     last = whole_box.outcome(at).loop
     stages.reach(stages.total)
     guaranteed = proof is not None and proof.share(None) == 0 and not growing
@@ -260,16 +261,18 @@ def stable_region(
     )
 
 
-def _beyond_limits(loop: UncertainLoop, members: Vector) -> tuple[dict[str, float], dict[str, float]]:
-    """How far joints rest beyond their limits in that of members (n, k) where one is the farthest, and what it is."""
-    if not loop.gravity:
-        return {}, {}
-    points = [loop.outcome(u) for u in members]
+def _beyond_limits(
+    box: UncertaintyBox, members: Vector, points: Sequence[LoopPoint]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """How far joints rest beyond their limits in that of members (n, k) where one is the farthest, and what it is.
+
+    `points`: the loop of each; none without weight, for then the arm rests where it is held.
+    """
     # What grows comes to no rest.
     resting = [k for k, point in enumerate(points) if point.loop.growth_rate <= point.loop.rounding]
-    each = {k: most_beyond(loop.box.machine, points[k].posture) for k in resting}
+    each = {k: most_beyond(box.machine, points[k].posture) for k in resting}
     most = max(each, key=lambda k: max(each[k].values(), default=0.0), default=None)
-    return (each[most], loop.box.told(members[most])) if most is not None and each[most] else ({}, {})
+    return (each[most], box.told(members[most])) if most is not None and each[most] else ({}, {})
 
 
 def _word(slowest: float, proof: RegionProof | None, *, guaranteed: bool) -> bool | None:

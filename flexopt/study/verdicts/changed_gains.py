@@ -220,13 +220,10 @@ class GainChange:
         if other.doubt is not None or not (standing is None or pays(other.place, standing)):
             return stay
         if not serves:
-            told = (
-                f"{spoken(other.place.name)} with {other.in_words} is faster yet, {other.place.slowest_told} at worst"
-            )
-            told += (
-                f", for a drive of {way(other.place.drive):.3g} m; as one can move with the present gains, others are "
-            )
-            return stay._replace(passed_over=f"{told}for what is nearer")
+            place, drive = other.place, f"for a drive of {way(other.place.drive):.3g} m"
+            told = f"{spoken(place.name)} with {other.in_words} is faster yet, {place.slowest_told} at worst, {drive}"
+            told += "; as one can move with the present gains, others are for what is nearer"
+            return stay._replace(passed_over=told)
         told = f"staying with {stay.in_words} is stable on every ground, too: slowest decay {stay.place.slowest_told}"
         return other._replace(staying="" if stay.doubt is not None else told)
 
