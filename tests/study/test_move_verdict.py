@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import flexopt
+from flexopt.foundation.plain import listed
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
@@ -691,6 +692,11 @@ def test_what_the_loop_was_proposed_is_named_where_nothing_can_be_told(
     assert "weakest joint" not in repr(replace(given, word="cannot tell"))
     drifting = replace(found, places=tuple(replace(place, drift=0.5) for place in found.places))
     assert re.search(r"drifts away: .* loop\.nullspace_damping says how the controller brakes it", repr(drifting))
+    # What is said of the slowest motion of several places is said once, with the number of each.
+    shares = 0.6 + 0.01 * np.arange(len(found.places))
+    mixed = replace(found, places=tuple(replace(p, self_motion=x) for p, x in zip(found.places, shares, strict=True)))
+    numbers = listed(f"{100 * share:.3g}" for share in shares)
+    assert f"is to {numbers} % of its kinetic energy the arm's self-motion, which below 90 %" in repr(mixed)
 
 
 @pytest.mark.long

@@ -208,8 +208,8 @@ def decide(
     if doubted:
         reason = f"nonlinear runs do not confirm {_doubted(doubted, unconfirmed)}"
         if refuted is not None and refuted.holds:
-            whys = {_kind(part) for name in doubted for part in unconfirmed[name].split(BETWEEN)}
-            other = BETWEEN.join(part for part in doubt.split(BETWEEN) if _kind(part) not in whys)
+            whys = {without_numbers(part) for name in doubted for part in unconfirmed[name].split(BETWEEN)}
+            other = BETWEEN.join(part for part in doubt.split(BETWEEN) if without_numbers(part) not in whys)
             reason += f"; nor {spoken(refuted.name)} with other gains{_named(gains)}{other and f': {other}'}"
         return Decision("cannot tell", doubted[0], reason)
     with_others = f", nor with {tried}" if tried else ""
@@ -257,8 +257,8 @@ def _because(why: str) -> str:
     return why and f" ({why})"
 
 
-def _kind(why: str) -> str:
-    """A doubt without its numbers."""
+def without_numbers(why: str) -> str:
+    """What tells kinds of texts apart."""
     return NUMBER.sub("", why)
 
 
@@ -266,10 +266,10 @@ def _doubted(names: Sequence[str], unconfirmed: Mapping[str, str]) -> str:
     """Places that runs do not confirm, each with why; what is why of several, but for a number, stands once."""
     alike = dict[str, list[str]]()
     for name in names:
-        alike.setdefault(_kind(unconfirmed[name]), []).append(name)
+        alike.setdefault(without_numbers(unconfirmed[name]), []).append(name)
     if len(alike) > 1 and len(alike) < len(names):
         return "; nor ".join(_doubted(group, unconfirmed) for group in alike.values())
-    if len(alike) == 1 and (why := _of_all([unconfirmed[name] for name in names])):
+    if len(alike) == 1 and (why := in_one([unconfirmed[name] for name in names])):
         return listed(map(spoken, names)) + _because(why)
     parts = [unconfirmed[name].split(BETWEEN) for name in names]
     least, common = min(map(len, parts)), 0
@@ -280,8 +280,8 @@ def _doubted(names: Sequence[str], unconfirmed: Mapping[str, str]) -> str:
     return BETWEEN.join([each, *parts[0][len(parts[0]) - common :]])
 
 
-def _of_all(whys: Sequence[str]) -> str:
-    """Doubts of one kind as one, which has the numbers of all where no more than `LISTS` differ; else nothing."""
+def in_one(whys: Sequence[str]) -> str:
+    """Texts alike but for numbers as one, which has the numbers of all where no more than `LISTS` differ; else nothing."""
     each = [NUMBER.findall(why) for why in whys]
     differ = [k for k, numbers in enumerate(zip(*each, strict=True)) if len(set(numbers)) > 1]
     if len(differ) > LISTS:

@@ -17,7 +17,7 @@ from flexopt.loop.standard_move import LONGEST, UNSETTLED
 from flexopt.loop.uncertain import member_in_words
 from flexopt.selection.problem import with_angles
 from flexopt.study.verdicts.confirmation import INTEGRAL
-from flexopt.study.verdicts.decision import BETWEEN, spoken
+from flexopt.study.verdicts.decision import BETWEEN, in_one, spoken, without_numbers
 from flexopt.study.verdicts.drawbacks import NOT_WHERE_IT_GROWS
 from flexopt.study.verdicts.places import FALLS, STAY
 
@@ -96,8 +96,13 @@ def drifts(verdict: Verdict) -> str:
 
 def counted(verdict: Verdict) -> str:
     """Of which places the slowest decay is mostly that of the self-motion, a sentence; empty where of none."""
-    own = [(place.name, told) for place in verdict.rows for told in mostly_self_motion(place.self_motion)]
-    return "; ".join(f"the slowest motion of {spoken(name)} is {told}" for name, told in own)
+    alike = dict[str, dict[str, str]]()
+    for place in verdict.rows:
+        for told in mostly_self_motion(place.self_motion):
+            alike.setdefault(without_numbers(told), {})[place.name] = told
+    return "; ".join(
+        f"the slowest motion of {listed(map(spoken, whys))} is {in_one([*whys.values()])}" for whys in alike.values()
+    )
 
 
 def lingers(verdict: Verdict) -> str:
