@@ -55,7 +55,7 @@ def test_a_verdict_has_the_loops_control_or_refuses_before_places_are_sought(
     (tmp_path / "other.toml").write_text(f'{told}control = "inverse"\n{loop}', encoding="utf-8")
     other = flexopt.load_problem(tmp_path / "other.toml")
     for name in ("select", "solve_selection", "solve_problem"):
-        monkeypatch.setattr(f"flexopt.study.verdicts.verdict.{name}", None)
+        monkeypatch.setattr(f"flexopt.study.verdicts.chosen.{name}", None)
     for asked in (
         lambda: flexopt.verdict(other),
         lambda: flexopt.verdict(transposed(), TARGETS[0], control="inverse", **few),

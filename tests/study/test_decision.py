@@ -12,13 +12,13 @@ import flexopt
 from flexopt.loop.uncertain import UncertaintyBox, matters_most
 from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import Uncertainty
-from flexopt.study.verdicts import verdict
+from flexopt.study.verdicts import reasons
 from flexopt.study.verdicts.broken_places import Breaks
 from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, faster, ranked
 from flexopt.study.verdicts.gain_search import tried_gains
 from flexopt.study.verdicts.places import gains_in_words
+from flexopt.study.verdicts.reasons import best_barred, with_barred
 from flexopt.study.verdicts.told_places import first_places, overlooked, shares_better, with_barring
-from flexopt.study.verdicts.verdict import best_barred, with_barred
 
 GROUNDS = np.linspace(0.5, 2.0, 40)
 
@@ -564,7 +564,7 @@ def test_what_alone_parts_a_few_grounds_is_named() -> None:
         first = place("candidate 1", np.where(fails, 1.05, 1.3), 2.0)
         decision = decide(stay, [first], None, {})
         assert (decision.word, decision.place) == ("cannot tell", "candidate 1")
-        return verdict._measure(decision, box, members, {"stay": stay, "candidate 1": first}, stay, {}, {})
+        return reasons.to_measure(decision, box, members, {"stay": stay, "candidate 1": first}, stay, {}, {})
 
     light = members[:, 1] == 0
     assert matters_most(box, members, np.where(light, -1.0, 1.0).tolist())[0] == ""
@@ -586,7 +586,7 @@ def test_nothing_to_measure_is_said_of_the_places_that_may_be_sent_to() -> None:
     def told(first: Breaks) -> str:
         breaks = {"stay": stands, "candidate 1": first}
         decision = Decision("cannot tell", "", "")
-        return verdict._measure(decision, box, np.linspace(250, 1050, 4)[:, None], known, None, bands, breaks)
+        return reasons.to_measure(decision, box, np.linspace(250, 1050, 4)[:, None], known, None, bands, breaks)
 
     grows = "nothing to measure: with the present gains every place that breaks {} grows on all 4 grounds looked at"
     assert told(Breaks()) == grows.format("nothing")

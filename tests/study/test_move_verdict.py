@@ -397,8 +397,8 @@ def test_with_other_gains_what_staying_does_is_told() -> None:
 def test_what_new_gains_do_is_part_of_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
     """It takes as long as a place does; nothing is left to do when all is told to be done."""
     told, when = list[int](), list[int]()
-    own = verdict_module._with_gains
-    monkeypatch.setattr(verdict_module, "_with_gains", lambda *of: (when.append(told[-1]), own(*of))[1])
+    own = verdict_module.judged_with_gains
+    monkeypatch.setattr(verdict_module, "judged_with_gains", lambda *of: (when.append(told[-1]), own(*of))[1])
     found = judged(
         "article", loop=ARTICLE | {"dead_time": 0.05}, runs=0, members=2, progress=lambda done, _: told.append(done)
     )
@@ -571,7 +571,7 @@ def test_what_is_asked_for_without_a_present_place(monkeypatch: pytest.MonkeyPat
         flexopt.verdict(flexopt.select_stand(excavator, [(0.0, 1.6), (0.2, 1.4)], starts=1))
     # Before places are sought.
     for name in ("select", "solve_selection", "solve_problem"):
-        monkeypatch.setattr(f"flexopt.study.verdicts.verdict.{name}", None)
+        monkeypatch.setattr(f"flexopt.study.verdicts.chosen.{name}", None)
     unplaced = flexopt.load_problem("article").model_copy(update={"selection": SelectionOptions()})
     for asked in ((excavator, (0.0, 1.6)), (unplaced,), (problem,)):
         with pytest.raises(flexopt.InputError, match="where the machine stands now"):

@@ -48,9 +48,9 @@ from flexopt.study.reports.surroundings import (
     surroundings,
 )
 from flexopt.study.verdicts.confirmation import long_enough
-from flexopt.study.verdicts.place_loops import problems_of
+from flexopt.study.verdicts.place_loops import MEMBERS, problems_of
 from flexopt.study.verdicts.result import Verdict
-from flexopt.study.verdicts.verdict import MEMBERS, RUNS, SIZES, verdict
+from flexopt.study.verdicts.verdict import RUNS, SIZES, verdict
 
 STAGES = 5
 POINTS_MAX = 1000  # of the map, along each axis

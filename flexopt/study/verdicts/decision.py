@@ -281,7 +281,7 @@ def _doubted(names: Sequence[str], unconfirmed: Mapping[str, str]) -> str:
 
 
 def in_one(whys: Sequence[str]) -> str:
-    """Texts alike but for numbers as one, which has the numbers of all where no more than `LISTS` differ; else nothing."""
+    """Texts alike but for numbers as one, with the numbers of all where no more than `LISTS` differ; else nothing."""
     each = [NUMBER.findall(why) for why in whys]
     differ = [k for k, numbers in enumerate(zip(*each, strict=True)) if len(set(numbers)) > 1]
     if len(differ) > LISTS:

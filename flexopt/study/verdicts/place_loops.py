@@ -41,6 +41,8 @@ from flexopt.study.verdicts.places import STAY
 Chosen = Selection | Stand | BasePlan
 # One for each target, in order.
 Configurations = tuple[Evaluation, ...]
+# Members that decays are computed of.
+MEMBERS = 64
 # Candidates of which the best are told of.
 LOOKED = 12
 # So many times the usual number of postures is looked at where a placement is given.
