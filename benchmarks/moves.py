@@ -19,7 +19,7 @@ import numpy as np
 
 import flexopt
 from flexopt.errors import FlexoptError
-from flexopt.loop.uncertain import UncertaintyBox
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.study.verdicts.decision import MOST, faster
 from flexopt.study.verdicts.place_loops import PlaceLoops
 from flexopt.study.verdicts.result import STAY, PlaceVerdict

@@ -29,7 +29,8 @@ from benchmarks.selection_truth import closed_arm, configurations, machines
 from benchmarks.timing import table
 from flexopt.errors import FlexoptError
 from flexopt.loop.settings import LoopSettings, loop_settings
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model import Machine
 from flexopt.model.choices import OUTCOMES
 from flexopt.model.loop import Loop

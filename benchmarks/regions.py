@@ -21,7 +21,8 @@ from benchmarks.score import Row
 from flexopt.foundation.turns import one_blas_thread
 from flexopt.loop.certified.certificate import DECAY, RegionProof, certify
 from flexopt.loop.evaluation import outcome
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.uncertainty import Uncertainty
 
 EXCAVATOR, B, RATE = flexopt.load("excavator"), (0.0448, -2.0499), 200.0

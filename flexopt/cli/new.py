@@ -312,7 +312,8 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
         _refuse_existing(path, force)
         made = _planar(known, questions, options)
     else:
-        from flexopt.study.new_files.overlay import overlay_file, read_chain  # noqa: PLC0415
+        from flexopt.study.new_files.overlay import overlay_file  # noqa: PLC0415
+        from flexopt.study.new_files.robot_chain import read_chain  # noqa: PLC0415
 
         own = {q.name for q in _of_plane("", "")} - {"name", "gives", "stiffness", "damping", "frequency", "ratio"}
         planar = [Fault(_spelt(word), "goes with a planar machine, without --from", options[word])

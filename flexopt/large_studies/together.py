@@ -22,7 +22,7 @@ from flexopt.loop.many import decays, expect_decays
 from flexopt.loop.outcome import MEASURES
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
-from flexopt.loop.uncertain import UncertaintyBox
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.loop import GAINS, control_of, loop_of_varied, under_control
 from flexopt.model.study import POINTS_MAX, Study
 from flexopt.model.study_axes import StudyAxis

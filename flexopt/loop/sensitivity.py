@@ -21,7 +21,8 @@ from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.plain import listed, plain
 from flexopt.foundation.results import Result
 from flexopt.loop.evaluation import settings_at
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.uncertainty import GROUND, LATE, RangesLike, Uncertainty

@@ -18,7 +18,7 @@ import flexopt
 from flexopt.foundation.rendering import render
 from flexopt.plant import build_plant
 from flexopt.study.new_files.machine import gains_told
-from flexopt.study.new_files.overlay import read_chain
+from flexopt.study.new_files.robot_chain import read_chain
 from tests.cli.command import Command
 from tests.model.robots.files import MJCF, URDF
 from tests.model.robots.test_public_robots import MJCF_PATHS, URDF_PATHS

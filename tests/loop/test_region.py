@@ -18,7 +18,8 @@ from flexopt.loop.certified.characteristic import Characteristic
 from flexopt.loop.certified.characteristic_cells import cells_of
 from flexopt.loop.evaluation import outcome, settings_at
 from flexopt.loop.gains import rigid_gains
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import Uncertainty
 from tests.oracles.machines import NumpySource, Structure, draw_machine

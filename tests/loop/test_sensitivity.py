@@ -10,7 +10,8 @@ import pytest
 
 import flexopt
 from flexopt.loop.sensitivity import _indices, _intervals, _Outputs, _saltelli, _slopes_of_loop
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 
 RANGES = {"stiffness": (0.5, 2.0), "damping": (0.5, 2.0), "payload.mass": (0.0, 500.0)}
 POSTURE = (0.9929, -2.6306)

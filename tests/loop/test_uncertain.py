@@ -11,7 +11,8 @@ import pytest
 import flexopt
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.small_motions import DEAD_TIME
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox, matters_most
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import Uncertainty

@@ -18,7 +18,8 @@ from flexopt.loop.evaluation import settings_at
 from flexopt.loop.many import decays
 from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.settings import LoopSettings, loop_settings
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model import AnyMachine
 from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import Uncertainty

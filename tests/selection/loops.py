@@ -15,7 +15,8 @@ import flexopt
 from flexopt.loop.certified.region import stability_radius
 from flexopt.loop.lag import lagged_modes
 from flexopt.loop.settings import LoopSettings, loop_settings
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import GROUND
 

@@ -11,7 +11,8 @@ import pytest
 
 import flexopt
 from flexopt.loop.settings import loop_settings
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.choices import OUTCOMES, SETTLING, SWING
 from flexopt.model.loop import Loop
 from flexopt.model.parameter_values import with_parameters

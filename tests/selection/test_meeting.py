@@ -13,7 +13,8 @@ import flexopt
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.meeting import nearest
 from flexopt.loop.settings import LoopSettings, loop_settings
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.loop import Loop
 from flexopt.selection.nlp.coupling import Coupling
 from flexopt.selection.outcomes.climb import ACTIVE, Climbed, _searched, climbed, first_order, onto_rows

@@ -17,7 +17,8 @@ from scipy.optimize import differential_evolution
 import flexopt
 from benchmarks.codesign import KP, KV, decay
 from flexopt.loop.settings import loop_settings
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model import machine_from_dict, tree_from_dict
 from flexopt.model.loop import Loop
 from flexopt.selection.outcomes.choice import climbs, distinct_optima

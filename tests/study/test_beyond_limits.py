@@ -12,7 +12,8 @@ import pytest
 
 import flexopt
 from flexopt.loop.evaluation import settings_at
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.beyond_limits import beyond_limits, holding
 from flexopt.model.uncertainty import GROUND
 from flexopt.study.verdicts.confirmation import nonlinear_runs

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.loop.uncertain import UncertaintyBox, matters_most
+from flexopt.loop.uncertainty_box import UncertaintyBox, matters_most
 from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.study.verdicts import reasons

@@ -20,7 +20,8 @@ import flexopt
 from flexopt.foundation.plain import listed
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.settings import loop_settings
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.loop import Loop
 from flexopt.model.problem import SelectionOptions
 from flexopt.model.uncertainty import Uncertainty

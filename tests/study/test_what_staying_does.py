@@ -12,7 +12,8 @@ import pytest
 import flexopt
 from flexopt.loop.beside_decay import BesideDecay
 from flexopt.loop.evaluation import settings_at
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.broken import broken
 from flexopt.selection.problem import with_angles

@@ -34,7 +34,8 @@ from flexopt.loop.spectrum import (
     slow_self_motion,
 )
 from flexopt.loop.standard_move import UNSETTLED
-from flexopt.loop.uncertain import MEMBERS, UncertainLoop, UncertaintyBox, member_in_words
+from flexopt.loop.uncertain import MEMBERS, UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox, member_in_words
 from flexopt.model import AnyMachine
 from flexopt.model.beyond_limits import most_beyond
 from flexopt.model.loop import Loop, LoopLike

@@ -15,7 +15,8 @@ import numpy as np
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arrays import Document, Vector
 from flexopt.loop.settings import LoopSettings, loop_settings
-from flexopt.loop.uncertain import FEW, UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import FEW, UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model import AnyMachine
 from flexopt.model.choices import ALLOWANCE, ALLOWED_GAIN, RADIUS
 from flexopt.model.constraints import LeastOutcomes

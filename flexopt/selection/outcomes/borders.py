@@ -23,7 +23,8 @@ from flexopt.loop.certified.region import LARGEST, stability_radius
 from flexopt.loop.outcome import SLOWEST_MOTIONS, LoopPoint
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.choices import ALLOWED_GAIN, DELAY_MARGIN, RADIUS
 from flexopt.model.loop import DELAY_MAX, GAINS
 from flexopt.model.uncertainty import GROUND

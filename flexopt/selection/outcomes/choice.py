@@ -21,7 +21,7 @@ from flexopt.foundation.turns import available_cores
 from flexopt.loop.certified.region import stability_radius
 from flexopt.loop.evaluation import with_outcome
 from flexopt.loop.settings import LoopSettings
-from flexopt.loop.uncertain import UncertaintyBox
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.uncertainty import GROUND
 from flexopt.robustness import Evaluation
 from flexopt.selection.broken import broken

@@ -24,7 +24,7 @@ from flexopt.loop.many import decays, expect_decays
 from flexopt.loop.outcome import falling
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
-from flexopt.loop.uncertain import UncertaintyBox
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model import AnyMachine
 from flexopt.model.loop import GAINS, LOOP_GAINS, Loop, LoopLike, loop_of_varied
 from flexopt.model.uncertainty import LATE, Uncertainty, kind_of, parameters_of, uncertainty_faults

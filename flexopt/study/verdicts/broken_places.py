@@ -14,7 +14,8 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
-from flexopt.loop.uncertain import CORNERED, FEW, UncertaintyBox
+from flexopt.loop.uncertain import FEW
+from flexopt.loop.uncertainty_box import CORNERED, UncertaintyBox
 from flexopt.model.uncertainty import Uncertainty, parameters_of, told_numbers
 from flexopt.selection import SelectionProblem
 from flexopt.selection.broken import broken, broken_held, broken_names, values_with

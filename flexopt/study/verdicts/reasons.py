@@ -13,7 +13,8 @@ import numpy as np
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import listed
 from flexopt.loop.spectrum import from_sample_to_sample
-from flexopt.loop.uncertain import UncertainLoop, UncertaintyBox, matters_most
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox, matters_most
 from flexopt.selection import SelectionProblem
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import elsewhere, reached, with_angles

@@ -14,7 +14,7 @@ from flexopt.loop.evaluation import unseen_told
 from flexopt.loop.outcome import NOWHERE_HELD, falling
 from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion, mostly_self_motion
 from flexopt.loop.standard_move import LONGEST, UNSETTLED
-from flexopt.loop.uncertain import member_in_words
+from flexopt.loop.uncertainty_box import member_in_words
 from flexopt.selection.problem import with_angles
 from flexopt.study.verdicts.confirmation import INTEGRAL
 from flexopt.study.verdicts.decision import BETWEEN, in_one, spoken, without_numbers

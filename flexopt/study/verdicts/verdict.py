@@ -20,7 +20,7 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.stages import Stages
 from flexopt.loop.outcome import falling
 from flexopt.loop.settings import loop_settings
-from flexopt.loop.uncertain import UncertaintyBox
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.constraints import AnyConstraints
 from flexopt.model.loop import Loop, LoopLike, gain_ranges
