@@ -387,7 +387,7 @@ def _selection_text(result: Selection, *, judged: bool) -> str:
     shown = [line for line in repr(best).splitlines() if not best.sag_told or line.strip() != best.sag_told]
     lines = [repr(result), "", f"{stand} {angles}.{unjudged}", *shown]
     if result.initial is not None and result.measure is None:
-        from flexopt.selection.result import shown_measures  # noqa: PLC0415  (`evaluate` does not need it)
+        from flexopt.selection.columns import shown_measures  # noqa: PLC0415  (`evaluate` does not need it)
 
         first = problem.sought[0]
         ends = (result.initial, best)

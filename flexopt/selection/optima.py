@@ -19,6 +19,7 @@ from flexopt.robustness.evaluation import prepare
 from flexopt.selection.ascent.steps import CUT_SHORT
 from flexopt.selection.assumed import in_the_way
 from flexopt.selection.broken import beyond_bounds, cornerless
+from flexopt.selection.chances import SAME_VALUE, Attempt, missed_chance
 from flexopt.selection.constraint_values import violations_told, worst_size
 from flexopt.selection.continua import past_stops
 from flexopt.selection.exchanged import kept_apart
@@ -26,7 +27,7 @@ from flexopt.selection.nlp.program import ASCENT_LONG, ASCENT_QUICK, SOLVED, Pro
 from flexopt.selection.problem import SelectionProblem, value_at
 from flexopt.selection.proof.check import FIRST_ORDER, Proof, infeasible, prove, prove_program
 from flexopt.selection.proof.newton import polished
-from flexopt.selection.result import SAME_VALUE, Attempt, Kept, missed_chance
+from flexopt.selection.result import Kept
 from flexopt.selection.rounds import IN_VAIN, LEFT_OPEN, ROUNDS, further_starts
 from flexopt.selection.seen import BETTER, better_than, kept_peaks, seen_values
 from flexopt.selection.starts import climbed_anywhere, climbs, kept_by_none

@@ -75,6 +75,9 @@ def _sizes(of: Any) -> dict[str, int]:
     return {"n_z": len(of.variables)}
 
 
+# Objectives closer than this, relative to the problem's scale, rank as equal; IPOPT reaches an optimum at w = 0 to
+# about the square of its step tolerance, far below.
+TIE_TOLERANCE = 1e-9
 # How far from its target an end-point may be and count as there, m.
 THERE = 0.01
 _OBJECTIVE = instance(Objective, "one of the problem's `objectives`")

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -19,29 +17,21 @@ from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.plain import counted
 from flexopt.foundation.results import Result, Tabled
-from flexopt.foundation.rounding import way, without_rounding
+from flexopt.foundation.rounding import way
 from flexopt.foundation.turns import TURN
 from flexopt.model.beyond_limits import beyond_limits_told
 from flexopt.robustness.evaluation import Evaluation, unreached
-from flexopt.robustness.residues import residue_unit, unit_in_words
 from flexopt.selection.broken import beyond_bounds, beyond_own, broken, cornerless
+from flexopt.selection.chances import Attempt, chance, chance_at_most, chance_told, found_how_often
+from flexopt.selection.columns import column_heads, in_columns, measures_in_columns, shown_measures, units_told
 from flexopt.selection.constraint_values import ConstraintValue, nearest_told, resting_told
 from flexopt.selection.continua import way_to
 from flexopt.selection.exchanged import at_edge
-from flexopt.selection.problem import SelectionProblem, elsewhere, value_at
+from flexopt.selection.problem import TIE_TOLERANCE, SelectionProblem, elsewhere, value_at
 
 SHOWN = 12
 # Below this share of what others have an ε_max that nobody asked for is told of.
 THIN = 0.5
-# Names longer than this are folded in the heads of tables.
-NAME_WIDTH = 10
-# Optima whose V differs by less, as a share of the scale, are of one value.
-SAME_VALUE = 1e-6
-# Objectives closer than this, relative to the problem's scale, rank as equal; IPOPT reaches an optimum at w = 0 to
-# about the square of its step tolerance, far below.
-TIE_TOLERANCE = 1e-9
-# Of the bound on the chance of a value not found yet.
-CONFIDENCE = 0.95
 # What is no gain, as a share of the objective's scale.
 NOTHING = 1e-4
 # So far beside the best, rad or m of each joint, a mode is looked at that its optimum may hide.
@@ -125,15 +115,6 @@ class Candidate(Tabled):
         """
         own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("z", "w", "evaluate")}
         return self.evaluation.to_dict() | json_ready(own)
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """One start of IPOPT and what became of it, a sentence; V of the first objective where it ended at an optimum."""
-
-    start: tuple[float, ...]
-    outcome: str
-    value: float | None = None
 
 
 @dataclass(frozen=True)
@@ -266,7 +247,7 @@ class Selection(Pictured, Result):
 
     @property
     def _found_how_often(self) -> NDArray[np.integer[Any]]:
-        return _found_how_often(self.problem, self.attempts)
+        return found_how_often(self.problem, self.attempts)
 
     def broken_along_redundancy(self) -> Mask:
         """Which points of `problem.scan` break a constraint, (N,); all keep limits and the singularity margin.
@@ -446,14 +427,14 @@ class Selection(Pictured, Result):
             alike = f"   and {counted(len(candidate.continuum), 'placement')} alike" if candidate.continuum else ""
             wide = f"   one of a set of dimension {candidate.dimension}" if (candidate.dimension or 0) > 1 else ""
             value = self._objective_in_column(candidate.objective)
-            lines.append(f"  {rank:4d} {numbers}{value}{_measures(problem, e)}{active}{wide}{alike}")
+            lines.append(f"  {rank:4d} {numbers}{value}{measures_in_columns(problem, e)}{active}{wide}{alike}")
         if len(self.candidates) > SHOWN:
             lines.append(f"   ... {len(self.candidates) - SHOWN} more")
         if self.initial is not None:
             e = self.initial
             off = self.present_told
             value = self._objective_in_column(value_at(problem, e.z)) if self._apart else ""
-            lines.append(f"   now {in_columns(e)}{value}{_measures(problem, e)}{off and '   ' + off}")
+            lines.append(f"   now {in_columns(e)}{value}{measures_in_columns(problem, e)}{off and '   ' + off}")
         lines.append(f"  {units_told(best)}")
         lines += [f"  {sentence}" for sentence in (*self.constraints_told, *map(str, self.kept))]
         if self.best.unsurpassed and not self.kept:
@@ -464,48 +445,6 @@ class Selection(Pictured, Result):
         lines += [f"  {sentence}" for sentence in self.remarks]
         lines += [f"  {assumption}" for assumption in problem.assumed]
         return "\n".join(lines)
-
-
-def units_told(e: Evaluation) -> str:
-    """What the columns of a table are in."""
-    return f"in {units_of_columns(e)}; w_i in {unit_in_words(residue_unit(e.control, e.joint_units))}"
-
-
-def units_of_columns(e: Evaluation) -> str:
-    """Of placement and posture."""
-    return " and ".join(dict.fromkeys((*e.base_units, *e.joint_units)))
-
-
-def in_columns(e: Evaluation) -> str:
-    """Placement and posture in columns as wide as their names."""
-    values, names = (*e.base, *e.posture), _folded_names(e)
-    return " ".join(f"{x:>z{max(map(len, name))}.4f}" for x, name in zip(values, names, strict=True))
-
-
-def column_heads(before: str, e: Evaluation, after: str) -> list[str]:
-    """Lines with the names of these columns; what stands before and after them is in the last one."""
-    names = _folded_names(e)
-    depth = max(map(len, names), default=1)
-    lines = list[str]()
-    for k in range(depth):
-        row = " ".join(name[k - depth + len(name)] if k >= depth - len(name) else " " * len(name[0]) for name in names)
-        last = k == depth - 1
-        lines.append(f"{before if last else ' ' * len(before)} {row}{after if last else ''}".rstrip())
-    return lines
-
-
-def _folded_names(e: Evaluation) -> list[list[str]]:
-    """Each name in parts as wide as its column, cut behind underscores where it is long."""
-    folded = list[list[str]]()
-    for name in (*e.base_coordinates, *e.joints):
-        parts = [""]
-        for piece in re.findall(r"[^_]*_+|[^_]+", name):
-            if parts[-1] and len(parts[-1] + piece) > NAME_WIDTH:
-                parts.append("")
-            parts[-1] += piece
-        width = max(9, *map(len, parts))
-        folded.append([part.rjust(width) for part in parts])
-    return folded
 
 
 def way_there(problem: SelectionProblem, best: Candidate) -> str:
@@ -521,69 +460,3 @@ def way_there(problem: SelectionProblem, best: Candidate) -> str:
         origin = f" from zeros, as no present {what} is given" if now is None else ""
         told += [f"{word} {lengths}{origin}"] * bool(parts)
     return f"way there: {'; '.join(told)}"
-
-
-def missed_chance(problem: SelectionProblem, attempts: Sequence[Attempt]) -> float | None:
-    """As `Selection.missed_chance`, of these attempts."""
-    return chance(_found_how_often(problem, attempts))
-
-
-def chance(counts: NDArray[np.integer[Any]]) -> float | None:
-    """As `Selection.missed_chance`, of values that were found so often each."""
-    return float((counts == 1).sum() / counts.sum()) if counts.size else None
-
-
-def chance_at_most(counts: NDArray[np.integer[Any]]) -> float | None:
-    """As `Selection.missed_chance_at_most`, of values that were found so often each."""
-    if not counts.size:
-        return None
-    once, twice = (float((counts == k).sum()) for k in (1, 2))
-    quantile = NormalDist().inv_cdf(CONFIDENCE)
-    most = once + quantile**2 / 2 + quantile * math.sqrt(once + 2 * twice + quantile**2 / 4)
-    return min(1.0, most / float(counts.sum()))
-
-
-def chance_told(counts: NDArray[np.integer[Any]], starts: int) -> str:
-    """How likely a further start is to end at a value that none has ended at, a sentence."""
-    estimate, most = chance(counts) or 0.0, chance_at_most(counts) or 0.0
-    return (
-        f"best found in {counted(starts, 'start')}, {counts.sum()} of which ended at an optimum: "
-        f"up to {math.ceil(100 * most)} % of further ones drawn alike may end at a value not found yet "
-        f"(estimate {100 * estimate:.0f} %, bound with {100 * CONFIDENCE:.0f} % confidence)"
-    )
-
-
-def _found_how_often(problem: SelectionProblem, attempts: Sequence[Attempt]) -> NDArray[np.integer[Any]]:
-    """How many starts ended at each value."""
-    return how_often(problem, [attempt.value for attempt in attempts if attempt.value is not None])
-
-
-def how_often(problem: SelectionProblem, values: Sequence[float]) -> NDArray[np.integer[Any]]:
-    """How often each value was found; empty where `Selection.missed_chance` is None.
-
-    Values are one that differ by less than `SAME_VALUE` of the objective's scale.
-    """
-    if not values or (problem.redundancy < 2 and problem.measures.plant.closed_form):
-        return np.zeros(0, dtype=np.int64)
-    apart = np.diff(np.sort(values)) > SAME_VALUE * problem.first_scale
-    return np.diff(np.flatnonzero(np.concatenate([[True], apart, [True]])))
-
-
-def shown_measures(problem: SelectionProblem, evaluation: Evaluation) -> Vector:
-    """The w_i (m,) in tables, 0 where they are rounding or rank as equal to it."""
-    first = problem.sought[0]
-    # The scale of ε_max, or of an objective of the user's own, is none of w_i.
-    equal = 0.0 if first.has_kinks or first.own is not None else TIE_TOLERANCE * problem.first_scale
-    shown: Vector = np.where(np.abs(evaluation.w) > equal, without_rounding(evaluation.w, evaluation.scale), 0.0)
-    return shown
-
-
-def _measures(problem: SelectionProblem, evaluation: Evaluation) -> str:
-    """The w_i and ε_max in columns."""
-    shown = shown_measures(problem, evaluation).tolist()
-    return "".join(f"{w:13.4e}" for w in shown) + in_margin(evaluation)
-
-
-def in_margin(e: Evaluation) -> str:
-    """ε_max in a column."""
-    return f"{'–':>10}" if e.epsilon_max is None else f"{e.epsilon_max:10.6f}"

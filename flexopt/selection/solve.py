@@ -33,10 +33,10 @@ from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.continua import grouped, nearest, same, travel
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import SAME_POINT, first_optima, later_optima, next_stage
-from flexopt.selection.problem import SelectionProblem, value_at
+from flexopt.selection.problem import TIE_TOLERANCE, SelectionProblem, value_at
 from flexopt.selection.proof.check import prove
 from flexopt.selection.proof.newton import settled
-from flexopt.selection.result import TIE_TOLERANCE, Candidate, Kept, Selection
+from flexopt.selection.result import Candidate, Kept, Selection
 from flexopt.selection.starts import starting_points
 from flexopt.selection.surfaces import Best, along_surfaces
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.selection.result import Attempt, chance_at_most
+from flexopt.selection.chances import Attempt, chance_at_most
 from tests.oracles.spatial import grounded
 
 

@@ -16,8 +16,8 @@ from flexopt.errors import InputError
 from flexopt.model.problem import SelectionKeywords, SharedKeywords, StandKeywords
 from flexopt.model.tree import tree_from_dict
 from flexopt.selection.objective import Objective
+from flexopt.selection.problem import TIE_TOLERANCE
 from flexopt.selection.proof.check import prove
-from flexopt.selection.solve import TIE_TOLERANCE
 from tests.oracles.spatial import in_space
 
 TARGET = (0.0, 1.6)

@@ -25,6 +25,7 @@ from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.uncertainty import GROUND
 from flexopt.robustness import Evaluation
 from flexopt.selection.broken import broken
+from flexopt.selection.chances import Attempt
 from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.continua import grouped, nearest, travel
 from flexopt.selection.optima import SAME_POINT
@@ -36,7 +37,7 @@ from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import ALIKE, Seed, lifted, separation, starting_points
 from flexopt.selection.places import FEASIBLE
 from flexopt.selection.problem import SelectionProblem, reached
-from flexopt.selection.result import Attempt, Candidate, Kept
+from flexopt.selection.result import Candidate, Kept
 from flexopt.selection.solve import constraint_values, solved
 from flexopt.selection.starts import between_points, violated
 

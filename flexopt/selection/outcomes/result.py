@@ -21,12 +21,13 @@ from flexopt.model.loop import Loop, gain_ranges, least_tried
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.robustness import Evaluation
 from flexopt.selection.broken import cornerless
+from flexopt.selection.columns import units_of_columns
 from flexopt.selection.constraint_values import resting_told
 from flexopt.selection.outcomes.asked import Asked, broken_told, documents_of
 from flexopt.selection.outcomes.branches import Measure
 from flexopt.selection.outcomes.program import OutcomeProgram, with_slowest
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import SHOWN, Selection, units_of_columns, unverified_told
+from flexopt.selection.result import SHOWN, Selection, unverified_told
 
 # Points along the redundancy whose worst members are sought.
 ALONG = 24

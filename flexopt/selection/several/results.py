@@ -21,23 +21,11 @@ from flexopt.model.simulation import Path
 from flexopt.robustness.evaluation import EXCITES, Evaluation, excites_rigid, most_sag_told
 from flexopt.robustness.residues import residue_unit, unit_in_words
 from flexopt.selection.broken import cornerless, resting
+from flexopt.selection.chances import chance, chance_at_most, chance_told, how_often
+from flexopt.selection.columns import column_heads, in_columns, in_margin, shown_measures, units_told
 from flexopt.selection.constraint_values import ConstraintValue, nearest_told
-from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import (
-    NOTHING,
-    THIN,
-    TIE_TOLERANCE,
-    chance,
-    chance_at_most,
-    chance_told,
-    column_heads,
-    how_often,
-    in_columns,
-    in_margin,
-    shown_measures,
-    units_told,
-    unverified_told,
-)
+from flexopt.selection.problem import TIE_TOLERANCE, SelectionProblem
+from flexopt.selection.result import NOTHING, THIN, unverified_told
 
 # What the shortest way may give up, relative to the objective's scale.
 KEPT = 1e-4

@@ -25,7 +25,7 @@ from flexopt.robustness.plausibility import warn_implausible
 from flexopt.selection.continua import nearest_stand, way_to
 from flexopt.selection.nlp.program import Program
 from flexopt.selection.outcomes.asked import Asked
-from flexopt.selection.result import TIE_TOLERANCE
+from flexopt.selection.problem import TIE_TOLERANCE
 from flexopt.selection.several.outcome_stand import outcome_stand
 from flexopt.selection.several.postures import reached_from
 from flexopt.selection.several.results import Stand

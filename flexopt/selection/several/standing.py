@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Progress, Vector
+from flexopt.selection.chances import chance, how_often
 from flexopt.selection.nlp.coupling import Coupling
 from flexopt.selection.nlp.program import Program
 from flexopt.selection.problem import SelectionProblem
-from flexopt.selection.result import chance, how_often
 from flexopt.selection.rounds import LEFT_OPEN
 from flexopt.selection.several.alone import placements_alone
 from flexopt.selection.several.postures import Reached, climbed_held, joined, reached_by, reached_from

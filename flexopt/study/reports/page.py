@@ -15,8 +15,8 @@ from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.foundation.rounding import without_rounding
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection
+from flexopt.selection.columns import shown_measures
 from flexopt.selection.problem import elsewhere
-from flexopt.selection.result import shown_measures
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.study.page import (
     PageTable,

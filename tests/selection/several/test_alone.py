@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import flexopt
+from flexopt.selection.chances import chance, chance_at_most, how_often
 from flexopt.selection.continua import turned_about, turns
-from flexopt.selection.result import chance, chance_at_most, how_often
 from flexopt.selection.several.alone import placements_alone
 from flexopt.selection.several.postures import climbed_held, reached_from
 from flexopt.selection.several.standing import one_placement
