@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,7 @@ from flexopt.study.verdicts.decision import (
     nearer,
     passed_over,
     pays,
+    sound_of,
     spoken,
 )  # fmt: skip
 from flexopt.study.verdicts.gain_search import (
@@ -48,7 +50,7 @@ from flexopt.study.verdicts.places import STAY, gains_in_words
 
 # So often gains are sought again for a member that was not among the few.
 EXCHANGES = 3
-# In so many places to move to other gains are refuted at most, until they are confirmed in one.
+# In so many places to move to other gains are refuted, or have to be raised, at most, until they do in one.
 PLACES = 3
 # So often the way is halved from gains that runs do not confirm, or that break something, to higher that do not.
 HALVED = 2
@@ -61,7 +63,8 @@ class ChangedGains(NamedTuple):
 
     `staying`: of another place than the present one, what staying with other gains does, in words; empty where runs
     refute it; `passed_over`: why it is no place with less to drive. `at_end`: see `at_ends`, `one_factor`. `breaks`:
-    what it does not do of what it must at least;  breaks_at_rest: see `Breaks`.
+    what it does not do of what it must at least;  breaks_at_rest: see `Breaks`. `raised`: why runs refute its fastest
+    gains, where these are higher ones.
     """
 
     place: Place
@@ -72,6 +75,7 @@ class ChangedGains(NamedTuple):
     breaks: str = ""
     passed_over: str = ""
     breaks_at_rest: str = ""
+    raised: str = ""
 
     @property
     def gains(self) -> dict[str, list[float]]:
@@ -173,8 +177,8 @@ class GainChange:
         """The place to be in, each with the lowest gains that do as well as its fastest; None where none does better.
 
         The present one, unless a move from it pays, as by `RULE`, or runs refute it and confirm another. Of places with
-        less to drive that runs refute so, one that does as well with the gains that they confirm; one that breaks
-        constraints at rest where none of the others that are tried does better.
+        less to drive whose fastest gains runs refute, one that does as well with those that they confirm; one that
+        breaks constraints at rest where none of the others that are tried does better.
 
         Args:
             fastest: each place with its best gains.
@@ -186,6 +190,7 @@ class GainChange:
         # What a move does with the present gains is no merit of others.
         others = [place for place in others if self._changes(place)] or others
         best, tried, at_rest = list[ChangedGains](), 0, dict[str, str]()
+        higher = {} if stay is None or not stay.raised else {STAY: stay}
         while others and tried < PLACES:
             found = self._lowest(fastest[_nearest(others)], standing)
             if not best or found.rank >= best[0].rank:
@@ -195,7 +200,8 @@ class GainChange:
             if found.rank == 2 and as_fast:
                 break
             # Where its gains had to be raised others may be faster with theirs.
-            tried += found.doubt is not None or not as_fast
+            tried += found.rank != 1
+            higher |= {found.place.name: found} if found.raised else {}
             if found.doubt is not None:
                 doubts[found.place.name] = found.doubt
             elif found.breaks_at_rest:
@@ -206,11 +212,12 @@ class GainChange:
         if other is not None and other.doubt is None:
             as_well = _alike(fastest[other.place.name].place.slowest)
             as_well = as_well if other.place.slowest >= as_well else _alike(other.place.slowest)
-            other = self._spared(other, as_well, standing, doubts)
+            other, why = self._spared(other, as_well, standing, doubts, higher)
             if other.place.name == STAY:
                 return other
             moves = [place for place in places if place.name != STAY]
-            ends = {place.name: self._ends(fastest[place.name]) for place in moves}
+            ends = {place.name: self._ends(fastest[place.name]) for place in moves} | why
+            moves = [higher[place.name].place if place.name in higher else place for place in moves]
             told = passed_over(other.place, standing, moves, doubts, ends)
             grows = self._grows(fastest[STAY]) if stay is None and STAY in fastest else ""
             other = other._replace(passed_over=told, staying=grows)
@@ -220,12 +227,20 @@ class GainChange:
         if other.doubt is not None or not (standing is None or pays(other.place, standing)):
             return stay
         if not serves:
-            place, drive = other.place, f"for a drive of {way(other.place.drive):.3g} m"
-            told = f"{spoken(place.name)} with {other.in_words} is faster yet, {place.slowest_told} at worst, {drive}"
-            told += "; as one can move with the present gains, others are for what is nearer"
-            return stay._replace(passed_over=told)
+            return stay._replace(passed_over=self._no_use(other) if other.rank == 2 and other.place.holds else "")
         told = f"staying with {stay.in_words} is stable on every ground, too: slowest decay {stay.place.slowest_told}"
         return other._replace(staying="" if stay.doubt is not None else told)
+
+    def _no_use(self, other: ChangedGains) -> str:
+        """Why one does not go to a place that is faster with its other gains than the present one with its own."""
+        place, drive = other.place, f"for a drive of {way(other.place.drive):.3g} m"
+        told = f"{spoken(place.name)} with {other.in_words} is faster yet, {place.slowest_told} at worst, {drive}"
+        others = [each for name, each in self.known.items() if name != STAY]
+        if decide(self.known.get(STAY), others, None, self.doubts).word == "move":
+            return f"{told}; as one can move with the present gains, others are for what is nearer"
+        rival = max(sound_of(others, self.doubts), key=attrgetter("slowest"))
+        much = f"not {100 * FASTER:.0f} % faster than {rival.name} with the present gains, {rival.slowest_told}"
+        return f"{told}, but {much}"
 
     def _grows(self, stay: _Tried) -> str:
         """That the present place is not stable with the best other gains found for it, in words."""
@@ -242,29 +257,44 @@ class GainChange:
         return changed if now is None or (changed is not None and self._changes(changed)) else now
 
     def _spared(
-        self, other: ChangedGains, least: float, standing: Place | None, doubts: dict[str, str]
-    ) -> ChangedGains:
-        """Its gains where that takes the least drive, of places that runs refute with their own; else itself.
+        self,
+        other: ChangedGains,
+        least: float,
+        standing: Place | None,
+        doubts: dict[str, str],
+        higher: Mapping[str, ChangedGains],
+    ) -> tuple[ChangedGains, dict[str, str]]:
+        """Its gains where that takes the least drive, of places that runs refute with their fastest; else itself.
+
+        And why those with higher gains do not do with these, by name.
 
         Args:
             other: a place whose gains runs confirm;  least: decay that does as well, 1/s.
             standing: as one would stay, where runs do not refute that.
             doubts: why they refute a place with its own gains; that it does not do with these joins it.
+            higher: places with gains that had to be raised, by name.
         """
-        near = [place for name, place in self.known.items() if name in doubts and nearer(place, other.place)]
+        refuted, whys = {*doubts, *higher}, dict[str, str]()
+        near = [place for name, place in self.known.items() if name in refuted and nearer(place, other.place)]
         for place in sorted(near, key=lambda each: each.drive):
             loop = self.loops[place.name].with_settings(other.loop.settings)
             there, member = self._with(place.name, loop)
-            why = f"its slowest decay is {there.slowest_told}{' only' * there.holds}"
-            does = self._changes(there) and (standing is None or place.name == STAY or pays(there, standing))
+            why = f"its slowest decay is {there.slowest_told}{' only' * (there.holds and there.slowest < least)}"
+            # One that stays with gains of its own changes them for what is better.
+            rival = None if place.name == STAY and STAY not in higher else standing
+            does = self._changes(there) and (rival is None or pays(there, rival))
             if there.slowest >= least and does:
                 found = self._told(_Tried(there, loop, member[None]))
                 if found.rank > 0 and found.rank >= other.rank:
-                    return found
+                    return found, {}
                 doubt = found.doubt or f"{found.breaks_at_rest}, at rest beside its target"
                 why = f"{'it ' * doubt.startswith(BREAKS)}{doubt.split(BETWEEN)[0]}"
-            doubts[place.name] += f"{BETWEEN}with the gains of {other.place.name} {why}"
-        return other
+            with_its = f"with the gains of {other.place.name} {why}"
+            if place.name in doubts:
+                doubts[place.name] += f"{BETWEEN}{with_its}"
+            else:
+                whys[place.name] = with_its
+        return other, whys
 
     def _changes(self, place: Place) -> bool:
         """Whether the word is to change gains, of a place with other gains."""
@@ -357,7 +387,8 @@ class GainChange:
                 least = middle
         if kept.rank > 0:
             return kept
-        return self._raised(fastest, kept, standing) or kept
+        found = self._raised(fastest, kept, standing)
+        return kept if found is None else found._replace(raised=kept.doubt or "")
 
     def _raised(self, fastest: _Tried, refuted: ChangedGains, standing: Place | None) -> ChangedGains | None:
         """The lowest found of higher gains than a place's fastest that are worth a change, and that runs confirm.
