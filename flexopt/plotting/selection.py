@@ -57,7 +57,7 @@ def plot_selection(sheet: Sheet, selection: Selection) -> None:
 
     A planar machine is drawn beside every w_i along the redundancy, and beside what the loop does or an own objective
     is, where one was asked for; dotted where a configuration breaks a constraint. One in space is drawn from the side,
-    across the chosen arm's main direction, and from above, beside the w_i of the present configuration and of all
+    across the chosen arm's upright plane, and from above, beside the w_i of the present configuration and of all
     candidates.
     Capsules, support, obstacles and areas of the placement are drawn where there are any.
     """

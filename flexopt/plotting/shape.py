@@ -27,6 +27,8 @@ ARC = 16
 DEEPER = 0.45
 # Share of the machine's size by which the first link is cut off at the ground.
 LIFTED = 0.07
+# Of itself an arm seen end-on shows less than that; of the machine's size a steep one is level by less.
+END_ON, STEEP = 0.5, 0.25
 # Below this share of the machine's size an arm has no main direction to be seen from the side.
 UPRIGHT = 1e-3
 # Level part of a unit axis below which a hinge stands upright, and from which it lies level, but for what
@@ -228,7 +230,8 @@ def _support(machine: AnyMachine, base: Points) -> Points | None:
 def views(shape: Shape, along: Points | None = None) -> tuple[View, ...]:
     """One view of a planar machine; of one in space from the side, across the arm's upright plane, and from above.
 
-    That plane is square to its level hinges, where they all have one direction; else its links are nearest to it.
+    That plane is square to its level hinges, where they all have one direction, and that is not along the links; else
+    its links are nearest to it.
     `along`: another direction, (2,), level.
     """
     if shape.skeleton.shape[0] == 2:
@@ -238,7 +241,10 @@ def views(shape: Shape, along: Points | None = None) -> tuple[View, ...]:
         along = _main_direction(arm[:2])
         if shape.across is not None:
             straight = np.array([shape.across[1], -shape.across[0]])
-            along = float(np.copysign(np.hypot(*along), straight @ along)) * straight
+            # A level hinge along the arm, as one that rolls its tool, would have it seen end-on.
+            level = float(np.hypot(*along))
+            if level < STEEP * shape.size or abs(straight @ along) > END_ON * level:
+                along = float(np.copysign(shape.size, straight @ along)) * straight
     length = float(np.hypot(*along))
     along = along / length if length > UPRIGHT * shape.size else np.array([1.0, 0.0])
     yaw = math.degrees(math.atan2(along[1], along[0]))

@@ -346,6 +346,51 @@ def test_the_side_view_is_across_the_arms_plane_wherever_on_its_vehicle_it_stand
     assert f"from x by {math.degrees(there):.0f}°".replace("-", "−") in side.labels[0]
 
 
+def held_at(machine, posture):
+    """The machine, its coordinates with all springs at rest, and its base at the origin."""
+    plant, base = build_plant(machine), np.zeros(len(machine.base_coordinates))
+    return machine, plant.rest(base, posture, plant.parameter_values).full().ravel(), base
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.4])
+@pytest.mark.parametrize("tilt", [0.0, 1e-3, 1e-2])
+@pytest.mark.parametrize("slew", [-2.0, 0.5, 1.5])
+def test_an_offset_or_upright_arm_is_seen_square_to_its_hinges(slew, tilt, aside):
+    """Its stick some way beside its boom: hinges are points in the side view, however little of the links is level."""
+    data = flexopt.load("slewing-excavator").to_dict()
+    bodies = [dict(body) for body in data["bodies"]]
+    stick = next(body for body in bodies if body["name"] == "stick")
+    stick["position"] = (*stick["position"][:1], aside, *stick["position"][2:])
+    # The boom's foot is beside the slew: upright it is where nothing is beside that.
+    next(body for body in bodies if body["name"] == "boom")["position"] = (0.0, 0.0, 1.0)
+    shape = shape_at(*held_at(tree_from_dict(data | {"bodies": bodies}), [slew, math.pi / 2 - tilt, 0.0, 0.0]))
+    side, _ = views(shape)
+    assert shape.across is not None
+    np.testing.assert_allclose(side.axes[:, :2] @ shape.across, 0.0, atol=1e-9)
+    # The hinges stand across the slewed house's x axis.
+    np.testing.assert_allclose(np.abs(shape.across), np.abs([math.sin(slew), math.cos(slew)]), atol=1e-9)
+
+
+@pytest.mark.parametrize("slew", [0.0, 0.3, 2.0])
+def test_a_tool_that_rolls_along_its_boom_does_not_have_it_seen_end_on(slew):
+    """Slew, lift, a telescope of 1 m and a hinge along it: the side view is as wide as the boom is long."""
+    car = {"name": "car", "kind": "hinge", "axis": (0, 1, 0), "passive": True, "stiffness": 1e5, "damping": 1e2}
+    bodies = [{"name": "car", "parent": None, "joint": car, "mass": 500.0, "com": (0, 0, 0.5),
+               "inertia": (50.0, 50.0, 50.0, 0, 0, 0)}]  # fmt: skip
+    for name, kind, axis, position in (
+        ("slew", "hinge", (0, 0, 1), (0, 0, 1.0)), ("lift", "slide", (0, 0, 1), (0, 0, 0.5)),
+        ("tele", "slide", (1, 0, 0), (0.5, 0, 0)), ("roll", "hinge", (1, 0, 0), (1.0, 0, 0)),
+    ):  # fmt: skip
+        joint = {"name": name, "kind": kind, "axis": axis}
+        bodies.append({"name": name, "parent": bodies[-1]["name"], "joint": joint, "position": position, "mass": 20.0,
+                       "com": (0.1, 0, 0), "inertia": (2.0, 2.0, 2.0, 0, 0, 0)})  # fmt: skip
+    end = {"body": "roll", "position": (0.5, 0, 0), "rows": ("x", "y", "z")}
+    machine = tree_from_dict({"name": "drill", "bodies": bodies, "end_point": end, "placement": ("x",)})
+    shape = shape_at(*held_at(machine, [slew, 0.5, 1.0, 0.2]))
+    side, _ = views(shape)
+    assert np.ptp(side.of(shape.skeleton)[0]) == pytest.approx(3.0)
+
+
 @pytest.mark.parametrize(("away", "aside"), [(0.1, True), (2.0, False)])
 def test_a_name_of_an_obstacle_does_not_lie_on_a_target(selection, away, aside):
     tank = {"kind": "sphere", "center": [1.0, 2.0, 3.0], "radius": 0.5, "name": "tank"}
