@@ -183,16 +183,18 @@ def under_control(loop: Loop, machine: Any, control: Control, call: str) -> Loop
     Raises:
         InputError: the loop has another one, or something else of it does not fit the machine.
     """
-    if loop.control not in (None, control):
-        fault = Fault("loop.control", f"is not the control that is asked for, {control}", repr(loop.control))
-        raise_if_any(InputError, call, [fault])
     own = loop.model_copy(update={"control": control})
     faults = loop_faults(own, machine, "loop.")
-    if not _says_rates(own) and drive_of(own, machine) == "velocity":
+    if loop.control not in (None, control):
+        faults = [Fault("loop.control", f"is not the control that is asked for, {control}", repr(loop.control))]
+    elif not _says_rates(own) and drive_of(own, machine) == "velocity":
         why = ", which is to be said, as efforts and speeds in the file make it velocity"
         faults += [Fault(f"loop.{each.field}", each.sentence, each.value) for each in _limit_faults(own, why)]
     if loop == machine.loop and control != control_of(None, loop, machine):
-        way_out = "the loop is the machine file's own: loop = 'default', in the shell --loop default, leaves it out"
+        way_out = (
+            "the loop is the machine file's own, which loop = 'default' leaves out (--loop default in the shell, an "
+            "empty table loop of a study or in a file)"
+        )
         faults = [Fault(each.field, f"{each.sentence}; {way_out}", each.value) for each in faults]
     raise_if_any(InputError, call, faults)
     return own

@@ -57,6 +57,21 @@ def test_outcomes(tmp_path: Path) -> None:
         assert float(at["delay_margin"]) == pytest.approx(one.delay_margin, rel=1e-6, nan_ok=True)
 
 
+def test_another_control_than_that_of_the_machine_file_s_own_loop(tmp_path: Path) -> None:
+    """The way out that is told: an empty loop in its stead."""
+    text = (Path(__file__).parents[2] / "models" / "excavator.toml").read_text(encoding="utf-8")
+    served = tmp_path / "served.toml"
+    served.write_text(f'{text}\n[loop]\ndrive = "velocity"\nservo_gain = 1e4\nkp = 1.0\n', encoding="utf-8")
+    vary = '[[vary]]\nof = "posture.boom"\nvalue = [0.2, 1.2]\ncount = 2\n'
+    head = 'schema = 1\nname = "loops"\nmachine = "served.toml"\ncompute = "outcome"\ncontrol = "transpose"\n'
+    study = tmp_path / "study.toml"
+    study.write_text(f"{head}posture = [0.0, -2.0]\n{vary}", encoding="utf-8")
+    with pytest.raises(flexopt.FlexoptError, match="an empty table loop of a study or in a file"):
+        flexopt.run_study(flexopt.load_study(study), tmp_path / "refused", workers=1)
+    study.write_text(f"{head}posture = [0.0, -2.0]\n[loop]\n{vary}", encoding="utf-8")
+    assert flexopt.run_study(flexopt.load_study(study), tmp_path / "done", workers=1).statuses["ok"] == 2
+
+
 def test_selections(tmp_path: Path) -> None:
     study = flexopt.Study(
         name="choices", problem="article", compute="selection", chunk=2,

@@ -90,9 +90,12 @@ def test_control_is_one():
     with pytest.raises(InputError, match="velocity-served joints want rates"):
         flexopt.evaluate(DIGGER, STAND, control="transpose", loop={"drive": "velocity"})
     served = flexopt.tree_from_dict(DIGGER.to_dict() | {"loop": {"drive": "velocity", "kp": 1.0}})
-    with pytest.raises(InputError, match="the loop is the machine file's own: loop = 'default'"):
-        flexopt.evaluate(served, STAND, control="transpose")
-    assert flexopt.evaluate(served, STAND, control="transpose", loop="default").control == "transpose"
+    named = flexopt.tree_from_dict(DIGGER.to_dict() | {"loop": {"control": "inverse"}})
+    for machine in (served, named):
+        with pytest.raises(InputError, match="the loop is the machine file's own, which loop = 'default' leaves out"):
+            flexopt.evaluate(machine, STAND, control="transpose")
+        for left_out in ("default", {}):
+            assert flexopt.evaluate(machine, STAND, control="transpose", loop=left_out).control == "transpose"
     # What drives are taken for follows from the control, too.
     assert flexopt.evaluate(DIGGER, STAND, control="transpose", loop={}).outcome.settings.drive == "torque"
 
