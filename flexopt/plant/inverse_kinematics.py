@@ -33,7 +33,7 @@ SAMPLES = 256
 NEAREST = 64
 # Postures closer than this, found by iteration, are one.
 SAME = 1e-6
-# The like of a machine that sags: steps onto a nearly straight arm end up to twice the root of 2 `REACHED` apart.
+# The like of a machine that sags, with an arm of 1 m; see `_held_same`.
 HELD_SAME = 3e-5
 # A target is reached to this share of a metre, position and orientation rows alike.
 REACHED = 1e-10
@@ -127,7 +127,7 @@ def inverse_kinematics(
             bent = "" if elbow is None else f" with the elbow {elbow}"
             why = f"every posture{bent} that reaches it breaks a joint limit"
         raise unreachable(plant, point, placement, why, sagging=sagging)
-    return _distinct(plant, found, HELD_SAME if gravity else 1e-7)
+    return _distinct(plant, found, _held_same(plant) if gravity else 1e-7)
 
 
 def inside_reach(plant: Plant, target: Vector, bases: Vector) -> tuple[Vector, Vector]:
@@ -164,9 +164,8 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
         raise missed(plant, target, base, off)
     turned = list(into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
     middle = (low + high) / 2
-    return _distinct(
-        plant, sorted(turned, key=lambda posture: float(np.abs(posture - middle).max())), HELD_SAME if gravity else SAME
-    )
+    nearest = sorted(turned, key=lambda posture: float(np.abs(posture - middle).max()))
+    return _distinct(plant, nearest, _held_same(plant) if gravity else SAME)
 
 
 def _nearest_turn(plant: Plant, postures: Vector) -> Vector:
@@ -396,12 +395,17 @@ def low_discrepancy(dimensions: int, count: int, seed: int) -> Vector:
     return (shift[:, None] + steps[:, None] * np.arange(count)) % 1.0
 
 
+def _held_same(plant: Plant) -> float:
+    """Steps onto a nearly straight arm of length l end up to twice the root of 2 `REACHED` / l apart, rad."""
+    return HELD_SAME / math.sqrt(min(1.0, arm_length(plant)))
+
+
 def _distinct(plant: Plant, postures: list[Vector], tolerance: float) -> list[Vector]:
-    """The same list without repeats, by whole turns of hinges without limits, too (a straight arm's elbows agree)."""
+    """The list without repeats, by whole turns of hinges that can make them, too (a straight arm's elbows agree)."""
     points, kept = np.array(postures), np.ones(len(postures), dtype=bool)
     limits = zip(plant.machine.joint_units, plant.machine.limits, strict=True)
     turn = np.array(
-        [2 * math.pi if unit == "rad" and not np.isfinite(ends).any() else math.inf for unit, ends in limits]
+        [math.tau if unit == "rad" and high - low >= math.tau else math.inf for unit, (low, high) in limits]
     )
     for i in range(len(postures)):
         if kept[i]:

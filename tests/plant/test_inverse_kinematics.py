@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from scipy.optimize import minimize, root
 
-from flexopt import SingularPosture, UnreachableTarget, build_plant, evaluate, inverse_kinematics, load
+from flexopt import SingularPosture, UnreachableTarget, build_plant, evaluate, inverse_kinematics, load, tree_from_dict
 from flexopt.model import machine_from_dict
 from tests.oracles.lagrange import lagrange
 from tests.oracles.machines import (
@@ -273,6 +273,51 @@ def test_under_gravity_no_posture_is_told_twice(softer, posture):
     assert len(found) == 2
     assert np.abs(wrapped(found[0] - found[1])).max() > 5e-5
     assert min(np.abs(wrapped(each - posture)).max() for each in found) < 1e-4
+
+
+@pytest.mark.parametrize("gravity", [False, True])
+@pytest.mark.parametrize("end", [3.49, 7.0])
+def test_straight_behind_a_slew_of_more_than_a_turn_is_one_way_to_hold_it(gravity, end):
+    """Half a turn to either side is one posture."""
+    car = {"name": "pitch", "kind": "hinge", "axis": (0, 1, 0), "passive": True, "stiffness": 3e5, "damping": 1e2}
+    bodies = [{"name": "car", "parent": None, "joint": car, "mass": 900.0, "com": (0, 0, 0.5),
+               "inertia": (90.0, 95.0, 99.0, 0, 0, 0)}]  # fmt: skip
+    for name, axis, position, com, limits in (
+        ("slew", (0, 0, 1), (0, 0, 1.0), (0, 0, 0.1), (-end, end)),
+        ("boom", (0, 1, 0), (0, 0, 0.5), (0.7, 0, 0), (-1.4, 0.5)),
+        ("stick", (0, 1, 0), (1.5, 0, 0), (0.6, 0, 0), (0.1, 2.7)),
+    ):
+        joint = {"name": name, "kind": "hinge", "axis": axis, "limits": limits}
+        bodies.append({"name": name, "parent": bodies[-1]["name"], "joint": joint, "position": position, "com": com,
+                       "mass": 60.0 * com[0] + 10.0, "inertia": (5.0, 6.0, 5.5, 0, 0, 0)})  # fmt: skip
+    end_point = {"body": "stick", "position": (1.2, 0, 0), "rows": ("x", "y", "z")}
+    machine = tree_from_dict({"name": "crane", "bodies": bodies, "end_point": end_point, "placement": ("x",)})
+    (found,) = inverse_kinematics(machine, (-1.8, 0.0, 1.5), gravity=gravity)
+    assert abs(found[0]) == pytest.approx(math.pi)
+
+
+@pytest.mark.parametrize(
+    ("softer", "posture"),
+    [(2.1426462416416516, (-0.565865638, 1.99770235e-05)), (2.2762418351681615, (-0.480902188, 4.06611682e-05))],
+)
+def test_a_small_machine_has_no_posture_told_twice(softer, posture):
+    """An arm of 4 cm, its springs so that it sags as one of 4 m does: that two postures are one is no matter of size."""
+    data, size = load("excavator").to_dict(), 0.01
+    powers = {"length": 1, "com": 1, "mass": 3, "inertia": 5, "x": 2, "y": 2, "rotation": 4}
+
+    def scaled(table):
+        own = {name: value * size ** powers[name] for name, value in table.items() if name in powers}
+        return {name: scaled(value) if isinstance(value, dict) else value for name, value in table.items()} | own
+
+    base = data["base"] | {"stiffness": {name: softer * k for name, k in data["base"]["stiffness"].items()}}
+    small = {"base": scaled(base), "links": tuple(map(scaled, data["links"]))}
+    machine = machine_from_dict({"name": "small", "schema": 1} | small)
+    plant = build_plant(machine)
+    sagged = ca.vertcat(plant.deflected(0.0, posture, plant.parameter_values), posture)
+    target = plant.end_point(sagged, 0.0, plant.parameter_values).full().ravel()
+    found = inverse_kinematics(machine, target, gravity=True)
+    assert 1 <= len(found) <= 2
+    assert min(np.abs(each - posture).max() for each in found) < 2e-4
 
 
 def test_a_last_link_of_next_to_no_length_is_no_fault_of_its_own():
