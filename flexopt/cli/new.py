@@ -284,7 +284,12 @@ def _spelt(name: str) -> str:
 @value("--damping", f"A,B,…|{FROM_RATIO}", "Of these directions, N s/m and N m s/rad; or from how it swings.")
 @value("--frequency", "HZ", "Of the slowest swing with the arm held, from which stiffnesses follow.")
 @value("--ratio", "ZETA", "Damping ratio of that swing, from which dampers follow.")
-@value("--actuated", "A,B,…", "Of a robot file: joints that the controller moves (all on the way to the end-point).")
+@value(
+    "--actuated",
+    "A,B,…",
+    "Of a robot file: joints that the controller moves (all on the way to the end-point with "
+    "room between their limits).",
+)
 @value(
     "--tip",
     "LINK",

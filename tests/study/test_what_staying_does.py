@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
 from types import SimpleNamespace
 from typing import Any, cast
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -187,3 +189,29 @@ def test_how_near_the_end_point_had_to_come_is_told(kp: float, of: str) -> None:
     assert told, (why, start, peak, end)
     assert (float(told[1]), float(told[2])) == pytest.approx((end, min(peak / 2, start)), rel=1e-3)  # four digits
     assert float(told[1]) > float(told[2])
+
+
+@pytest.mark.parametrize(
+    ("limits", "others"),
+    [
+        pytest.param(((-1.0, 1.4), (-2.9, -0.2)), False, id="one-elbow"),
+        pytest.param(((-math.pi, math.pi), (-2.9, 2.9)), True, marks=pytest.mark.long, id="both-elbows"),
+    ],
+)
+def test_that_another_posture_may_break_none_is_said_where_there_is_one(
+    limits: tuple[tuple[float, float], ...], others: bool
+) -> None:
+    """With a heavier payload the boom bears too much; the arm's other elbow is a posture of its own."""
+    data = flexopt.load("excavator").to_dict() | {"payload": {"mass": 100.0}}
+    links = [dict(link) | {"limits": ends} for link, ends in zip(data["links"], limits, strict=True)]
+    machine, target = flexopt.machine_from_dict(data | {"links": links}), (1.6, 1.0)
+    torques = ca.MX.sym("torques", 2)
+    torque = ca.Function("boom_torque", [torques], [torques[0]], ["torques"], ["boom_torque"])
+    own = flexopt.Constraint(torque, lower=-1.8e4, upper=1.8e4)
+    chosen = flexopt.select(machine, target, base=0.0, constraints=[own], starts=3, workers=1)
+    few: dict[str, Any] = {"members": 4, "runs": 0}
+    found = flexopt.verdict(chosen, loop={"kp": 3e4, "kv": 3e3}, ranges={"payload.mass": (0.0, 600.0)}, **few)
+    assert (len(flexopt.inverse_kinematics(machine, target, base=0.0)) > 1) == others
+    assert "breaks boom_torque" in found.reason
+    assert ("held in another posture it may break none" in found.reason) == others
+    assert ("in one of the postures that reach the target" in found.reason) == others

@@ -233,6 +233,16 @@ def held_now(problem: SelectionProblem, now: Evaluation) -> Evaluation:
     return (held_from([problem], now.base) or (now,))[0]
 
 
+def held_otherwise(problem: SelectionProblem) -> bool:
+    """Whether more than one posture reaches the target from where it stands now; of those that are allowed, if any."""
+    now = problem.present_base
+    if now is None:
+        return False
+    reached = _reached(_standing_at(problem, now))
+    allowed = np.isfinite(reached.value)
+    return int((allowed if allowed.any() else np.isfinite(reached.violation)).sum()) > 1
+
+
 def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bool = True) -> Configurations | None:
     """How the arm is held at each target from one placement (n_b,); None where one is not reached within the limits.
 

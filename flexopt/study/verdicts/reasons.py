@@ -22,7 +22,7 @@ from flexopt.study.verdicts.broken_places import Breaks
 from flexopt.study.verdicts.changed_gains import ChangedGains
 from flexopt.study.verdicts.confirmation import INTEGRAL
 from flexopt.study.verdicts.decision import BETTER, MOST, Decision, Place, Word, deciding, percent, spoken
-from flexopt.study.verdicts.place_loops import MEMBERS, Chosen, PlaceLoops, Slowest, problems_of
+from flexopt.study.verdicts.place_loops import MEMBERS, Chosen, PlaceLoops, Slowest, held_otherwise, problems_of
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
 
 # With these words the machine keeps its place and its gains for now.
@@ -46,11 +46,13 @@ def breaking_told(chosen: Chosen, breaks: Breaks, now: Sequence[tuple[Vector, Ve
         how = "as breaks the least and is best of these" if breaks.now else "as is best"
         held = f", held {how} by {chosen.objective} at each target,"
     else:
-        how = _beside_target(problem, now) if given else "in one of the postures that reach the target"
+        several = "in one of the postures that reach the target" * (not given and held_otherwise(problem))
+        how = _beside_target(problem, now) if given else several
         held = f", {how}," if how else ""
     # With the file's numbers that is known.
-    others_may = "; in other postures it may keep that" * (not breaks.now and not given)
-    return f"the present place{held} {breaks.now or breaks.otherwise}{others_may}{stay.grows_told}"
+    may = not breaks.now and not given and any(map(held_otherwise, (problem, *others)))
+    others_may = "; held in another posture it may break none" * may
+    return f"the present place{held} {breaks.now or breaks.otherwise}{stay.grows_told}{others_may}"
 
 
 def _beside_target(problem: SelectionProblem, held: Sequence[tuple[Vector, Vector]]) -> str:
