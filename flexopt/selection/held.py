@@ -50,6 +50,10 @@ def not_standing(quantities: Quantities, z: Vector, p: Vector) -> dict[str, floa
             break
         q = plant.held_step.call([q, base, p, target])[0].full().ravel()
         missed = _missed(plant, q, base, p, target)
+    if missed.keys() == {EQUILIBRIUM, ON_TARGET}:
+        # Steps that do not reach the target end nowhere: whether it falls is told by where it hangs, the arm as it was.
+        hangs = np.append(plant.deflected.call([base, posture, p])[0].full(), posture)
+        missed = {name: off for name, off in missed.items() if name == ON_TARGET or unsettled(plant, hangs, base, p)}
     return missed
 
 

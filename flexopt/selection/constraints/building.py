@@ -100,9 +100,11 @@ def constraint_faults(
     if within and not found and not wrong:
         groups = [*_asked(plant, constraints), *_of_joints(plant, constraints, limits)]
         on = {entry for group in groups for _, entry in _dependence(plant, group, gravity=gravity)}
+        # That it stands, and is held on its target.
+        on |= {*ca.jacobian_sparsity(plant.held_rows, plant.graph.p).get_triplet()[1]} if gravity else set()
         sentence = (
             "no constraint of flexopt's that was asked for depends on it; holding and tip_over_margin do on masses, "
-            "under gravity all but region and keep_out on masses and springs"
+            "under gravity all but region and keep_out, and the hold of the target, on masses and springs"
         )
         sentence += "; constraints of your own are kept with the file's numbers" if constraints.own else ""
         wrong += [
