@@ -61,7 +61,8 @@ class Outcome(Result):
             a mode that neither moves the end-point nor is excited by it, which decays by itself, whatever the loop.
         too_much: names of the gains that make a loop grow which changes its sign at every sample: without these, and
             no fewer, no such motion grows. Empty where it does not.
-        drift: growth rates of a redundant arm's self-motion, which is no part of the decay, 1/s.
+        drift: growth rates of a redundant arm's self-motion, which is no part of the decay, 1/s. drifts_below: whether
+            below the least stable gains what grows is mostly that motion, which moves the end-point there.
         allowed_gain: largest stable Kp along the present ratio of the gains, NaN where no row has one; gain_intervals:
             all stable intervals of it, (k, 2), between 10⁻⁴ and 10⁴ times the present gains. Where these lie in none,
             the largest stable ones below, 0 where none is found; infinite (JSON: null) where no border is met.
@@ -118,6 +119,7 @@ class Outcome(Result):
     swing: float
     swing_unit: str
     too_much: tuple[str, ...]
+    drifts_below: bool
     gradient: SlopesOfMeasures
 
     DOCUMENT = """
@@ -225,7 +227,7 @@ class Outcome(Result):
         unit = f" {self.settings.gain_units[0]} (stable: {stable})"
         lines.append(f"  allowed gain Kp {most}{'' if math.isnan(self.allowed_gain) else unit}")
         first = self._stable[0] if self._stable else ""
-        if any(rate > 0 for rate in self.drift) and first.startswith("from"):
+        if self.drifts_below and any(rate > 0 for rate in self.drift) and first.startswith("from"):
             below = first.removeprefix("from ").split(" ")[0]
             lines.append(f"    below {below} that drift may move the end-point, too, and is then counted as the loop's")
         margin = f"{_told(1e3 * self.delay_margin)}{' ms' if math.isfinite(self.delay_margin) else ''}"
@@ -386,6 +388,7 @@ def outcome_of(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *
         drift=outcome.loop.drift,
         swing_unit=swing_unit(outcome),
         too_much=outcome.too_much,
+        drifts_below=outcome.drifts_below,
         gain_intervals=tuple((low * kp, high * kp) for low, high in outcome.gain_intervals if kp),
         gradient={name: {"parameters" if by == "p" else by: x for by, x in found.items()}
                   for name, found in gradient.items()},

@@ -24,6 +24,7 @@ from flexopt.loop.disturbance import Disturbed
 from flexopt.loop.frequency_response import PEAKS, SETTLED, crossings, exactly, peak, peak_at
 from flexopt.loop.small_motions import AT_REST, BY, DEAD_TIME, Parts, SmallMotions
 from flexopt.loop.spectrum import (
+    MOSTLY,
     OwnMotion,
     SampledLoop,
     balance,
@@ -81,6 +82,8 @@ FELT = 0.01
 # Share of what a joint can carry at most below which that is rounding, of a slew that carries nothing, too: that leaves
 # some 1e-15, times the condition of Jv squared.
 CANCELLED = 1e-6
+# So far below a border of stability it is looked at what grows there.
+NEAR = 0.01
 # Share of the energy of an oscillation that a mode's springs have at least where the mode has become it: a third to a
 # half of its own, some 1e-4 of another's.
 STRAINS = 0.01
@@ -168,17 +171,22 @@ class LoopPoint:
             found[felt] = unheld[felt]
         return found
 
-    @cached_property
-    def _own(self) -> OwnMotion:
+    def _own(self, times: float = 1.0) -> OwnMotion:
         of, motions = self.numbers, self.motions
         rows: Vector | None = None
         if motions.gravity:
-            rows = motions.resting_rows.call([of[name] for name in (*AT_REST, "held")])[0].full()
+            # Along which it rests hangs on the gains.
+            given = [(times if name in {"kp", "ki"} else 1.0) * of[name] for name in (*AT_REST, "held")]
+            rows = motions.resting_rows.call(given)[0].full()
         return OwnMotion.at(motions.plant, self.configuration, of["base"], of["p"], motions.loop.to_q, rows)
 
-    def spectrum_of(self, matrix: Vector) -> SampledLoop:
-        """Eigenvalues of a Φ of this loop."""
-        return spectrum(matrix, self.period, self._neutral, self._excess, lambda: self._own)
+    def spectrum_of(self, matrix: Vector, times: float = 1.0) -> SampledLoop:
+        """Eigenvalues of a Φ of this loop, with all gains so many times what they are."""
+        return spectrum(matrix, self.period, self._neutral, self._excess, lambda: self._own(times))
+
+    def _times(self, factor: float) -> SampledLoop:
+        """The loop with all gains times a factor, where it rests with these."""
+        return self.spectrum_of(self.sample.open + factor * self.sample.into @ self.sample.force, factor)
 
     @property
     def rests(self) -> bool:
@@ -328,8 +336,7 @@ class LoopPoint:
 
     def growth_at(self, exponent: float) -> float:
         """Growth rate with all gains times 10^exponent, 1/s."""
-        sample = self.sample
-        return self.spectrum_of(sample.open + 10.0**exponent * sample.into @ sample.force).growth_rate
+        return self._times(10.0**exponent).growth_rate
 
     @cached_property
     def gain_intervals(self) -> tuple[tuple[float, float], ...]:
@@ -347,6 +354,15 @@ class LoopPoint:
             known = poles_of(radius, self.period).real.tolist()
         return stable_intervals(self.growth_at, UNDAMPED / self.period, known)
 
+    @property
+    def drifts_below(self) -> bool:
+        """Whether below the least gains that leave it stable what grows is mostly a self-motion, one that drifts."""
+        if not (self._drifts and self.gain_intervals):
+            return False
+        factor = self.gain_intervals[0][0] * (1 - NEAR)
+        grows = self._times(factor)
+        return grows.growth_rate > 0 and grows.self_motion > MOSTLY
+
     def allowed_gain(self) -> Measured:
         """The largest Kp along the present ratio of all gains, in its unit: of the first row that has one.
 
@@ -363,8 +379,7 @@ class LoopPoint:
         factor = below[-1][1]
         if factor >= 10**HIGH:
             return Measured(math.inf)
-        matrix = self.sample.open + factor * self.sample.into @ self.sample.force
-        value = self.spectrum_of(matrix).multipliers[0]
+        value = self._times(factor).multipliers[0]
         _, by_matrix = self._by_multiplier(value, lambda mu: 1 / mu, factor)
         by_factor = float(np.sum(by_matrix * (self.smooth.into @ self.smooth.force)))
         more = np.zeros_like(kp)

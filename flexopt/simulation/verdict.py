@@ -238,7 +238,10 @@ def judge(
     verb = {"grows": "grows", "converges": "decays", "undecided": "neither grows nor decays"}[eigenvalues]
     why = alternating(linear, ended)
     there = " about the rest that it comes to" if rests or (ended is not None and ended.e is not None) else ""
-    other = f"the linear loop{there} {verb} (decay {-rate:+z.4g}/s at {linear.frequency_hz:.4g} Hz{why})"
+    how = f"{verb} (decay {-rate:+z.4g}/s at {linear.frequency_hz:.4g} Hz{why})"
+    if linear.falls:
+        how = "falls, for feedback is not found to hold its weight anywhere near"
+    other = f"the linear loop{there} {how}"
     creeps = [own for own in linear.drift[:1] if own * run.duration > CREEPS]
     other += "".join(f", the arm's self-motion drifts (decay {-own:+.3g}/s)" for own in creeps)
     if run.short and not (run.ended < run.duration and eigenvalues == "grows"):
@@ -251,6 +254,8 @@ def judge(
         return Judgement(run.word, f"{said}; {other}")
     if eigenvalues == "undecided":
         return Judgement("undecided", f"{said}, but {other}, to rounding")
+    if linear.falls:
+        return Judgement("undecided", f"{said}, but {other}")
     return Judgement("undecided", f"{said}, but {other}: {_why(run, linear, ended if ran is None else ran)}")
 
 
@@ -285,7 +290,9 @@ def _why(run: Shown, linear: SampledLoop, ran: Ran | None) -> str:
     if rate < 0 < run.rate < DRAWN * max(linear.drift, default=0.0):
         return "the arm's self-motion, which the controller does not hold, takes the base with it"
     own = None if ran is None else ran.integrated()
-    if own is not None and ran is not None and (own > 0) != (rate > 0):
+    # As slow as the self-motion drifts it is that, and none of the loop's.
+    tells = own is not None and abs(own) > max(linear.rounding, DRAWN * max(linear.drift, default=0.0))
+    if own is not None and ran is not None and tells and (own > 0) != (rate > 0):
         return f"the integrator {ran.integrator} makes the decay {-own:+.4g}/s; more substeps or another show the loop"
     arrived = None if ran is None else ran.arrived()
     there = 0.0 if arrived is None else arrived.linear.growth_rate

@@ -33,3 +33,41 @@ def test_batch_and_one_by_one(name: str, posture: tuple[float, ...], loop: Any) 
     point = settings.outcome(machine, np.zeros(len(machine.base_coordinates)), np.array(posture), gravity=False)
     told = stable_intervals(point.growth_at, UNDAMPED / point.period)
     np.testing.assert_allclose(point.gain_intervals, told, rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("posture", "law", "drifts"),
+    [
+        ((-2.2616, -0.8434, 0.2575), {"drive": "torque", "nullspace_damping": 1500.0}, True),
+        ((-2.2616, -0.8434, 0.2575), {"drive": "torque"}, True),
+        ((-2.2616, -0.8434, 0.2575), {"drive": "velocity"}, True),
+        (
+            (-2.2616, -0.8434, 0.2575),
+            {"drive": "torque", "nullspace_damping": 1500.0, "feedback": "pid", "ki": 1e6},
+            False,
+        ),
+    ],
+)
+def test_the_least_stable_gains_of_an_arm_that_drifts(posture: tuple[float, ...], law: Any, drifts: bool) -> None:
+    """Loops of their own on either side of the border: where the drift takes the end-point with it, or one swings."""
+    machine = flexopt.load("boom-stick-bucket")
+    given = law if law["drive"] == "velocity" else {"kp": 2.712e6, "kv": 4.338e5} | law
+    asked: Any = {"base": [0.0], "gravity": True}
+    found = flexopt.outcome(machine, posture, loop=given, **asked)
+    settings = found.settings
+    least = found.gain_intervals[0][0] / settings.kp.max()
+    # Below that none are looked at.
+    assert least > 1.1e-4
+    own = {name: getattr(settings, name) for name in ("kp", "kv", "ki")}
+    rest = given | {"rate": settings.rate, "servo_gain": settings.servo_gain or None}
+    above, below = (
+        flexopt.outcome(
+            machine, posture, loop=rest | {name: factor * least * each for name, each in own.items()}, **asked
+        )
+        for factor in (1.02, 0.98)
+    )
+    assert max(found.drift) > 0
+    assert above.decay > 0 > below.decay
+    assert (below.frequency_hz < 1e-6) == drifts
+    assert found.drifts_below == drifts
+    assert ("that drift may move the end-point, too" in repr(found)) == drifts

@@ -11,6 +11,7 @@ import pytest
 
 import flexopt
 from benchmarks import verdicts
+from flexopt.loop.outcome import FALLS
 from flexopt.model.parameter_values import with_parameters
 from flexopt.simulation.behaviour import Shown
 from flexopt.simulation.ensemble import judged_beside
@@ -107,6 +108,13 @@ GROWN = {"word": "grows", "rate": 0.5, "grown": float(np.exp(5.0))}
             "the run is too large for a linear loop, damped by its own integrator, or without",
         ),
         (GROWN | {"ended": 4.0}, loop(-0.2), "undecided", ": the run is too large for a linear loop"),
+        # What falls does so at no rate.
+        (
+            GROWN,
+            SampledLoop(FALLS, 0.01),
+            "grows",
+            "the linear loop falls, for feedback is not found to hold its weight",
+        ),
     ],
 )
 def test_every_pair_of_run_and_eigenvalues(run, linear, verdict, words):
@@ -134,6 +142,23 @@ def test_another_posture_is_a_reason_where_its_loop_does_as_the_run(there: float
         there < 0
     )
     assert "integrator" not in reason
+
+
+@pytest.mark.parametrize(("drift", "integrators"), [((), True), ((2e-3,), False), ((-0.1,), True)])
+def test_the_drift_of_a_self_motion_is_no_doing_of_the_integrator(drift: tuple[float, ...], integrators: bool) -> None:
+    class Ran:
+        integrator = "gauss"
+
+        def integrated(self) -> float:
+            return 7.8e-5
+
+        def arrived(self) -> None:
+            return None
+
+    own = np.exp(np.array(drift) * 0.01).astype(complex)
+    reason = judge(shown(**GROWN), replace(loop(-0.4), own=own), ran=Ran()).reason
+    assert ("the integrator gauss makes the decay -7.8e-05/s" in reason) == integrators
+    assert ("the run is too" in reason) != integrators
 
 
 @pytest.mark.long
