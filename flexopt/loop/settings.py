@@ -21,7 +21,7 @@ from flexopt.loop.levers import servo_gain_of_efforts
 from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.small_motions import SmallMotions, damping_entries, small_motions
 from flexopt.model import AnyMachine
-from flexopt.model.loop import Drive, Loop, drive_of, rate_of
+from flexopt.model.loop import DEFAULT_LOOP, Drive, Loop, drive_of, rate_of
 from flexopt.plant import build_plant
 from flexopt.robustness import Evaluation
 
@@ -205,7 +205,8 @@ class LoopSettings(Result):
         told = {name: _in_call(number) for name, number in given.items()}
         table = ", ".join(f'"{name}": {number}' for name, number in told.items())
         plain = {name: number.strip('[]"').replace(" ", "") for name, number in told.items()}
-        options = (f"--loop {name}={number}" for name, number in plain.items())
+        # As a table in a call, in place of the file's own: what is not named there is its default.
+        options = [f"--loop {DEFAULT_LOOP}", *(f"--loop {name}={number}" for name, number in plain.items())]
         return f"loop={{{table}}}, in the shell {' '.join(options)}"
 
     def __repr__(self) -> str:

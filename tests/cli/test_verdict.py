@@ -174,7 +174,9 @@ def test_places_can_be_chosen_by_a_weighted_sum_and_what_was_not_given_is_named(
     written = re.search(r"to keep it: loop=(.*), in the shell (.*)", shown)
     assert written is not None
     handed = json.loads(written[1])
-    options = dict(option.removeprefix("--loop ").split("=") for option in re.findall(r"--loop \S+", written[2]))
+    first, *more = re.findall(r"--loop \S+", written[2])
+    assert first == "--loop default"
+    options = dict(option.removeprefix("--loop ").split("=") for option in more)
     assert handed == {"drive": "torque", "kp": 1e4, "kv": float(options["kv"]), "rate": 200.0}
     assert list(options) == list(handed)
     place = next(each for each in found.places if each.name != "stay")
@@ -184,6 +186,37 @@ def test_places_can_be_chosen_by_a_weighted_sum_and_what_was_not_given_is_named(
     )
     assert kept == pytest.approx(place.decay.nominal, rel=1e-6)
     assert anew != pytest.approx(place.decay.nominal, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("own", "words", "handed"),
+    [
+        ({"rate": 200.0, "dead_time": 0.05}, ["dead_time=0"], {"dead_time": 0.0}),
+        ({"feedback": "pid", "ki": 300.0, "rate": 200.0}, ["feedback=pd", "ki=0"], {"feedback": "pd"}),
+        ({"control": "transpose", "rate": 200.0}, ["control=inverse"], {"control": "inverse"}),
+    ],
+    ids=["dead time", "integral", "control"],
+)
+def test_the_loop_that_is_handed_on_is_the_one_that_was_judged(
+    own: dict[str, Any], words: list[str], handed: dict[str, Any], command: Command
+) -> None:
+    """Where a key of the file's own was given its default, too, which the line does not name."""
+    source = (Path(__file__).parents[2] / "models" / "excavator.toml").read_text(encoding="utf-8")
+    table = "\n".join(f"{key} = {value!r}" for key, value in own.items())
+    Path("own.toml").write_text(f"{source}\n[loop]\n{table}\n", encoding="utf-8")
+    given = [part for word in words for part in ("--loop", word)]
+    few = ("--members", "2", "--runs", "0", "--ranges", "stiffness=0.9,1.1")
+    shown = command(
+        "verdict", "own.toml", "--end-point", "0,1.6", "--base", "0", *given, *few, "--out", "own.json"
+    ).stdout
+    found = json.loads(Path("own.json").read_text(encoding="utf-8"))
+    line = re.search(r"in the shell (--loop .*?)(?:;|\n)", shown)
+    assert line is not None
+    place = found["places"][1]
+    where = ("--posture", ",".join(map(str, place["posture"])), "--base", str(place["base"][0]))
+    there = json.loads(command("evaluate", "own.toml", *where, *line[1].split(), "--json").stdout)["outcome"]
+    assert there["decay"] == pytest.approx(place["decay"]["nominal"], rel=1e-6)
+    assert handed.items() <= there["settings"].items()
 
 
 @pytest.mark.long

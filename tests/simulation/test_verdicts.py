@@ -110,6 +110,12 @@ GROWN = {"word": "grows", "rate": 0.5, "grown": float(np.exp(5.0))}
         (GROWN | {"ended": 4.0}, loop(-0.2), "undecided", ": the run is too large for a linear loop"),
         # What falls does so at no rate.
         (
+            {},
+            SampledLoop(FALLS, 0.01),
+            "undecided",
+            "falls, for feedback is not found to hold its weight anywhere near",
+        ),
+        (
             GROWN,
             SampledLoop(FALLS, 0.01),
             "grows",

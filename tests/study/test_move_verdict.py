@@ -331,7 +331,7 @@ def test_where_no_gains_are_found_it_says_which_were_tried_and_how_others_are(tm
     given = json.loads(words[1])
     there = flexopt.outcome(other.problems[0].machine, new.posture, base=new.base, loop=given)
     assert there.decay == pytest.approx(new.decay.nominal, rel=1e-6)
-    assert words[2] == " ".join(f"--loop {name}={number}" for name, number in given.items())
+    assert words[2] == " ".join(["--loop default", *(f"--loop {name}={number}" for name, number in given.items())])
     assert other.to_dict()["new_settings"]["kp"] == other.gains["kp"]
     other.to_html(tmp_path / "verdict.html")
     assert words[2] in re.sub(r"</?span[^>]*>", "", (tmp_path / "verdict.html").read_text(encoding="utf-8"))
@@ -486,7 +486,7 @@ def test_gains_that_were_chosen_are_handed_on_with_their_digits(loop: dict[str, 
     there = flexopt.outcome(machine, place.posture, base=place.base, loop=kept)
     assert there.decay == pytest.approx(place.decay.nominal, rel=1e-6)
     assert set(found.selection.gains[0]) <= set(kept)
-    assert words[2] == " ".join(f"--loop {name}={number}" for name, number in kept.items())
+    assert words[2] == " ".join(["--loop default", *(f"--loop {name}={number}" for name, number in kept.items())])
 
 
 @pytest.mark.long
