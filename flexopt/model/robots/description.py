@@ -17,6 +17,7 @@ from flexopt.model.robots.collisions import Solid
 from flexopt.model.robots.elements import Element, Faults
 from flexopt.model.robots.geometry import NO_MOMENT, Inertial, Pose, about, shift
 from flexopt.model.robots.visuals import LinkVisual
+from flexopt.model.tree_quantities import INERTIA_ROUNDING
 
 # How far the largest principal moment may exceed the sum of the others, as a share of it: printed digits.
 TRIANGLE_ROUNDING = 1e-6
@@ -126,7 +127,7 @@ def check_inertial(faults: Faults, element: Element, body: Inertial, of: Element
     """Mass and principal moments of a rigid body.
 
     Files in use have moments that no body has, mostly of small parts: they are warned of. A negative one is refused
-    where it remains after merging.
+    where it remains after merging, which the warning says.
     """
     if body.mass < 0:
         faults.add(element, "mass must not be negative, in kg", of=of, value=f"{body.mass:g}")
@@ -136,6 +137,8 @@ def check_inertial(faults: Faults, element: Element, body: Inertial, of: Element
             f"no rigid body has the principal moments {least:.3g}, {middle:.3g}, {most:.3g} kg m²: "
             "the largest exceeds the sum of the others"
         )
+        if least < -INERTIA_ROUNDING * max(most, 0.0):
+            sentence += ", and one is negative: a machine is refused in which that remains with what is fixed to it"
         faults.warn(element, sentence, of=of)
 
 

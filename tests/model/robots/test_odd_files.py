@@ -68,7 +68,7 @@ def test_the_root_element_says_the_format(tmp_path: Path) -> None:
 WARNED: dict[str, tuple[str, str, list[str]]] = {
     "principal moments": ('izz="31"', 'izz="50"', ["arm.urdf:32: link 'boom_link' <inertial>", "3, 30, 50 kg m²", "exceeds"]),
     "negative moment of a small part": (
-        'ixx="0.2" ixy="0.01"', 'ixx="-0.001" ixy="0.01"', ["link 'bracket'", "no rigid body has", "-0.0013"],
+        'ixx="0.2" ixy="0.01"', 'ixx="-0.001" ixy="0.01"', ["link 'bracket'", "no rigid body has", "-0.0013", "one is negative: a machine is refused"],
     ),
     "dry friction": ('damping="0.7"', 'damping="0.7" friction="2"', ["arm.urdf:16: joint 'slew' <dynamics>", "dry friction 2"]),
     "links of a simulator": (
