@@ -114,10 +114,23 @@ def _beside(known: dict[str, Any], asked: dict[str, Any]) -> dict[str, Any]:
         Loop(**known | asked)
     except InputError as error:
         faults += [fault for fault in error.faults if fault.field in known and fault.field not in asked]
-    way_out = "{}; it is the file's own: --loop default leaves the file's [loop] out"
-    faults = [Fault(each.field, way_out.format(each.sentence), each.value) for each in faults]
+    way_out = "{}; it is the file's own: {}--loop default leaves the file's [loop] out"
+    without = {
+        each.field: f"--loop {each.field}=0 takes it out, " * _fits(known | asked | {each.field: 0.0})
+        for each in faults
+    }
+    faults = [Fault(each.field, way_out.format(each.sentence, without[each.field]), each.value) for each in faults]
     raise_if_any(InputError, click.get_current_context().command_path.partition(" ")[2], faults)
     return known | asked
+
+
+def _fits(loop: dict[str, Any]) -> bool:
+    """Whether these keys go together."""
+    try:
+        Loop(**loop)
+    except InputError:
+        return False
+    return True
 
 
 def _drive(loop: dict[str, Any]) -> str:

@@ -68,7 +68,15 @@ def test_what_of_the_file_does_not_go_with_an_option_is_told_with_the_way_out(co
     assert "evaluate: servo_gain = 200000: goes with drive" in refused.stderr
     assert "it is the file's own: --loop default leaves the file's [loop] out" in refused.stderr
     assert command(*words, "--loop", "default").code == 0
+    # A gain that is none is left out by itself.
+    (command.folder / "own.toml").write_text(
+        f'{source}\n[loop]\nfeedback = "pid"\nkp = 1e4\nki = 3e3\n', encoding="utf-8"
+    )
+    plain = ("evaluate", "own.toml", *WORDS[2:], "--loop", "feedback=pd")
+    assert "--loop ki=0 takes it out, --loop default leaves" in command(*plain).stderr
+    assert command(*plain, "--loop", "ki=0").code == 0
     # What was typed is told by its option.
+    (command.folder / "own.toml").write_text(source + served, encoding="utf-8")
     assert "--loop servo_gain" in command(*words, "--loop", "servo_gain=3").stderr
 
 

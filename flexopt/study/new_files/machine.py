@@ -216,7 +216,8 @@ def regular_posture(machine: AnyMachine) -> tuple[float, ...]:
     low, high = sampled_ranges(machine, arm_length(plant)).T
     share = INNER[0] + (INNER[1] - INNER[0]) * low_discrepancy(len(low), POSTURES, 0)
     middle: Vector = (low + high) / 2
-    sample: list[Vector] = [middle, *(low[:, None] + (high - low)[:, None] * share).T]
+    # No minus zero, which would be shown as one.
+    sample: list[Vector] = [middle + 0.0, *(low[:, None] + (high - low)[:, None] * share).T]
     at = [_at_rest(plant, posture) for posture in sample]
     heights: Vector = np.array([points[-1] for points, _ in at])
     moved = np.ptp(heights, axis=0) > SAME_HEIGHT
