@@ -216,8 +216,7 @@ def regular_posture(machine: AnyMachine) -> tuple[float, ...]:
     low, high = sampled_ranges(machine, arm_length(plant)).T
     share = INNER[0] + (INNER[1] - INNER[0]) * low_discrepancy(len(low), POSTURES, 0)
     middle: Vector = (low + high) / 2
-    # No minus zero, which would be shown as one.
-    sample: list[Vector] = [middle + 0.0, *(low[:, None] + (high - low)[:, None] * share).T]
+    sample: list[Vector] = [middle, *(low[:, None] + (high - low)[:, None] * share).T]
     at = [_at_rest(plant, posture) for posture in sample]
     heights: Vector = np.array([points[-1] for points, _ in at])
     moved = np.ptp(heights, axis=0) > SAME_HEIGHT
@@ -234,8 +233,8 @@ def regular_posture(machine: AnyMachine) -> tuple[float, ...]:
         raise InputError(
             f"new: the actuated joints do not move the end-point in all of its rows ({rows}) in any posture"
         )
-    # Two decimals, where the range is wide enough for them to stay inside.
-    kept: Vector = np.where(high - low > 0.1, np.round(best, 2), best)
+    # Two decimals, where the range is wide enough for them to stay inside; no minus zero.
+    kept: Vector = np.where(high - low > 0.1, np.round(best, 2), best) + 0.0
     return tuple(kept.tolist())
 
 
