@@ -171,7 +171,12 @@ class LoopPoint:
             found[felt] = unheld[felt]
         return found
 
-    def _own(self, times: float = 1.0) -> OwnMotion:
+    @cached_property
+    def _own(self) -> OwnMotion:
+        return self._own_with(1.0)
+
+    def _own_with(self, times: float) -> OwnMotion:
+        """The self-motion with all gains so many times what they are."""
         of, motions = self.numbers, self.motions
         rows: Vector | None = None
         if motions.gravity:
@@ -182,7 +187,13 @@ class LoopPoint:
 
     def spectrum_of(self, matrix: Vector, times: float = 1.0) -> SampledLoop:
         """Eigenvalues of a Φ of this loop, with all gains so many times what they are."""
-        return spectrum(matrix, self.period, self._neutral, self._excess, lambda: self._own(times))
+        return spectrum(
+            matrix,
+            self.period,
+            self._neutral,
+            self._excess,
+            lambda: self._own if times == 1.0 else self._own_with(times),
+        )
 
     def _times(self, factor: float) -> SampledLoop:
         """The loop with all gains times a factor, where it rests with these."""

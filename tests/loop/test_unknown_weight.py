@@ -327,7 +327,7 @@ def test_along_what_a_loop_rests_is_a_kernel_of_what_is_zero_there(loop: dict[st
         error = np.linalg.lstsq(into, more)[0] / kp
         return np.append(pulls + weight[:m], plant.end_point(q, [0.0], p).full().ravel() + error - target)
 
-    rows, q = point._own().creeping, point.configuration
+    rows, q = point._own.creeping, point.configuration
     assert np.abs(off(q)[m:]).max() < 1e-9
     step = 1e-5 * rows[:, 0]
     scale = np.array([np.abs(off(q + 1e-5 * e) - off(q - 1e-5 * e)) for e in np.eye(len(q))]).max(axis=0)
