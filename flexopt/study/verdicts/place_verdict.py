@@ -145,7 +145,7 @@ class PlaceVerdict(Result):
     @property
     def broken(self) -> str:
         """What it breaks where other numbers than the file's hold, a sentence; empty where nothing."""
-        told = "; constraints.within of these numbers keeps constraints there, too, all but Functions of one's own"
+        told = "; constraints.within of these numbers keeps constraints there, too"
         # What its loop does not do is nothing of statics.
         return self.breaks and f"{self.name} {self.breaks}{told * (WHERE in self.breaks)}"
 

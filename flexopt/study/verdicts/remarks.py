@@ -15,6 +15,7 @@ from flexopt.loop.outcome import NOWHERE_HELD, falling
 from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion, mostly_self_motion
 from flexopt.loop.standard_move import LONGEST, UNSETTLED
 from flexopt.loop.uncertainty_box import member_in_words
+from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.problem import with_angles
 from flexopt.study.verdicts.confirmation import INTEGRAL
 from flexopt.study.verdicts.decision import BETWEEN, in_one, spoken, without_numbers
@@ -40,8 +41,10 @@ STAYS = 3600.0
 def on_places(verdict: Verdict) -> list[str]:
     """Of each place: where it rests, what it goes beyond and breaks, if it is none to go to, why no run confirms it."""
     unconfirmed, found = doubts(verdict), list[str]()
+    own = ", all but Functions of one's own" * any(problem.own_constraints for problem in verdict.problems)
     for place in verdict.places:
-        found += [place.rest, place.beyond_limits, place.broken, place.broken_at_rest]
+        broken = place.broken + own * (WHERE in place.breaks)
+        found += [place.rest, place.beyond_limits, broken, place.broken_at_rest]
         if place.name in verdict.exclusions:
             none = "none to stay at" if place.name == STAY else "none to go to"
             found.append(f"{spoken(place.name)} is {none}: {BARRED[place.breaking.barring]}")
