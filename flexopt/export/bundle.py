@@ -101,10 +101,8 @@ class ExportReport(Result):
             verb = "decays" if judged["decay"] > 0 else "grows"
             lines.append(f"  loop: {judged['controller']}")
             drifts = "; it does not brake the arm's self-motion, loop.nullspace_damping does" * judged["lets_drift"]
-            lines.append(
-                f"  it {verb} at {abs(judged['decay']):.4g}/s in the posture {_listed(judged['posture'])}, the weight left "
-                f"out{drifts}"
-            )
+            there = f"in the posture {_listed(judged['posture'])}, the weight left out"
+            lines.append(f"  it {verb} at {abs(judged['decay']):.4g}/s {there}{drifts}")
         return "\n".join([*lines, f"  {len(self.files)} files; next: make -C {self.folder} test"])
 
 
