@@ -6,7 +6,7 @@ In: a machine, its loop's numbers, the configurations to show. Out: plain data, 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -24,7 +24,7 @@ from flexopt.loop.spectrum import INVARIANT, OWN, neutral_directions
 from flexopt.model import AnyMachine
 from flexopt.model.loop import DELAY_MAX
 from flexopt.model.simulation import PART_OF_SAMPLE
-from flexopt.model.uncertainty import SPRINGS, parameters_of
+from flexopt.model.uncertainty import SPRINGS, Uncertainty, parameters_of
 from flexopt.plant import build_plant
 from flexopt.plant.plant import STATIC_ITERATIONS
 from flexopt.robustness.evaluation import UNREACHED
@@ -47,6 +47,7 @@ def contents(
     meshes: Meshes,
     *,
     gravity: bool,
+    uncertainty: Sequence[Uncertainty],
 ) -> dict[str, Any]:
     """All that the page is told.
 
@@ -57,6 +58,7 @@ def contents(
         configurations: named (base, posture)s, the first of which is shown at first.
         meshes: of its bodies.
         gravity: whether under the weight.
+        uncertainty: what is known between two numbers only.
     """
     plant = build_plant(machine)
     names = [parameter.name for parameter in machine.parameters]
@@ -96,7 +98,7 @@ def contents(
         "parameters": values,
         "springs": list(parameters_of((SPRINGS,), machine)),
         "payload": payload,
-        "payload_max": None if payload is None else _payload_max(machine, values[payload]),
+        "payload_max": None if payload is None else _payload_max(machine, values[payload], uncertainty),
         "control": settings.control,
         "damped": control_damping(settings.control) is not None,
         "unit": residue_unit(settings.control, machine.joint_units),
@@ -119,10 +121,14 @@ def size_of(machine: AnyMachine, base: Vector, posture: Vector) -> float:
     return float(sum(np.linalg.norm(points[:, j] - points[:, i]) for i, j in plant.graph.segments))
 
 
-def _payload_max(machine: AnyMachine, present: float) -> float:
-    """A round number of kg above the present payload."""
+def _payload_max(machine: AnyMachine, present: float, uncertainty: Sequence[Uncertainty]) -> float:
+    """A round number of kg above the present payload, and not below the heaviest that may be carried."""
     total = sum(parameter.value for parameter in machine.parameters if parameter.unit == "kg")
-    wanted = max(2 * present, PAYLOAD_SHARE * total)
+    heaviest = list[float]()
+    for each in uncertainty:
+        if PAYLOAD in {machine.parameters[k].name for k in parameters_of(each.of, machine)}:
+            heaviest += [each.value[1]] if each.value else [present * each.factor[1]] if each.factor else []
+    wanted = max(2 * present, PAYLOAD_SHARE * total, *heaviest)
     step = 10.0 ** math.floor(math.log10(wanted))
     return math.ceil(wanted / step) * step
 

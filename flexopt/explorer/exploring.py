@@ -8,7 +8,7 @@ from __future__ import annotations
 import html
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -34,6 +34,7 @@ from flexopt.loop.evaluation import settings_at
 from flexopt.model import AnyMachine, Problem
 from flexopt.model.loop import Loop, LoopLike
 from flexopt.model.problem import judged_by
+from flexopt.model.uncertainty import Uncertainty
 from flexopt.plant import build_plant
 from flexopt.robustness.evaluation import Evaluation
 from flexopt.robustness.measures import build_measures
@@ -213,7 +214,8 @@ def explore(
     told |= {"objective": sought.name, "weights": sought.alpha}
     told["ground"] = problem.asked.clearance and problem.asked.clearance.ground
     known = own if known is None else known
-    return _page(problem.machine, configurations, problem.control, known, problem.gravity, told)
+    uncertain = asked.uncertainty if isinstance(asked, Problem) else ()
+    return _page(problem.machine, configurations, problem.control, known, problem.gravity, told, uncertain)
 
 
 def _solved(
@@ -241,6 +243,7 @@ def _page(
     loop: Loop | None,
     gravity: bool,
     told: Mapping[str, Any],
+    uncertainty: Sequence[Uncertainty] = (),
 ) -> Explorer:
     """The page of configurations by name, the first of which it shows at first; `told`: title and target."""
     base, posture = next(iter(configurations.values()))
@@ -250,7 +253,15 @@ def _page(
     _warn_of(meshes)
     motions, bodies = settings.motions(machine, gravity=gravity), bool(machine.capsules or meshes.bodies)
     functions = explorer_functions(measures, motions, frames=bodies)
-    data = contents(machine, settings, functions, configurations, meshes, gravity=gravity)
+    data = contents(
+        machine,
+        settings,
+        functions,
+        configurations,
+        meshes,
+        gravity=gravity,
+        uncertainty=uncertainty or machine.uncertainty,
+    )
     data |= NOTHING_ASKED | dict(told)
     # That which clearances are kept from, else that on which it stands.
     data["ground"] = standing_height(machine) if data["ground"] is None else data["ground"]

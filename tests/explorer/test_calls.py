@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,26 @@ def test_the_first_posture_is_within_limits_that_are_far_from_zero() -> None:
     _, (boom, stick) = flexopt.explore(flexopt.machine_from_dict(data)).configurations["present"]
     assert 3.5 < boom < 5.5
     assert -6.0 < stick < -4.0
+
+
+def slider_end(page: str) -> float:
+    found = re.search(r'"payload_max": ([0-9.e+]+)', page)
+    assert found is not None
+    return float(found[1])
+
+
+@pytest.mark.parametrize(
+    ("known", "least"),
+    [({"value": [0.0, 7300.0]}, 7300.0), ({"factor": [0.5, 60.0]}, 6000.0), ({"value": [0.0, 1.0]}, 0.0)],
+)
+def test_the_slider_of_the_payload_goes_to_the_heaviest_that_may_be_carried(
+    known: dict[str, Any], least: float
+) -> None:
+    """Never below what there is without a range."""
+    data = flexopt.load("excavator").to_dict() | {"payload": {"mass": 100.0}}
+    plain = slider_end(flexopt.explore(flexopt.machine_from_dict(data), POSTURE).page)
+    ranged = flexopt.machine_from_dict(data | {"uncertainty": [{"of": "payload.mass"} | known]})
+    assert slider_end(flexopt.explore(ranged, POSTURE).page) == max(plain, math.ceil(least / 1000) * 1000)
 
 
 @pytest.mark.long
