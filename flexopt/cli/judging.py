@@ -103,6 +103,7 @@ def control_asked(own: Loop | None, entries: tuple[str, ...]) -> str:
 def _beside(known: dict[str, Any], asked: dict[str, Any]) -> dict[str, Any]:
     """What was asked for on top of the file's own; of the file's that do not go with it the way out is told."""
     drive, own, faults = _drive(known | asked), _drive(known), list[Fault]()
+    beside, way_out = "it is the file's own: --loop default leaves the file's [loop] out", dict[str, str]()
     if drive in RATES and drive != own:
         sentence = f"is for {own}-served joints; for {drive}-served ones it has another unit, and is to be given"
         names = (*GAINS, "kp_range", "kv_range")
@@ -113,13 +114,11 @@ def _beside(known: dict[str, Any], asked: dict[str, Any]) -> dict[str, Any]:
     try:
         Loop(**known | asked)
     except InputError as error:
-        faults += [fault for fault in error.faults if fault.field in known and fault.field not in asked]
-    way_out = "{}; it is the file's own: {}--loop default leaves the file's [loop] out"
-    without = {
-        each.field: f"--loop {each.field}=0 takes it out, " * _fits(known | asked | {each.field: 0.0})
-        for each in faults
-    }
-    faults = [Fault(each.field, way_out.format(each.sentence, without[each.field]), each.value) for each in faults]
+        own_faults = [fault for fault in error.faults if fault.field in known and fault.field not in asked]
+        faults += own_faults
+        without = [each.field for each in own_faults if _fits(known | asked | {each.field: 0.0})]
+        way_out = {name: beside.replace(": ", f": --loop {name}=0 takes it out, ") for name in without}
+    faults = [Fault(each.field, f"{each.sentence}; {way_out.get(each.field, beside)}", each.value) for each in faults]
     raise_if_any(InputError, click.get_current_context().command_path.partition(" ")[2], faults)
     return known | asked
 

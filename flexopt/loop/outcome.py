@@ -179,6 +179,9 @@ class LoopPoint:
         """The self-motion with all gains so many times what they are."""
         of, motions = self.numbers, self.motions
         rows: Vector | None = None
+        if motions.own_model:
+            # With other gains a weight that is not known would draw it to rest elsewhere.
+            times = 1.0
         if motions.gravity:
             # Along which it rests hangs on the gains.
             given = [(times if name in {"kp", "ki"} else 1.0) * of[name] for name in (*AT_REST, "held")]

@@ -402,8 +402,10 @@ def _held_same(plant: Plant) -> float:
 
 def _distinct(plant: Plant, postures: list[Vector], tolerance: float) -> list[Vector]:
     """The list without repeats, by whole turns of hinges that can make them, too (a straight arm's elbows agree)."""
-    points, kept = np.array(postures), np.ones(len(postures), dtype=bool)
-    limits = zip(plant.machine.joint_units, plant.machine.limits, strict=True)
+    points, kept, units = np.array(postures), np.ones(len(postures), dtype=bool), plant.machine.joint_units
+    # Slides of a small machine are short.
+    scale = np.array([1.0 if unit == "rad" else min(1.0, arm_length(plant)) for unit in units])
+    limits = zip(units, plant.machine.limits, strict=True)
     turn = np.array(
         [math.tau if unit == "rad" and high - low >= math.tau else math.inf for unit, (low, high) in limits]
     )
@@ -411,5 +413,5 @@ def _distinct(plant: Plant, postures: list[Vector], tolerance: float) -> list[Ve
         if kept[i]:
             apart = points[i + 1 :] - points[i]
             apart -= np.where(np.isfinite(turn), turn, 0.0) * np.rint(apart / turn)
-            kept[i + 1 :] &= np.abs(apart).max(axis=1) > tolerance
+            kept[i + 1 :] &= np.abs(apart / scale).max(axis=1) > tolerance
     return [posture for posture, keep in zip(postures, kept, strict=True) if keep]

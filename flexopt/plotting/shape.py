@@ -133,15 +133,19 @@ def shape_at(machine: AnyMachine, q: Points, base: Points) -> Shape:
 
 
 def _across(plant: Plant, at: Inputs) -> Points | None:
-    """See `Shape.across`; hinges that stand nearly upright, as slews, have no say."""
+    """See `Shape.across`; hinges that stand nearly upright, as slews, or roll what is beyond them, have no say."""
     tree, structure = plant.machine.kinematic_tree, plant.graph.at.skeleton
-    rotations, found = plant.body_frames.call(at)[1].full(), list[Points]()
+    origins, rotations = (each.full() for each in plant.body_frames.call(at)[:2])
+    tip, found = plant.skeleton.call(at)[0].full()[:, -1], list[Points]()
     for i in structure.way_to(structure.tip):
         joint = tree.bodies[i].joint
         k = tree.frames.index(i)
         axis = rotations[:, 3 * k : 3 * k + 3] @ np.array(joint.axis)
         level = float(np.hypot(*axis[:2]))
         if joint.passive or joint.kind != "hinge" or level < LEAST_LEVEL:
+            continue
+        away = tip - origins[:, k]
+        if np.linalg.norm(np.cross(axis, away)) <= END_ON * np.linalg.norm(away):
             continue
         if level < LEVEL:
             return None

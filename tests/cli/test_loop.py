@@ -75,6 +75,11 @@ def test_what_of_the_file_does_not_go_with_an_option_is_told_with_the_way_out(co
     plain = ("evaluate", "own.toml", *WORDS[2:], "--loop", "feedback=pd")
     assert "--loop ki=0 takes it out, --loop default leaves" in command(*plain).stderr
     assert command(*plain, "--loop", "ki=0").code == 0
+    # Of one that is to be given with other drives 0 would be no loop.
+    (command.folder / "own.toml").write_text(f'{source}\n[loop]\nfeedback = "pd"\nkp = 1e4\n', encoding="utf-8")
+    other = command("evaluate", "own.toml", *WORDS[2:], "--loop", "drive=velocity").stderr
+    assert "kp = 10000" in other
+    assert "takes it out" not in other
     # What was typed is told by its option.
     (command.folder / "own.toml").write_text(source + served, encoding="utf-8")
     assert "--loop servo_gain" in command(*words, "--loop", "servo_gain=3").stderr

@@ -371,8 +371,9 @@ def test_an_offset_or_upright_arm_is_seen_square_to_its_hinges(slew, tilt, aside
     np.testing.assert_allclose(np.abs(shape.across), np.abs([math.sin(slew), math.cos(slew)]), atol=1e-9)
 
 
+@pytest.mark.parametrize("lift", [0.5, 12.0])
 @pytest.mark.parametrize("slew", [0.0, 0.3, 2.0])
-def test_a_tool_that_rolls_along_its_boom_does_not_have_it_seen_end_on(slew):
+def test_a_tool_that_rolls_along_its_boom_does_not_have_it_seen_end_on(slew, lift):
     """Slew, lift, a telescope of 1 m and a hinge along it: the side view is as wide as the boom is long."""
     car = {"name": "car", "kind": "hinge", "axis": (0, 1, 0), "passive": True, "stiffness": 1e5, "damping": 1e2}
     bodies = [{"name": "car", "parent": None, "joint": car, "mass": 500.0, "com": (0, 0, 0.5),
@@ -386,7 +387,7 @@ def test_a_tool_that_rolls_along_its_boom_does_not_have_it_seen_end_on(slew):
                        "com": (0.1, 0, 0), "inertia": (2.0, 2.0, 2.0, 0, 0, 0)})  # fmt: skip
     end = {"body": "roll", "position": (0.5, 0, 0), "rows": ("x", "y", "z")}
     machine = tree_from_dict({"name": "drill", "bodies": bodies, "end_point": end, "placement": ("x",)})
-    shape = shape_at(*held_at(machine, [slew, 0.5, 1.0, 0.2]))
+    shape = shape_at(*held_at(machine, [slew, lift, 1.0, 0.2]))
     side, _ = views(shape)
     assert np.ptp(side.of(shape.skeleton)[0]) == pytest.approx(3.0)
 

@@ -1567,7 +1567,8 @@ def test_a_load_that_the_controller_does_not_know_is_named_where_the_arm_stays_o
     # Where one is long enough for a place, higher gains may hold the arm on its target there.
     assert short.word in ("cannot tell", "change gains")
     told = re.findall(
-        r"the run is short, (.+?) time constants of the slowest motion \(5 of them take (.+?) s\)", short.reason
+        r"the run is short, (.+?) time constants of the slowest motion \(5 of the slowest on any ground take (.+?) s\)",
+        short.reason,
     )
     assert told
     for constants, seconds in told:

@@ -20,6 +20,7 @@ from flexopt.model.uncertainty import Uncertainty
 from flexopt.selection.broken import broken
 from flexopt.selection.problem import with_angles
 from flexopt.study.verdicts.confirmation import _ensemble, nonlinear_runs
+from flexopt.study.verdicts.place_loops import held_otherwise
 from flexopt.study.verdicts.remarks import rests_beside
 from tests.study.machines import three_links
 
@@ -215,3 +216,29 @@ def test_that_another_posture_may_break_none_is_said_where_there_is_one(
     assert "breaks boom_torque" in found.reason
     assert ("held in another posture it may break none" in found.reason) == others
     assert ("in one of the postures that reach the target" in found.reason) == others
+
+
+@pytest.mark.parametrize(
+    ("boom", "stick", "others"), [((-1.4, 0.5), (0.1, 2.7), False), ((-2.9, 0.5), (-2.7, 2.7), True)]
+)
+def test_steps_that_end_in_one_posture_are_no_other(
+    boom: tuple[float, float], stick: tuple[float, float], others: bool
+) -> None:
+    """A crane in space: every sample that reaches its target leads to the one elbow that the limits allow, or to both."""
+    car = {"name": "pitch", "kind": "hinge", "axis": (0, 1, 0), "passive": True, "stiffness": 3e5, "damping": 1e3}
+    bodies: list[dict[str, Any]] = [
+        {"name": "car", "parent": None, "joint": car, "mass": 900.0, "inertia": (90.0, 95.0, 99.0, 0, 0, 0)}
+    ]
+    for name, axis, position, limits in (
+        ("slew", (0, 0, 1), (0, 0, 1.0), (-1.5, 1.5)),
+        ("boom", (0, 1, 0), (0, 0, 0.5), boom),
+        ("stick", (0, 1, 0), (1.5, 0, 0), stick),
+    ):
+        joint = {"name": name, "kind": "hinge", "axis": axis, "limits": limits}
+        bodies.append({"name": name, "parent": bodies[-1]["name"], "joint": joint, "position": position, "mass": 50.0,
+                       "com": (0.5, 0, 0), "inertia": (5.0, 6.0, 5.5, 0, 0, 0)})  # fmt: skip
+    end_point = {"body": "stick", "position": (1.2, 0, 0), "rows": ("x", "y", "z")}
+    machine = flexopt.tree_from_dict({"name": "crane", "bodies": bodies, "end_point": end_point, "placement": ("x",)})
+    problem = flexopt.build_selection(machine, (1.8, 0.3, 1.5), base=0.0)
+    assert (len(flexopt.inverse_kinematics(machine, (1.8, 0.3, 1.5), base=0.0)) > 1) == others
+    assert held_otherwise(problem) == others

@@ -191,7 +191,8 @@ def _short(over: float, needed: float) -> str:
     if not 0 < over < AT_REST * (1 - ALIKE):
         return ""
     step = 10.0 ** (math.floor(math.log10(needed)) - 1)
-    long = f" ({AT_REST:g} of them take {math.ceil(needed / step - ALIKE) * step:g} s)" if needed < DURATIONS else ""
+    longest = f"{math.ceil(needed / step - ALIKE) * step:g} s"
+    long = f" ({AT_REST:g} of the slowest on any ground take {longest})" if needed < DURATIONS else ""
     return f"{SHORT}{over:.2g} time constants of the slowest motion{long}"
 
 

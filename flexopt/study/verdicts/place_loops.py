@@ -239,8 +239,9 @@ def held_otherwise(problem: SelectionProblem) -> bool:
     if now is None:
         return False
     reached = _reached(_standing_at(problem, now))
-    allowed = np.isfinite(reached.value)
-    return int((allowed if allowed.any() else np.isfinite(reached.violation)).sum()) > 1
+    allowed = np.isfinite(reached.value[0])
+    z = reached.z[:, 0, allowed if allowed.any() else np.isfinite(reached.violation[0])].T
+    return any(not same(problem, z[0], each) for each in z[1:])
 
 
 def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bool = True) -> Configurations | None:
