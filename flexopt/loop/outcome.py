@@ -173,20 +173,21 @@ class LoopPoint:
 
     @cached_property
     def _own(self) -> OwnMotion:
-        return self._own_with(1.0)
+        of, motions = self.numbers, self.motions
+        found = OwnMotion.at(motions.plant, self.configuration, of["base"], of["p"], motions.loop.to_q)
+        return found.creeping_along(self._resting_rows(1.0)) if motions.gravity else found
+
+    def _resting_rows(self, times: float) -> Vector:
+        """Rows along whose kernel it creeps where it rests, with all gains so many times what they are."""
+        of, motions = self.numbers, self.motions
+        known = motions.plant.parameter_values if motions.own_model else of["p"]
+        gains = (times * gain for gain in motions.into_forces(of))
+        at = [self.configuration, of["base"], of["held"][: motions.plant.n_passive], known, of["p"], *gains]
+        return motions.rows_at_rest.call(at)[0].full()
 
     def _own_with(self, times: float) -> OwnMotion:
         """The self-motion with all gains so many times what they are."""
-        of, motions = self.numbers, self.motions
-        rows: Vector | None = None
-        if motions.own_model:
-            # With other gains a weight that is not known would draw it to rest elsewhere.
-            times = 1.0
-        if motions.gravity:
-            # Along which it rests hangs on the gains.
-            given = [(times if name in {"kp", "ki"} else 1.0) * of[name] for name in (*AT_REST, "held")]
-            rows = motions.resting_rows.call(given)[0].full()
-        return OwnMotion.at(motions.plant, self.configuration, of["base"], of["p"], motions.loop.to_q, rows)
+        return self._own.creeping_along(self._resting_rows(times)) if self.motions.gravity else self._own
 
     def spectrum_of(self, matrix: Vector, times: float = 1.0) -> SampledLoop:
         """Eigenvalues of a Φ of this loop, with all gains so many times what they are."""
@@ -199,7 +200,7 @@ class LoopPoint:
         )
 
     def _times(self, factor: float) -> SampledLoop:
-        """The loop with all gains times a factor, where it rests with these."""
+        """The loop with all gains times a factor, about where it rests now."""
         return self.spectrum_of(self.sample.open + factor * self.sample.into @ self.sample.force, factor)
 
     @property

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -187,7 +187,7 @@ class SmallMotions:
             "design", [g.base, g.posture, deflection], [*design_of(plant, g.base, g.posture, deflection)]
         )
         sag = plant.deflected(s["base"], s["posture"], of_own)
-        asked = [*of_file.call([s["base"], s["posture"], sag]), s["p"], *self._into_forces(s)]
+        asked = [*of_file.call([s["base"], s["posture"], sag]), s["p"], *self.into_forces(s)]
         v, followed = self._followed(STAGES).call(asked)
         with_care = self._followed(FINER * STAGES)
         already = ca.Function("already", with_care.mx_in(), [ca.DM.nan(v.shape), ca.DM(0)])
@@ -220,7 +220,7 @@ class SmallMotions:
         followed = ca.logic_and(size <= ARRIVED, over <= 0)
         return ca.Function("followed", [*s.values()], [v, followed], [*s], ["v", "followed"])
 
-    def _into_forces(self, s: Mapping[str, Symbol]) -> tuple[Symbol, Symbol]:
+    def into_forces(self, s: Mapping[str, Any]) -> tuple[Any, Any]:
         """Kp and Ki that make forces of errors: of velocity-served joints, whose gains ask for rates, Kp by servos."""
         return (s["servo_gain"] if self.served else 1) * s["kp"], self.integral * s["ki"]
 
@@ -234,9 +234,13 @@ class SmallMotions:
         s = {name: self.symbols[name] for name in (*AT_REST, "held")}
         p, sag = s["p"], s["held"][: self.plant.n_passive]
         file = ca.SX(self.plant.parameter_values) if self.own_model else p
-        at = [self._rest(s, p).q, s["base"], sag, file, p, *self._into_forces(s)]
-        rows = resting_rows(self.plant, self.control).call(at)
-        return ca.Function("resting_rows", [*s.values()], rows, [*s], ["rows"], {"cse": True})
+        at = [self._rest(s, p).q, s["base"], sag, file, p, *self.into_forces(s)]
+        return ca.Function("resting_rows", [*s.values()], self.rows_at_rest.call(at), [*s], ["rows"], {"cse": True})
+
+    @cached_property
+    def rows_at_rest(self) -> ca.Function:
+        """The like where it rests, q: see `flexopt.loop.rest.resting_rows`."""
+        return resting_rows(self.plant, self.control)
 
     def _rest(self, s: Mapping[str, ca.SX], p: ca.SX) -> _Rest:
         """Where the loop rests, with p."""
@@ -245,7 +249,7 @@ class SmallMotions:
             at = plant.operating_point(s["base"], s["posture"], p, s["held"] if self.gravity else None)
             return _Rest(at.q, at.q[:m], at.end_point, None, ca.SX.zeros(plant.n_actuated))
         design, v = design_of(plant, s["base"], s["posture"], s["held"][:m]), s["held"][m:]
-        kp, ki = self._into_forces(s)
+        kp, ki = self.into_forces(s)
         springs = plant.stiffness(p)[:m, :m]
         # From where iteration ends two more steps, that first and second derivatives are exact.
         for _ in range(2):

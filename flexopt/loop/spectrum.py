@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
@@ -230,24 +230,21 @@ class OwnMotion:
     joints: int
 
     @classmethod
-    def at(
-        cls, plant: Plant, q: Vector, base: Vector, p: Any, to_q: Vector, resting_rows: Vector | None = None
-    ) -> OwnMotion:
-        """Of a machine in a configuration, with parameters p (n_par,).
-
-        `resting_rows` (m + n_task, n_q): along whose kernel its loop rests; None where no weight acts, and joints alone
-        move along it.
-        """
+    def at(cls, plant: Plant, q: Vector, base: Vector, p: Any, to_q: Vector) -> OwnMotion:
+        """Of a machine with parameters p (n_par,), where no weight acts: joints alone move along it."""
         m = plant.n_passive
         jacobian: Vector = plant.rigid_jacobian.call([q, base, p])[0].full()
         joints = np.linalg.svd(jacobian)[2][plant.n_task :].T
         own = np.vstack([np.zeros((m, joints.shape[1])), joints])
-        creeping: Vector = own
-        if resting_rows is not None and np.all(np.isfinite(resting_rows)):
-            # Rows have units of their own.
-            rows = resting_rows / np.linalg.norm(resting_rows, axis=1, keepdims=True)
-            creeping = np.linalg.svd(rows)[2][len(rows) :].T
-        return cls(own, creeping, plant.mass.call([q, base, p])[0].full(), to_q, plant.n_actuated)
+        return cls(own, own, plant.mass.call([q, base, p])[0].full(), to_q, plant.n_actuated)
+
+    def creeping_along(self, resting_rows: Vector) -> OwnMotion:
+        """The like under a weight: the loop rests along the kernel of rows (m + n_task, n_q), if these are finite."""
+        if not np.all(np.isfinite(resting_rows)):
+            return self
+        # Rows have units of their own.
+        rows = resting_rows / np.linalg.norm(resting_rows, axis=1, keepdims=True)
+        return replace(self, creeping=np.linalg.svd(rows)[2][len(rows) :].T)
 
     def shares(self, vectors: ComplexArray) -> Vector:
         """Which share of the kinetic energy of each eigenvector is its: as it moves alone, or as it creeps.

@@ -189,13 +189,13 @@ def _spectrum(scenario: Scenario, x: Vector, matrix: Vector, integrator: str) ->
     plant, q = build_plant(s.machine), coordinates(s, x)
 
     def own() -> OwnMotion:
-        rows: Vector | None = None
+        found = OwnMotion.at(plant, q, s.base, s.p, s.loop.to_q)
         if s.options.gravity:
             m, file = plant.n_passive, plant.parameter_values if s.loop.structure.own_model else s.p
             gains = (s.parts.get(name, np.zeros(plant.n_task)) for name in ("kp", "ki"))
             at = [q, s.base, s.q_design[:m], file, s.p, *gains]
-            rows = _resting_rows(s.machine, s.options.control).call(at)[0].full()
-        return OwnMotion.at(plant, q, s.base, s.p, s.loop.to_q, rows)
+            found = found.creeping_along(_resting_rows(s.machine, s.options.control).call(at)[0].full())
+        return found
 
     return spectrum(matrix, s.period, most, excess, own, integrator)
 

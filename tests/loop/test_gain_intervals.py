@@ -9,6 +9,7 @@ import pytest
 
 import flexopt
 from flexopt.loop.borders import stable_intervals
+from flexopt.loop.evaluation import settings_at
 from flexopt.loop.outcome import UNDAMPED
 
 CASES: list[tuple[str, tuple[float, ...], Any]] = [
@@ -71,3 +72,19 @@ def test_the_least_stable_gains_of_an_arm_that_drifts(posture: tuple[float, ...]
     assert (below.frequency_hz < 1e-6) == drifts
     assert found.drifts_below == drifts
     assert ("that drift may move the end-point, too" in repr(found)) == drifts
+
+
+def test_gains_that_hold_a_load_which_is_not_known_leave_no_gap() -> None:
+    """Beside loops that rest with theirs, elsewhere: all from a thirtieth of the gains to six times them decay."""
+    machine, posture = flexopt.load("boom-stick-bucket"), np.array((-2.2616, -0.8434, 0.2575))
+    law = flexopt.Loop(kp=2.712e6, kv=4.338e5, drive="torque", rate=200.0, nullspace_damping=1500.0)
+    settings, base = settings_at(machine, posture, None, None, law, gravity=True, call="test")
+    p = np.array([300.0 if each.name == "payload.mass" else each.value for each in machine.parameters])
+    unknown: Any = {"gravity": True, "parameters": p, "own_model": True}
+    point = settings.outcome(machine, base, posture, **unknown)
+    for factor in (0.03, 0.035, 0.05, 0.1, 0.5, 2.0, 6.0):
+        gains = {name: (factor * getattr(settings, name)).tolist() for name in ("kp", "kv")}
+        own = settings.with_rows(gains).outcome(machine, base, posture, **unknown)
+        assert own.rests
+        assert own.loop.growth_rate < 0
+        assert any(low < factor < high for low, high in point.gain_intervals)

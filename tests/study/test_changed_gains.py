@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType, SimpleNamespace
@@ -456,6 +457,25 @@ def test_gains_that_runs_confirm_far_away_are_tried_where_higher_ones_had_to_be(
     # With what is better there than with its own, raised by one factor.
     alone = changed({near: hills[near]}, {near: 1.0}, "kp", "kv")
     assert alone.place.slowest < 1.0
+
+
+@pytest.mark.parametrize("near", [STAY, "near"])
+def test_gains_of_another_place_need_not_be_a_tenth_better_than_raised_ones(near: str) -> None:
+    """Raised ones decay at 1.72/s, far away 2.0/s, and near by with the gains of that 1.85/s: not a tenth less."""
+    hills = {near: Damped(LOW, 1.956, 1.0, slope=0.024, from_kp=8.0), "far": Damped(LOW, 2.0, 10.0, slope=0.5)}
+    found = changed(hills, {near: 0.0 if near == STAY else 1.0, "far": 3.0}, "kp", "kv")
+    assert found.place.name == near
+    assert found.place.slowest == pytest.approx(1.85, abs=1e-3)
+
+
+def test_of_a_nearer_place_with_raised_gains_it_is_told_that_runs_refute_faster_ones() -> None:
+    hills = {"near": Steep(LOW, 3.0, 1.0, slope=0.5, from_kp=8.0), "far": Steep(LOW, 2.0, 1.0)}
+    found = changed(hills, {"near": 1.0, "far": 3.0}, "kp")
+    assert found.place.name == "far"
+    only, faster_ones, with_its = found.passed_over.split("; ")
+    assert re.search(r"its slowest decay is 0\.\d+/s only$", only)
+    assert faster_ones == f"nonlinear runs do not confirm faster ones there ({OFF} 1 m off)"
+    assert with_its == f"with the gains of far {OFF} 1 m off"
 
 
 def test_places_that_break_something_at_rest_take_no_other_out() -> None:

@@ -219,7 +219,7 @@ def test_that_another_posture_may_break_none_is_said_where_there_is_one(
 
 
 @pytest.mark.parametrize(
-    ("boom", "stick", "others"), [((-1.4, 0.5), (0.1, 2.7), False), ((-2.9, 0.5), (-2.7, 2.7), True)]
+    ("boom", "stick", "others"), [((-1.4, 0.5), (0.1, 2.7), False), ((-1.4, 2.5), (-2.7, 2.7), True)]
 )
 def test_steps_that_end_in_one_posture_are_no_other(
     boom: tuple[float, float], stick: tuple[float, float], others: bool

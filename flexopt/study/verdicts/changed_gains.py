@@ -95,6 +95,11 @@ class ChangedGains(NamedTuple):
         return self.breaks or doubt_of(self.runs)
 
     @property
+    def refuted_told(self) -> str:
+        """That runs refute faster gains than these, which are higher."""
+        return f"nonlinear runs do not confirm faster ones there ({self.raised.split(BETWEEN)[0]})"
+
+    @property
     def rank(self) -> int:
         """2 of a place to go to, 1 of one that breaks constraints at rest beside its target, 0 of one in doubt."""
         return 0 if self.doubt is not None else 1 if self.breaks_at_rest else 2
@@ -190,7 +195,7 @@ class GainChange:
         # What a move does with the present gains is no merit of others.
         others = [place for place in others if self._changes(place)] or others
         best, tried, at_rest = list[ChangedGains](), 0, dict[str, str]()
-        higher = {} if stay is None or not stay.raised else {STAY: stay}
+        higher, why = {} if stay is None or not stay.raised else {STAY: stay}, dict[str, str]()
         while others and tried < PLACES:
             found = self._lowest(fastest[_nearest(others)], standing)
             if not best or found.rank >= best[0].rank:
@@ -216,7 +221,10 @@ class GainChange:
             if other.place.name == STAY:
                 return other
             moves = [place for place in places if place.name != STAY]
-            ends = {place.name: self._ends(fastest[place.name]) for place in moves} | why
+            ends = {place.name: self._ends(fastest[place.name]) for place in moves}
+            ends |= {
+                name: BETWEEN.join([each.refuted_told, *filter(None, [why.get(name)])]) for name, each in higher.items()
+            }
             moves = [higher[place.name].place if place.name in higher else place for place in moves]
             told = passed_over(other.place, standing, moves, doubts, ends)
             grows = self._grows(fastest[STAY]) if stay is None and STAY in fastest else ""
@@ -229,6 +237,7 @@ class GainChange:
         if not serves:
             return stay._replace(passed_over=self._no_use(other) if other.rank == 2 and other.place.holds else "")
         told = f"staying with {stay.in_words} is stable on every ground, too: slowest decay {stay.place.slowest_told}"
+        told = BETWEEN.join(filter(None, [told, why.get(STAY)]))
         return other._replace(staying="" if stay.doubt is not None else told)
 
     def _no_use(self, other: ChangedGains) -> str:
@@ -280,9 +289,13 @@ class GainChange:
             loop = self.loops[place.name].with_settings(other.loop.settings)
             there, member = self._with(place.name, loop)
             why = f"its slowest decay is {there.slowest_told}{' only' * (there.holds and there.slowest < least)}"
-            # One that stays with gains of its own changes them for what is better.
-            rival = None if place.name == STAY and STAY not in higher else standing
-            does = self._changes(there) and (rival is None or pays(there, rival))
+            if place.name == STAY:
+                # One that stays with gains of its own changes them for better ones, where these spare the drive.
+                own = higher[STAY].place.slowest if STAY in higher else -math.inf
+                worth = there.slowest > own and not (STAY in higher and pays(other.place, there))
+            else:
+                worth = standing is None or pays(there, standing)
+            does = self._changes(there) and worth
             if there.slowest >= least and does:
                 found = self._told(_Tried(there, loop, member[None]))
                 if found.rank > 0 and found.rank >= other.rank:
