@@ -286,11 +286,14 @@ def _springs(part: BodyNumbers, gravity: float, reach: float) -> Iterator[Implau
             factor, prefix, per_mm = next((each for each in PREFIXES if give / each[0] <= most), PREFIXES[-1])
             hint = f"{prefix}{unit}" + ("" if turns else f" or {per_mm}")
             what = f"turns by {give:.3g} rad" if turns else f"gives by {give:.3g} m"
+            # Weight holds what hangs: m g / l of ropes of length l.
+            ropes = f" by ropes of some {mass * g / stiffness:.3g} m" * (not turns)
+            hangs = f", unless it hangs{ropes}" * (turns or bears <= ASIDE)
             yield ImplausibleNumber(
                 name,
                 f"{stiffness:g} {unit}",
                 f"the spring {what} under {_pushed(bears)}the {mass:.4g} kg that it carries",
-                f"probably in {hint}: {factor * stiffness:g} {unit}",
+                f"probably in {hint}: {factor * stiffness:g} {unit}{hangs}",
             )
 
 
