@@ -48,7 +48,8 @@ def stability_by_moving(loops: ClosedLoops) -> ArticleFinding:
     sentence = (
         f"In the last of {runs[WITH].time[-1]:g} s the end-point is up to {1e3 * _at_last(runs[WITH]):.2f} mm off its "
         f"target with base adjustment and {1e3 * _at_last(runs[WITHOUT]):.0f} mm without; in the "
-        f"whole run the base turned by up to {1e3 * _turn(runs[WITH]):.1f} and {1e3 * _turn(runs[WITHOUT]):.0f} mrad. With base adjustment the "
+        f"whole run the base turned by up to {1e3 * _turn(runs[WITH]):.1f} and {1e3 * _turn(runs[WITHOUT]):.0f} mrad. "
+        "With base adjustment the "
         f"oscillation {_outcome(runs[WITH])}, without it {_outcome(runs[WITHOUT])}; the base takes "
         f"{loops.stopped.time[-1]:.1f} s for its way. With the second pair of gains and base adjustment it "
         f"{_outcome(loops.low_adjustment)} over {loops.low_adjustment.time[-1]:g} s."
