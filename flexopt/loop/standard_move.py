@@ -133,8 +133,12 @@ class StandardMove:
         return of_joints, np.asarray(np.linalg.pinv(of_joints), dtype=np.float64)
 
     @cached_property
-    def _known(self) -> tuple[Vector, Vector]:
-        """Of the start: s, and [law; m] as the law sees it, a column for each task row."""
+    def _known(self) -> tuple[Vector, list[Vector]]:
+        """Of the start: s, and [law; m] as the law sees it, a column for each task row.
+
+        For each force that is on its way as it saw the start, oldest first, as an integral grows meanwhile; then as it
+        sees what is measured next.
+        """
         p, n, r = self.sample.parts, len(self._to_q), self.motions.plant.n_task
         away, s = np.zeros((n, r)), np.zeros((len(p.flow), r))
         away[self.motions.plant.n_passive :] = self._joints[1]
@@ -144,13 +148,16 @@ class StandardMove:
         if self.motions.filtered:
             # The filter has seen the start for long; it is the last of the law's states.
             seen[len(p.law) - 2 * r : len(p.law)] = seen[len(p.law) :]
-        return s, seen
+        each = [seen]
+        for _ in range(self.sample.waiting[0]):
+            each.append(np.vstack([p.law @ each[-1], seen[len(p.law) :]]))
+        return s, each
 
     @cached_property
     def _moved(self) -> Vector:
-        """x_0 (n_x, r), a column for each task row: 1 m beside the target. The law has seen the start once."""
-        p, (s, seen) = self.sample.parts, self._known
-        return np.vstack([s, p.law @ seen, np.tile(p.force @ seen, (self.sample.waiting[0], 1))])
+        """x_0 (n_x, r), a column for each task row: 1 m beside the target."""
+        p, (s, (*forces, now)) = self.sample.parts, self._known
+        return np.vstack([s, now[: len(p.law)], *(p.force @ seen for seen in forces)])
 
     @cached_property
     def _left(self) -> WithoutDrift | None:
@@ -221,11 +228,17 @@ class StandardMove:
 
     def _by_start(self, row: int, by: Vector) -> Slopes:
         """From a derivative by x_0 of the move along a task row that by the parts; by the dead time there is none."""
-        p, (s, seen) = self.sample.parts, (part[:, row] for part in self._known)
-        n, k, r = len(p.flow), len(p.law), len(p.force)
-        by_law, by_force = by[n : n + k], by[n + k :].reshape(-1, r).sum(axis=0)
-        by_seen = p.law.T @ by_law + p.force.T @ by_force
-        by_measured = by_seen[k:] + (by_seen[k - 2 * r : k] if self.motions.filtered else 0.0)
+        p, (s, (*forces, _)) = self.sample.parts, self._known
+        s, n, k, r = s[:, row], len(p.flow), len(p.law), len(p.force)
+        by_law, by_force, by_measured = by[n : n + k], by[n + k :].reshape(-1, r), np.zeros(2 * r)
+        by_laws, by_forces = np.zeros_like(p.law), np.zeros_like(p.force)
+        for seen, by_one in zip(reversed([each[:, row] for each in forces]), by_force[::-1], strict=True):
+            by_laws += np.outer(by_law, seen)
+            by_forces += np.outer(by_one, seen)
+            by_seen = p.law.T @ by_law + p.force.T @ by_one
+            by_law, by_measured = by_seen[:k], by_measured + by_seen[k:]
+        if self.motions.filtered:
+            by_measured = by_measured + by_law[k - 2 * r :]
         by_s = by[:n] + p.measured.T @ by_measured
         measured = np.outer(by_measured, s)
         to_u, of = np.linalg.inv(self._to_q)[:, self.motions.plant.n_passive :], len(self._to_q)
@@ -233,8 +246,7 @@ class StandardMove:
         by_inverse[:, row] = to_u.T @ by_s[:of]
         measured[:r, :of] += _through_inverse(*self._joints, by_inverse) @ to_u.T
         rest = {name: np.zeros_like(getattr(p, name)) for name in ("flow", "drive", "direct", "spread")}
-        by_both = np.asarray(np.outer(np.concatenate([by_force, by_law]), seen), dtype=np.float64)
-        parts = Parts(**rest, force=by_both[:r], law=by_both[r:], measured=measured)
+        parts = Parts(**rest, force=by_forces, law=by_laws, measured=measured)
         return Slopes(parts, 0.0)
 
     # What it shows.
