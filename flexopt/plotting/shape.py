@@ -27,6 +27,8 @@ ARC = 16
 DEEPER = 0.45
 # Share of the machine's size by which the first link is cut off at the ground.
 LIFTED = 0.07
+# So near to x, in degrees, a direction is that of x.
+STRAIGHT = 0.05
 # Of itself an arm seen end-on shows less than that; of the machine's size a steep one is level by less.
 END_ON, STEEP = 0.5, 0.25
 # Below this share of the machine's size an arm has no main direction to be seen from the side.
@@ -252,7 +254,10 @@ def views(shape: Shape, along: Points | None = None) -> tuple[View, ...]:
     length = float(np.hypot(*along))
     along = along / length if length > UPRIGHT * shape.size else np.array([1.0, 0.0])
     yaw = math.degrees(math.atan2(along[1], along[0]))
-    label = "x, m" if abs(yaw) < 0.05 else f"along the arm, from x by {yaw:.0f}°, m".replace("-", "−")
+    if abs(yaw) > 180 - STRAIGHT:
+        # x goes to the right, as seen from above.
+        along, yaw = -along, 0.0
+    label = "x, m" if abs(yaw) < STRAIGHT else f"along the arm, from x by {yaw:.0f}°, m".replace("-", "−")
     origin = arm[:, 0]
     side = np.array([[along[0], along[1], 0.0], [0.0, 0.0, 1.0]])
     return (

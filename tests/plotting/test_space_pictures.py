@@ -392,6 +392,14 @@ def test_a_tool_that_rolls_along_its_boom_does_not_have_it_seen_end_on(slew, lif
     assert np.ptp(side.of(shape.skeleton)[0]) == pytest.approx(3.0)
 
 
+def test_an_arm_that_points_backwards_along_x_is_seen_with_x_to_the_right():
+    machine = flexopt.load("slewing-excavator")
+    for slew, right in ((math.pi, 1.0), (-math.pi, 1.0), (math.pi - 0.01, -1.0)):
+        side, _ = views(shape_at(*held_at(machine, [slew, 0.9, -1.9, -0.4])))
+        assert side.axes[0, 0] == pytest.approx(right, abs=1e-4)
+        assert side.labels[0].startswith("x, m") == (right > 0)
+
+
 @pytest.mark.parametrize(("away", "aside"), [(0.1, True), (2.0, False)])
 def test_a_name_of_an_obstacle_does_not_lie_on_a_target(selection, away, aside):
     tank = {"kind": "sphere", "center": [1.0, 2.0, 3.0], "radius": 0.5, "name": "tank"}

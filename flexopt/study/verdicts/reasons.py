@@ -160,7 +160,7 @@ def to_measure(
     # What has one sign everywhere no measurement changes.
     which, rank = matters_most(box, points, values.tolist()) if values.min() < 0 < values.max() else ("", 0.0)
     if which:
-        return f"to tell, measure {which}: {what} goes with it (rank correlation {rank:+.2f})"
+        return f"most is told by measuring {which}: {what} goes with it (rank correlation {rank:+.2f})"
     if not rank:
         return ""
     less, more = points[values < 0], points[values > 0]
