@@ -124,11 +124,12 @@ def size_of(machine: AnyMachine, base: Vector, posture: Vector) -> float:
 def _payload_max(machine: AnyMachine, present: float, uncertainty: Sequence[Uncertainty]) -> float:
     """A round number of kg above the present payload, and not below the heaviest that may be carried."""
     total = sum(parameter.value for parameter in machine.parameters if parameter.unit == "kg")
-    heaviest = list[float]()
-    for each in uncertainty:
-        if PAYLOAD in {machine.parameters[k].name for k in parameters_of(each.of, machine)}:
-            heaviest += [each.value[1]] if each.value else [present * each.factor[1]] if each.factor else []
-    wanted = max(2 * present, PAYLOAD_SHARE * total, *heaviest)
+    known = [
+        each for each in uncertainty if PAYLOAD in {machine.parameters[k].name for k in parameters_of(each.of, machine)}
+    ]
+    own = max([each.value[1] for each in known if each.value], default=present)
+    heaviest = own * math.prod(each.factor[1] for each in known if each.factor)
+    wanted = max(2 * present, PAYLOAD_SHARE * total, heaviest)
     step = 10.0 ** math.floor(math.log10(wanted))
     return math.ceil(wanted / step) * step
 

@@ -47,15 +47,20 @@ def slider_end(page: str) -> float:
 
 @pytest.mark.parametrize(
     ("known", "least"),
-    [({"value": [0.0, 7300.0]}, 7300.0), ({"factor": [0.5, 60.0]}, 6000.0), ({"value": [0.0, 1.0]}, 0.0)],
+    [
+        ([{"value": [0.0, 7300.0]}], 7300.0),
+        ([{"factor": [0.5, 60.0]}], 6000.0),
+        ([{"value": [0.0, 1.0]}], 0.0),
+        ([{"factor": [0.5, 6.0]}, {"factor": [0.5, 10.0]}], 6000.0),
+    ],
 )
 def test_the_slider_of_the_payload_goes_to_the_heaviest_that_may_be_carried(
-    known: dict[str, Any], least: float
+    known: list[dict[str, Any]], least: float
 ) -> None:
     """Never below what there is without a range."""
     data = flexopt.load("excavator").to_dict() | {"payload": {"mass": 100.0}}
     plain = slider_end(flexopt.explore(flexopt.machine_from_dict(data), POSTURE).page)
-    ranged = flexopt.machine_from_dict(data | {"uncertainty": [{"of": "payload.mass"} | known]})
+    ranged = flexopt.machine_from_dict(data | {"uncertainty": [{"of": "payload.mass"} | one for one in known]})
     assert slider_end(flexopt.explore(ranged, POSTURE).page) == max(plain, math.ceil(least / 1000) * 1000)
 
 

@@ -24,7 +24,7 @@ from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.broken import broken, resting
-from flexopt.selection.continua import same, unwound, way_to
+from flexopt.selection.continua import SAME_POSTURE, same, unwound, way_to
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import finished
 from flexopt.selection.outcomes.result import ChosenByLoop, OutcomeSelection
@@ -241,7 +241,11 @@ def held_otherwise(problem: SelectionProblem) -> bool:
     reached = _reached(_standing_at(problem, now))
     allowed = np.isfinite(reached.value[0])
     z = reached.z[:, 0, allowed if allowed.any() else np.isfinite(reached.violation[0])].T
-    return any(not same(problem, z[0], each) for each in z[1:])
+    # Whole turns of a hinge are no other posture.
+    units = (*problem.machine.base_units, *problem.machine.joint_units)
+    turn, away = np.array([math.tau if unit == "rad" else math.inf for unit in units]), z[1:] - z[:1]
+    away -= np.where(np.isfinite(turn), turn, 0.0) * np.rint(away / turn)
+    return bool(np.max(np.abs(away) / problem.scale, initial=0.0) > SAME_POSTURE)
 
 
 def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bool = True) -> Configurations | None:
