@@ -115,7 +115,9 @@ def _beside(known: dict[str, Any], asked: dict[str, Any]) -> dict[str, Any]:
         Loop(**known | asked)
     except InputError as error:
         own_faults = [fault for fault in error.faults if fault.field in known and fault.field not in asked]
-        faults += own_faults
+        # Of one key that is told once.
+        named = {fault.field for fault in own_faults}
+        faults = [*(fault for fault in faults if fault.field not in named), *own_faults]
         without = [each.field for each in own_faults if _fits(known | asked | {each.field: 0.0})]
         way_out = {name: beside.replace(": ", f": --loop {name}=0 takes it out, ") for name in without}
     faults = [Fault(each.field, f"{each.sentence}; {way_out.get(each.field, beside)}", each.value) for each in faults]

@@ -33,8 +33,8 @@ SAMPLES = 256
 NEAREST = 64
 # Postures closer than this, found by iteration, are one.
 SAME = 1e-6
-# The like of a machine that sags, with an arm of 1 m; see `_held_same`.
-HELD_SAME = 3e-5
+# The like by steps onto a target, with an arm of 1 m; see `_held_same`.
+HELD_SAME = 1e-4
 # A target is reached to this share of a metre, position and orientation rows alike.
 REACHED = 1e-10
 # A row of springs in units of what so much gives way, m or rad: rather is the end-point off than that they do not hold.
@@ -165,7 +165,7 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
     turned = list(into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
     middle = (low + high) / 2
     nearest = sorted(turned, key=lambda posture: float(np.abs(posture - middle).max()))
-    return _distinct(plant, nearest, _held_same(plant) if gravity else SAME)
+    return _distinct(plant, nearest, _held_same(plant))
 
 
 def _nearest_turn(plant: Plant, postures: Vector) -> Vector:
@@ -396,7 +396,7 @@ def low_discrepancy(dimensions: int, count: int, seed: int) -> Vector:
 
 
 def _held_same(plant: Plant) -> float:
-    """Steps onto a nearly straight arm of length l end up to twice the root of 2 `REACHED` / l apart, rad."""
+    """Steps onto a nearly straight arm of length l end up to four times the root of 2 `REACHED` / l apart, rad."""
     return HELD_SAME / math.sqrt(min(1.0, arm_length(plant)))
 
 

@@ -20,6 +20,7 @@ import flexopt
 from flexopt import FlexoptError, ImplausibleMachine, InputError, ModelError, machine_from_dict, tree_from_dict
 from flexopt.cli.commands import cli
 from flexopt.model import AnyMachine
+from flexopt.model.plausibility import implausible_numbers
 from tests.model.robots.files import URDF, URDF_MACHINE, changed_text, read
 from tests.oracles.spatial import grounded, in_space, matrix_of, six
 from tests.study.machines import gantry
@@ -1002,3 +1003,13 @@ def test_the_damper_of_a_joint_that_overdamps_a_mode_is_named() -> None:
     sentences = told(data)
     assert sentences
     assert all("it is the damper of the joint link1, probably" in sentence for sentence in sentences)
+
+
+def test_soft_springs_of_what_hangs_are_told_by_the_ropes_that_have_them() -> None:
+    """A pendulum of length l has m g / l to the side."""
+    data = flexopt.load("excavator").to_dict()
+    mass = data["base"]["mass"] + sum(link["mass"] for link in data["links"])
+    springs = data["base"]["stiffness"] | {"x": mass * 9.81 / 12.0}
+    found = implausible_numbers(machine_from_dict(data | {"base": data["base"] | {"stiffness": springs}}))
+    assert [each.field for each in found] == ["base.stiffness.x"]
+    assert found[0].meant.endswith(", unless it hangs by ropes of some 12 m")

@@ -468,6 +468,16 @@ def test_gains_of_another_place_need_not_be_a_tenth_better_than_raised_ones(near
     assert found.place.slowest == pytest.approx(1.85, abs=1e-3)
 
 
+def test_of_staying_with_raised_gains_it_is_told_that_runs_refute_faster_ones() -> None:
+    hills = {STAY: Steep(LOW, 3.0, 1.0, slope=0.5, from_kp=8.0), "far": Steep(LOW, 2.0, 1.0)}
+    found = changed(hills, {STAY: 0.0, "far": 3.0}, "kp")
+    assert found.place.name == "far"
+    stable, refuted, with_its = found.staying.split("; ")
+    assert "staying with kp" in stable
+    assert refuted == f"nonlinear runs do not confirm faster ones there ({OFF} 1 m off)"
+    assert with_its == f"with the gains of far {OFF} 1 m off"
+
+
 def test_of_a_nearer_place_with_raised_gains_it_is_told_that_runs_refute_faster_ones() -> None:
     hills = {"near": Steep(LOW, 3.0, 1.0, slope=0.5, from_kp=8.0), "far": Steep(LOW, 2.0, 1.0)}
     found = changed(hills, {"near": 1.0, "far": 3.0}, "kp")

@@ -237,7 +237,7 @@ class GainChange:
         if not serves:
             return stay._replace(passed_over=self._no_use(other) if other.rank == 2 and other.place.holds else "")
         told = f"staying with {stay.in_words} is stable on every ground, too: slowest decay {stay.place.slowest_told}"
-        told = BETWEEN.join(filter(None, [told, why.get(STAY)]))
+        told = BETWEEN.join(filter(None, [told, stay.refuted_told * bool(stay.raised), why.get(STAY)]))
         return other._replace(staying="" if stay.doubt is not None else told)
 
     def _no_use(self, other: ChangedGains) -> str:

@@ -34,7 +34,7 @@ from flexopt.selection.several import BasePlan, Stand
 from flexopt.selection.several.by_loop import ByLoop
 from flexopt.selection.several.outcome_stand import held_by_loop
 from flexopt.selection.several.postures import Reached, reached_from, within_limits, without_constraints
-from flexopt.selection.starts import apart, violated
+from flexopt.selection.starts import apart, idle_joints, violated
 from flexopt.study.verdicts.confirmation import Runs, long_enough, nonlinear_runs, of_all
 from flexopt.study.verdicts.decision import LEAST_TOLD, UNREACHED
 from flexopt.study.verdicts.places import STAY
@@ -245,6 +245,8 @@ def held_otherwise(problem: SelectionProblem) -> bool:
     units = (*problem.machine.base_units, *problem.machine.joint_units)
     turn, away = np.array([math.tau if unit == "rad" else math.inf for unit in units]), z[1:] - z[:1]
     away -= np.where(np.isfinite(turn), turn, 0.0) * np.rint(away / turn)
+    # Nor is a roll of the tool that nothing depends on.
+    away[:, idle_joints(problem, z[0]) if len(z) else []] = 0.0
     return bool(np.max(np.abs(away) / problem.scale, initial=0.0) > SAME_POSTURE)
 
 
