@@ -35,7 +35,12 @@ from flexopt.model import load
     multiple=True,
 )  # fmt: skip
 @value("--window", "FROM,TO", "Part of the log, s; by default all after the arm's last motion.", numbers)
-@value("--imu", "X,Y[,Z]", "Where the accelerometer sits on the body that carries the arm, m; its origin.", numbers)
+@value(
+    "--imu",
+    "X,Y[,Z]",
+    "Where the accelerometer sits on the body that carries the arm, m, from the point of its springs (there by default).",
+    numbers,
+)
 @GRAVITY
 @of_picture("Draw log, fit and residuals: .png, .svg or .pdf.")
 @OUT

@@ -110,7 +110,8 @@ def identify(
             the springs is counted to them.
         window: (from, to), s, of the log; by default all that follows the last motion of the measured joints.
         imu: where the accelerometer sits, m, in the axes of the body that carries the arm (in the plane x along it to
-            the arm's first joint, y to its left); its origin by default.
+            the arm's first joint, y to its left), from the point at which its springs are: of the root link of a robot
+            file `[base] point`. By default there.
         progress: called with the number of stages done and of all.
 
     Returns:

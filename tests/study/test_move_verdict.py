@@ -30,10 +30,10 @@ from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.solve import constraint_values
 from flexopt.study import page
 from flexopt.study.page import with_minus
-from flexopt.study.verdicts import remarks
+from flexopt.study.verdicts import confirmation, remarks
 from flexopt.study.verdicts import verdict as verdict_module
 from flexopt.study.verdicts.broken_places import Breaks, broken_standing, broken_within
-from flexopt.study.verdicts.confirmation import nonlinear_runs, tilts
+from flexopt.study.verdicts.confirmation import GIVES_WAY, nonlinear_runs, tilts
 from flexopt.study.verdicts.decision import spoken
 from flexopt.study.verdicts.place_loops import besides_driving, configurations_of, held_at, unreached
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
@@ -1599,6 +1599,22 @@ def test_a_load_that_the_controller_does_not_know_is_named_where_the_arm_stays_o
     # The stiffness alone leaves the weight as the controller knows it.
     known = flexopt.verdict(chosen, loop=loop, ranges={"stiffness": (0.5, 2.0)}, members=2, runs=2)
     assert all(place.runs is not None and not any(place.runs.reasons) for place in known.places)
+
+
+def test_a_run_does_not_confirm_what_no_full_lever_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However near to its target the end-point is by then: the linear loop knows no full levers, and a longer run falls."""
+    machine, posture = flexopt.load("boom-stick-bucket"), np.array((-1.2, -1.5, -0.8))
+    asked = flexopt.Loop(
+        drive="velocity", feedback="pid", kp=3.0, ki=0.6, kv=0.0, servo_gain=4e4, nullspace_damping=1e4, rate=100.0
+    )
+    settings = settings_at(machine, posture, np.zeros(1), None, asked, gravity=True, call="test")[0]
+    box = UncertaintyBox(machine, (flexopt.Uncertainty(of="payload.mass", value=(650.0, 1350.0)),), 0.0)
+    loop, lightest = UncertainLoop(settings, np.zeros(1), posture, True, box), np.zeros((1, 1))
+    assert nonlinear_runs(loop, lightest, loop.decays(lightest), 20.0).reasons == ("",)
+    told = ", and at boom the load is another than the file's by 2 N m, of which a full lever bears 1"
+    monkeypatch.setattr(confirmation, "_full_levers", lambda *_: told)
+    (why,) = nonlinear_runs(loop, lightest, loop.decays(lightest), 20.0).reasons
+    assert why == f"{GIVES_WAY}{told.removeprefix(', and')}"
 
 
 def test_springs_that_draw_the_arm_off_are_named() -> None:

@@ -38,6 +38,7 @@ UNFINISHED = "the integrator could not finish the run"
 # Why a run that converges does not confirm; and more where the controller does not know the weight.
 OFF = "the end-point does not come to its target: in the end it is"
 SHORT = "; the run is short, "
+GIVES_WAY = "the arm comes to its target and then gives way:"
 INTEGRAL = "an integral part takes it to the target (loop.feedback pid with ki)"
 SAGS = (
     "; the controller carries the load of the machine's file, and a heavier or lighter one draws the arm off: "
@@ -166,6 +167,8 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                     # What a full lever does not bear no longer run shows.
                     off = f"{OFF} {_off_told(start, peak, end)}"
                     whys.append(f"{off}{sags if sags.startswith(',') else short + sags}")
+                elif confirms and (full := _full_levers(loop, _unknown_load(loop, members[row]))):
+                    whys.append(f"{GIVES_WAY}{full.removeprefix(', and')}")
                 reasons[row] = "; ".join(whys)
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
 
@@ -202,18 +205,22 @@ def _sags(loop: UncertainLoop, u: Vector, until: str) -> str:
     Full levers may not bear the difference, and without an integral part the arm hangs where its feedback does.
     `until`: what is told of drives with one.
     """
-    plant, settings = build_plant(loop.box.machine), loop.settings
-    if not loop.gravity:
-        return ""
-    at = plant.rest(loop.base, loop.posture, loop.box.nominal)
-    each = (plant.gravity(at, loop.base, p).full().ravel() for p in (loop.box.numbers(u)[0], loop.box.nominal))
-    own, known = (weight[plant.n_passive :] for weight in each)
-    more = own - known
-    if np.abs(more).max() <= ROUNDING * np.abs(known).max():
+    more, settings = _unknown_load(loop, u), loop.settings
+    if not more.any():
         return ""
     integrates = settings.feedback == "pid" and bool(np.all(settings.ki[settings.kp > 0] > 0))
     until = until if settings.drive == "velocity" else ""
     return _full_levers(loop, more) or (until if integrates else SAGS)
+
+
+def _unknown_load(loop: UncertainLoop, u: Vector) -> Vector:
+    """By how much more joints carry (n,) than the controller takes them to, N m or N; 0 where that is rounding."""
+    plant = build_plant(loop.box.machine)
+    at = plant.rest(loop.base, loop.posture, loop.box.nominal)
+    each = (plant.gravity(at, loop.base, p).full().ravel() for p in (loop.box.numbers(u)[0], loop.box.nominal))
+    own, known = (weight[plant.n_passive :] for weight in each)
+    more: Vector = own - known
+    return more if loop.gravity and np.abs(more).max() > ROUNDING * np.abs(known).max() else np.zeros_like(more)
 
 
 def tilts(loop: UncertainLoop, u: Vector, end: float) -> str:
