@@ -38,7 +38,7 @@ from flexopt.model import load
 @value(
     "--imu",
     "X,Y[,Z]",
-    "Where the accelerometer sits on the body that carries the arm, m, from the point of its springs (there by default).",
+    "Where the accelerometer sits on the body that carries the arm, m, from its springs' point (there by default).",
     numbers,
 )
 @GRAVITY
