@@ -144,7 +144,7 @@ ALWAYS["actuator"].pop("servo_gain")
 class ComparedRow(Result):
     """One quantity in every result: values are numbers, words, or None where there is none or no border.
 
-    `zero`: the word of a number that is 0 where there is none.
+    `zero`: the word of a number that is 0 where there is none;  apart: whether results have it in units of their own.
     """
 
     label: str
@@ -153,6 +153,7 @@ class ComparedRow(Result):
     errors: tuple[float | None, ...]
     more: bool | None
     zero: str = ""
+    apart: bool = False
 
     DOCUMENT = "label unit values errors"
 
@@ -185,7 +186,7 @@ class Comparison(Result):
 
     @property
     def bands(self) -> list[Bands]:
-        """Of every quantity that is a number."""
+        """Of every quantity that is a number, in one unit."""
         return [each for each in map(self._bands, self.rows) if each is not None]
 
     @property
@@ -197,7 +198,8 @@ class Comparison(Result):
         from flexopt.plotting import bands  # noqa: PLC0415
 
         numbers = [math.nan if not isinstance(value, float) else value for value in row.values]
-        if all(map(math.isnan, numbers)):
+        # What has several units stands on no one axis.
+        if row.apart or all(map(math.isnan, numbers)):
             return None
         errors = [error or 0.0 for error in row.errors]
         told = zip(self.names, numbers, errors, row.texts(), strict=True)
@@ -313,7 +315,9 @@ def _rows(quantity: SavedQuantity, documents: Sequence[Any]) -> list[ComparedRow
     if not any(isinstance(value, list) for value in values):
         errors = tuple(_number(_at(document, quantity.error)) for document in documents)
         own = tuple(_value(v, _at(d, quantity.scale)) for v, d in zip(values, documents, strict=True))
-        return [ComparedRow(quantity.label, _units(quantity, documents), own, errors, quantity.more, quantity.zero)]
+        several = len(_each_unit(quantity, documents)) > 1
+        units = _units(quantity, documents)
+        return [ComparedRow(quantity.label, units, own, errors, quantity.more, quantity.zero, several)]
     shared = _units(quantity, documents) if quantity.control else quantity.unit
     found: dict[tuple[str, str], list[float | str | None]] = {}
     for k, (document, value) in enumerate(zip(documents, values, strict=True)):
@@ -335,8 +339,14 @@ def _or_falls(decay: Any, rate: Any) -> Any:
 
 def _units(quantity: SavedQuantity, documents: Sequence[Any]) -> str:
     """The unit of a number, or of every w_i; where documents have different ones all of them."""
-    found = [_unit(quantity, document) for document in documents if _at(document, quantity.key) is not None]
-    return " or ".join(unit or "no unit" for unit in dict.fromkeys(found)) if any(found) else quantity.unit
+    found = _each_unit(quantity, documents)
+    return " or ".join(unit or "no unit" for unit in found) if any(found) else quantity.unit
+
+
+def _each_unit(quantity: SavedQuantity, documents: Sequence[Any]) -> list[str]:
+    """The units in which documents have it, each once."""
+    found = (_unit(quantity, document) for document in documents if _at(document, quantity.key) is not None)
+    return list(dict.fromkeys(found))
 
 
 def _unit(quantity: SavedQuantity, document: Any) -> str:

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 import flexopt
-from flexopt.study.comparison import ComparedRow
+from flexopt.study.comparison import ComparedRow, compare_saved
 from tests.cli.command import Command
 
 pytestmark = pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
@@ -167,6 +167,13 @@ def test_units_of_gains_and_measures(command: Command, tmp_path: Path) -> None:
     both = command("compare", one, other).stdout
     assert "allowed Kp, N m or N/m  " in both
     assert "w1, 1/(kg m2) or 1/kg  " in both
+    # In the picture numbers of two units are not drawn on one axis.
+    labels = {
+        name: {each.label for each in compare_saved(files).bands}
+        for name, files in (("same", [one, one]), ("both", [one, other]))
+    }
+    assert "allowed Kp" in labels["same"] - labels["both"]
+    assert "decay of the loop" in labels["both"]
 
 
 def test_an_allowed_gain_that_there_is_not_is_none(command: Command, tmp_path: Path) -> None:
