@@ -178,11 +178,6 @@ class SampledLoop:
         return abs(float(np.angle(self.multipliers[0]))) / (2 * np.pi * self.period)
 
     @property
-    def falls(self) -> bool:
-        """Whether feedback is not found to hold its weight anywhere: a multiplier of the largest number there is."""
-        return bool(np.any(np.abs(self.multipliers[:1]) >= np.finfo(np.float64).max))
-
-    @property
     def aperiodic(self) -> bool:
         """Whether the pole nearest to instability dies away without swinging: to e^-10 within a period."""
         return -self.growth_rate > 10 * self.frequency_hz

@@ -127,7 +127,7 @@ def inverse_kinematics(
             bent = "" if elbow is None else f" with the elbow {elbow}"
             why = f"every posture{bent} that reaches it breaks a joint limit"
         raise unreachable(plant, point, placement, why, sagging=sagging)
-    return _distinct(plant, found, _held_same(plant) if gravity else 1e-7)
+    return distinct(plant, found, _held_same(plant) if gravity else 1e-7)
 
 
 def inside_reach(plant: Plant, target: Vector, bases: Vector) -> tuple[Vector, Vector]:
@@ -154,7 +154,7 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
     off = float(np.nanmin(left))
     if gravity:
         if reached:
-            reached, off = _settled(plant, target, base, np.array(_distinct(plant, reached, SAME)).T)
+            reached, off = _settled(plant, target, base, np.array(distinct(plant, reached, SAME)).T)
         if not reached:
             # The border of the reach is another as the machine sags.
             z, limits = np.vstack([bases, postures]), _limits(plant)
@@ -165,7 +165,7 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
     turned = list(into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
     middle = (low + high) / 2
     nearest = sorted(turned, key=lambda posture: float(np.abs(posture - middle).max()))
-    return _distinct(plant, nearest, _held_same(plant))
+    return distinct(plant, nearest, _held_same(plant))
 
 
 def _nearest_turn(plant: Plant, postures: Vector) -> Vector:
@@ -400,7 +400,7 @@ def _held_same(plant: Plant) -> float:
     return HELD_SAME / math.sqrt(min(1.0, arm_length(plant)))
 
 
-def _distinct(plant: Plant, postures: list[Vector], tolerance: float) -> list[Vector]:
+def distinct(plant: Plant, postures: list[Vector], tolerance: float) -> list[Vector]:
     """The list without repeats, by whole turns of hinges that can make them, too (a straight arm's elbows agree)."""
     points, kept, units = np.array(postures), np.ones(len(postures), dtype=bool), plant.machine.joint_units
     # Slides of a small machine are short.

@@ -16,6 +16,7 @@ import numpy as np
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.doubt import with_doubt
+from flexopt.loop.outcome import NOWHERE_HELD, falling
 from flexopt.loop.spectrum import CAUSES, from_sample_to_sample, too_much
 from flexopt.loop.tangent import Tangent, at_rest
 from flexopt.model import AnyMachine
@@ -239,8 +240,9 @@ def judge(
     why = alternating(linear, ended)
     there = " about the rest that it comes to" if rests or (ended is not None and ended.e is not None) else ""
     how = f"{verb} (decay {-rate:+z.4g}/s at {linear.frequency_hz:.4g} Hz{why})"
-    if linear.falls:
-        how = "falls, for feedback is not found to hold its weight anywhere near"
+    falls = -rate <= falling(1 / linear.period)
+    if falls:
+        how = f"falls: {NOWHERE_HELD}"
     other = f"the linear loop{there} {how}"
     creeps = [own for own in linear.drift[:1] if own * run.duration > CREEPS]
     other += "".join(f", the arm's self-motion drifts (decay {-own:+.3g}/s)" for own in creeps)
@@ -254,7 +256,7 @@ def judge(
         return Judgement(run.word, f"{said}; {other}")
     if eigenvalues == "undecided":
         return Judgement("undecided", f"{said}, but {other}, to rounding")
-    if linear.falls:
+    if falls:
         return Judgement("undecided", f"{said}, but {other}")
     return Judgement("undecided", f"{said}, but {other}: {_why(run, linear, ended if ran is None else ran)}")
 

@@ -113,13 +113,13 @@ GROWN = {"word": "grows", "rate": 0.5, "grown": float(np.exp(5.0))}
             {},
             SampledLoop(FALLS, 0.01),
             "undecided",
-            "falls, for feedback is not found to hold its weight anywhere near",
+            "falls: the feedback is not found to hold the weight, which the controller does not know, anywhere near",
         ),
         (
             GROWN,
             SampledLoop(FALLS, 0.01),
             "grows",
-            "the linear loop falls, for feedback is not found to hold its weight",
+            "the linear loop falls: the feedback is not found to hold the weight",
         ),
     ],
 )

@@ -21,6 +21,7 @@ from flexopt.loop.beside_decay import BesideDecay
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.loop.uncertainty_box import UncertaintyBox
+from flexopt.plant.inverse_kinematics import distinct
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.broken import broken, resting
@@ -240,14 +241,12 @@ def held_otherwise(problem: SelectionProblem) -> bool:
         return False
     reached = _reached(_standing_at(problem, now))
     allowed = np.isfinite(reached.value[0])
-    z = reached.z[:, 0, allowed if allowed.any() else np.isfinite(reached.violation[0])].T
-    # Whole turns of a hinge are no other posture.
-    units = (*problem.machine.base_units, *problem.machine.joint_units)
-    turn, away = np.array([math.tau if unit == "rad" else math.inf for unit in units]), z[1:] - z[:1]
-    away -= np.where(np.isfinite(turn), turn, 0.0) * np.rint(away / turn)
-    # Nor is a roll of the tool that nothing depends on.
-    away[:, idle_joints(problem, z[0]) if len(z) else []] = 0.0
-    return bool(np.max(np.abs(away) / problem.scale, initial=0.0) > SAME_POSTURE)
+    z = reached.z[:, 0, allowed if allowed.any() else np.isfinite(reached.violation[0])]
+    if z.size:
+        # A roll of the tool that nothing depends on is no other posture.
+        z[idle_joints(problem, z[:, 0])] = 0.0
+    plant = problem.measures.plant
+    return len(distinct(plant, list(z[plant.n_base :].T), SAME_POSTURE)) > 1
 
 
 def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bool = True) -> Configurations | None:
