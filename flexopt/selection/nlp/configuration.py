@@ -48,9 +48,9 @@ class Configuration:
     gravity: bool
     extra: ConstraintRows | None
 
-    @property
+    @cached_property
     def measures(self) -> Measures:
-        """The measures behind the objective."""
+        """The measures behind the objective, asked for once: built anew, they would be of other symbols."""
         return build_measures(self.machine, self.control, self.gravity)
 
     @property
