@@ -443,11 +443,6 @@ def placement(text: str) -> Any:
     return parts[0] if len(parts) == 1 else parts
 
 
-def names(text: str) -> list[str]:
-    """`a, b` as words."""
-    return [part.strip() for part in text.split(",")]
-
-
 def table(name: str, entries: tuple[str, ...], read: Callable[[str], Any] = placement) -> dict[str, Any] | None:
     """`("delay=0.02", "noise=1e-3")` as a table, numbers as numbers; None where nothing was given."""
     found: dict[str, Any] = {}

@@ -14,7 +14,6 @@ import click
 from flexopt.cli.common import (
     JSON,
     check_output,
-    names,
     numbers,
     option,
     print_json,
@@ -25,6 +24,7 @@ from flexopt.cli.common import (
 )
 from flexopt.cli.completing import argument
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.escapes import of_option_list
 from flexopt.foundation.plain import counted
 from flexopt.foundation.quantities import ANGLE, INERTIA, LENGTH, LENGTH_OR_ZERO, MASS, Quantity
 from flexopt.foundation.quantities import several as entries_or_one
@@ -108,7 +108,7 @@ def _limits(text: Any, known: Mapping[str, Any]) -> tuple[tuple[float, float], .
 
 def _gives(directions: tuple[str, ...], least: int) -> Callable[[Any, Mapping[str, Any]], tuple[str, ...]]:
     def read(text: Any, _: Mapping[str, Any]) -> tuple[str, ...]:
-        words = [] if least == 0 and str(text).strip() == NONE else names(str(text))
+        words = [] if least == 0 and str(text).strip() == NONE else of_option_list(str(text))
         wrong = [word for word in words if word not in directions]
         if wrong or len(words) < least:
             listed = ",".join(directions)
@@ -288,7 +288,7 @@ def _spelt(name: str) -> str:
     "--actuated",
     "A,B,…",
     "Of a robot file: joints that the controller moves (all on the way to the end-point with "
-    "room between their limits).",
+    "room between their limits). In double quotes what has a comma.",
 )
 @value(
     "--tip",
@@ -324,7 +324,7 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
         planar = [Fault(_spelt(word), "goes with a planar machine, without --from", options[word])
                   for word in sorted(own) if options[word] is not None]  # fmt: skip
         raise_if_any(InputError, "new", planar)
-        actuated = None if options["actuated"] is None else names(options["actuated"])
+        actuated = None if options["actuated"] is None else of_option_list(options["actuated"])
         chain = read_chain(Path(robot), options["tip"], actuated)
         if chain.hand or chain.chosen:
             place = "beside" if chain.chosen else "behind"

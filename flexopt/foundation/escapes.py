@@ -1,4 +1,4 @@
-r"""Names as text of each target: Matplotlib's mathtext, C, XML and HTML, the terminal.
+r"""Names as text of each target: Matplotlib's mathtext, C, XML and HTML, the terminal, lists that options take.
 
 In: a name as a user wrote it, any Unicode at all. Out: text that the target shows as it is, and never reads as more.
 A machine may be called `rig $x_{$`, `???/` or `掘削機-2`; whoever puts a name into a text takes it through here.
@@ -7,9 +7,12 @@ A machine may be called `rig $x_{$`, `???/` or `掘削機-2`; whoever puts a nam
 from __future__ import annotations
 
 import codecs
+import csv
+import io
 import json
 import re
 import unicodedata
+from collections.abc import Iterable
 from functools import cache
 from importlib import import_module
 from typing import Any, cast
@@ -129,6 +132,19 @@ def _glyphs_of(names: tuple[str, ...]) -> frozenset[int]:
     for path in paths or {str(font_manager.findfont("DejaVu Sans"))}:
         found |= set(font_manager.get_font(path).get_charmap())
     return frozenset(found)
+
+
+def option_list(names: Iterable[str]) -> str:
+    """Names with commas between them, as options take them: in double quotes where one has a comma itself."""
+    row = io.StringIO()
+    csv.writer(row, lineterminator="").writerow(names)
+    return row.getvalue()
+
+
+def of_option_list(text: str) -> list[str]:
+    """The names in what `option_list` writes, without blanks around them."""
+    rows = csv.reader([" ".join(text.splitlines())], skipinitialspace=True)
+    return [name.strip() for row in rows for name in row] or [""]
 
 
 def toml_key(name: str) -> str:

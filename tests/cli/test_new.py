@@ -703,12 +703,12 @@ def test_joints_whose_limits_leave_no_room_are_named_and_get_some(command: Comma
     written = Path("half.toml").read_text(encoding="utf-8")
     assert "leave no room" not in written
     assert "all on the way to the end-point with room between their limits; not extend (0.2 to 0.2 m)" in written
-    # Names are quoted for the shell, and for the file.
-    Path("named.urdf").write_text(STUCK.replace('name="lift"', 'name="lift 1.a"'), encoding="utf-8")
+    # Names are quoted for the option, for the shell, and for the file.
+    Path("named.urdf").write_text(STUCK.replace('name="lift"', 'name="lift, 1.a"'), encoding="utf-8")
     message = " ".join(command("new", "--from", "named.urdf", "--out", "named.toml", "--yes").stderr.split())
     given = re.search(r"--actuated (.*) writes a file", message)
     assert given is not None
     (names,) = shlex.split(given[1])
-    assert '[joints."lift 1.a"]' in flexopt.check("named.urdf").warnings[0]
+    assert '[joints."lift, 1.a"]' in flexopt.check("named.urdf").warnings[0]
     followed(command, "named.toml", "--from", "named.urdf", "--actuated", names)
-    assert tomllib.loads(Path("named.toml").read_text(encoding="utf-8"))["joints"].keys() == {"lift 1.a", "extend"}
+    assert tomllib.loads(Path("named.toml").read_text(encoding="utf-8"))["joints"].keys() == {"lift, 1.a", "extend"}

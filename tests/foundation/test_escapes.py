@@ -24,7 +24,18 @@ from matplotlib.figure import Figure
 import flexopt
 from flexopt import machine_from_dict
 from flexopt.export.fmu import export_fmu, package
-from flexopt.foundation.escapes import TERMINAL, ascii_text, c_identifier, c_text, markup, mathtext, one_line, terminal
+from flexopt.foundation.escapes import (
+    TERMINAL,
+    ascii_text,
+    c_identifier,
+    c_text,
+    markup,
+    mathtext,
+    of_option_list,
+    one_line,
+    option_list,
+    terminal,
+)
 from flexopt.plotting import plot_trajectories
 
 HOSTILE = {
@@ -295,3 +306,10 @@ def test_a_page_goes_to_a_path_that_the_locale_cannot_read(tmp_path: Path) -> No
     )
     assert done.returncode == 0, done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["é.html"]
+
+
+@given(st.lists(anything.map(lambda text: " ".join(text.split())).filter(bool), min_size=1, max_size=4))
+def test_an_option_takes_names_with_commas(names: list[str]) -> None:
+    """What is told to be given is read as the names it was told of."""
+    assert of_option_list(option_list(names)) == names
+    assert of_option_list(", ".join(option_list([name]) for name in names)) == names

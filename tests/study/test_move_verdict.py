@@ -1245,6 +1245,7 @@ def test_own_constraints_are_looked_at_with_other_loads_too() -> None:
         assert told is not None
         assert not place.breaks or float(told[2]) == pytest.approx(torque, rel=1e-3)
     assert found.excluded == ("stay", "candidate 1")
+    assert "keeps constraints there, too, all but Functions of one's own" in repr(found)
     assert found.place == "candidate 2"
     shown = {place.name: place.breaks for place in found.places}
     assert found.exclusions == {name: shown[name] for name in found.excluded}

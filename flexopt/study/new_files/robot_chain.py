@@ -16,6 +16,7 @@ import numpy as np
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
 from flexopt.foundation.arrays import Array
+from flexopt.foundation.escapes import option_list
 from flexopt.foundation.nearest import hint
 from flexopt.model.robots.description import Description, Joint, RobotLink
 from flexopt.model.robots.geometry import Pose
@@ -171,7 +172,7 @@ def read_chain(path: Path, end: str | None, actuated: Sequence[str] | None) -> R
     if not driven:
         why = f"no joint between the ground and link {at!r} can be driven"
         if stuck:
-            names = shlex.quote(",".join(joint.name for joint in stuck))
+            names = shlex.quote(option_list(joint.name for joint in stuck))
             why += f": the limits leave no room, of {stuck_told(stuck)}; --actuated {names} writes a file that "
             why += "proposes others, in [joints]"
         raise InputError(f"new: {path.name}: {why}")
