@@ -12,6 +12,8 @@ from scipy.optimize import minimize, root
 
 from flexopt import SingularPosture, UnreachableTarget, build_plant, evaluate, inverse_kinematics, load, tree_from_dict
 from flexopt.model import machine_from_dict
+from flexopt.plant.inverse_kinematics import distinct
+from flexopt.plant.reach import arm_length
 from tests.oracles.lagrange import lagrange
 from tests.oracles.machines import (
     NumpySource,
@@ -318,6 +320,29 @@ def test_a_small_machine_has_no_posture_told_twice(softer, posture):
     found = inverse_kinematics(machine, target, gravity=True)
     assert 1 <= len(found) <= 2
     assert min(np.abs(each - posture).max() for each in found) < 2e-4
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-3])
+def test_slides_are_told_apart_as_shares_of_the_arm(size):
+    """A lift, a boom and a telescope of 1 m and of 1 mm: a hundredth of it apart is another posture, a 10⁻⁵th none."""
+    parts, bodies = (("lift", "slide", 0.0), ("boom", "hinge", 0.2), ("telescope", "slide", 1.0)), []
+    for parent, (name, kind, x) in zip(("base", "lift", "boom"), parts, strict=True):
+        joint = {"name": name, "kind": kind, "axis": [0, 1, 0] if kind == "hinge" else [1, 0, 0], "limits": [-1, 1]}
+        numbers = {"mass": 1.0, "com": [0, 0, 0], "inertia": [1e-6, 1e-6, 1e-6, 0, 0, 0]}
+        bodies.append({"name": name, "parent": parent, "joint": joint, "position": [size * x, 0, 0]} | numbers)
+    spring = {"name": "base.z", "kind": "slide", "axis": [0, 0, 1], "passive": True, "stiffness": 1e7, "damping": 0.0}
+    bodies = [
+        {"name": "base", "parent": None, "joint": spring, "mass": 1.0, "com": [0, 0, 0]}
+        | {"inertia": [1e-6] * 3 + [0] * 3},
+        *bodies,
+    ]
+    end_point = {"body": "telescope", "position": [0.2 * size, 0, 0], "rows": ["x", "z"]}
+    plant = build_plant(tree_from_dict({"name": "small", "bodies": bodies, "end_point": end_point}))
+    assert arm_length(plant) == pytest.approx(1.4 * size, rel=1e-9)
+    posture = np.array([0.0, 0.3, 0.0])
+    for moved, count in ((1e-2, 2), (1e-5, 1)):
+        assert len(distinct(plant, [posture, posture + moved * size * np.eye(3)[2]], 1e-3)) == count
+        assert len(distinct(plant, [posture, posture + moved * np.eye(3)[1]], 1e-3)) == count
 
 
 def test_a_last_link_of_next_to_no_length_is_no_fault_of_its_own():
