@@ -102,6 +102,8 @@ def test_places_that_break_constraints_on_some_ground_count_where_all_do() -> No
     refuted = decide(grows, [], refuted=place("candidate 1", GROUNDS), doubt="the run of 20 s grows", gains="kp 1 1/s")
     assert refuted.word == "cannot tell"
     assert refuted.reason.endswith("but nonlinear runs do not confirm that: the run of 20 s grows")
+    refuted = decide(grows, [], refuted=place("candidate 1", GROUNDS), doubt="breaks holding of boom", gains="kp 1 1/s")
+    assert refuted.reason.endswith("(kp 1 1/s) candidate 1 is, but then it breaks holding of boom")
 
 
 def test_places_that_a_search_finds_slower_than_their_members_give_way() -> None:
@@ -168,6 +170,7 @@ def test_nothing_is_said_that_runs_do_not_confirm() -> None:
     ends = {
         "confirm the present place and far (A); nor near (B)": {"stay": "A", "near": "B", "far": "A"},
         "confirm the present place (A), near (B) and far (C)": {"stay": "A", "near": "B", "far": "C"},
+        "confirm the present place (A; C), near (C) and far (B; C)": {"stay": "A; C", "near": "C", "far": "B; C"},
         "confirm the present place and near (it is 0.1 and 0.2 m off; C); nor far (B)": {
             "stay": "it is 0.1 m off; C",
             "near": "it is 0.2 m off; C",
@@ -284,6 +287,8 @@ def test_staying_tells_the_most_that_any_place_that_was_judged_is_better_on() ->
     assert told.word == "stay"
     assert "no place found decays at least 10 % faster on more than 2 % of the grounds" in told.reason
     assert "on any ground" in decide(stay, [alike]).reason
+    few = place("near", np.where(np.arange(40) < 2, 2.0, 1.0) * GROUNDS)
+    assert "on more than 5 % of the grounds" in decide(stay, [few], most=1 / 40).reason
 
 
 def test_a_place_that_grows_fast_on_one_ground_goes_before_one_that_grows_slowly_on_most() -> None:
@@ -391,6 +396,10 @@ def test_what_tells_growing_from_stable_grounds_is_to_be_measured() -> None:
     alike = place("near", np.where(np.arange(40) < 20, 1.001, 0.999) * GROUNDS)
     _, values = deciding(decide(STAY, [alike], unconfirmed={"stay": ""}), {"stay": STAY, "near": alike}, STAY)
     assert values.max() < 0
+    alone = decide(STAY, [], unconfirmed={"stay": "why"})
+    what, values = deciding(alone, {"stay": STAY}, STAY)
+    assert what == "the decay at the present place"
+    assert np.array_equal(values, STAY.decays)
     # By the share of the decay, as the word: a load that takes as much from both tells, though what is gained in 1/s
     # falls with it.
     load = np.linspace(0.0, 1.0, 40)
