@@ -12,7 +12,6 @@ from flexopt.cli.common import (
     JSON,
     given,
     handing_out,
-    names,
     numbers,
     of_picture,
     placement,
@@ -22,6 +21,7 @@ from flexopt.cli.common import (
     working,
 )
 from flexopt.cli.completing import argument
+from flexopt.foundation.escapes import of_option_list
 from flexopt.model import load
 
 
@@ -29,7 +29,7 @@ from flexopt.model import load
 @argument("machine")
 @CONTROL
 @GRAVITY
-@value("--joints", "A,B", "The two that vary, along x and y (the first two by default).", names)
+@value("--joints", "A,B", "The two that vary, along x and y (the first two by default).", of_option_list)
 @value("--posture", "A,…", "The joints that do not vary, rad (slides: m).", numbers)
 @value("--base", "X[,Y,YAW]", "Placement, m and rad (0 by default): it moves the end-points.", placement)
 @value("--x-range", "LO,HI", "Of the first that varies, rad or m; its limits or a whole turn by default.", numbers)

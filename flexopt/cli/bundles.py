@@ -14,7 +14,6 @@ from flexopt.cli.common import (
     JSON,
     check_folder,
     given,
-    names,
     number,
     option,
     read,
@@ -27,6 +26,7 @@ from flexopt.cli.completing import argument
 from flexopt.cli.fmu import fmu_options, write_fmu
 from flexopt.cli.judging import LOOP, real_loop
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.escapes import of_option_list
 from flexopt.model import load
 
 # Options of a bundle that an FMU has not.
@@ -53,7 +53,7 @@ class _WithParts(click.Command):
 @click.command("export", cls=_WithParts, short_help="C for the machine's controller, or an FMU of its loop.")
 @argument("machine")
 @value("--out", "DIR", "Folder to write; one that exists is replaced if it is an unchanged bundle.")
-@value("--parts", "A,B,…", "Some of those named above; by default all that the machine allows.", names)
+@value("--parts", "A,B,…", "Some of those named above; by default all that the machine allows.", of_option_list)
 @value("--real", "double|float", "Precision of every computation (double by default).")
 @CONTROL
 @GAIN

@@ -14,7 +14,6 @@ from flexopt.cli.common import (
     OUT,
     given,
     handing_out,
-    names,
     numbers,
     of_picture,
     read,
@@ -22,6 +21,7 @@ from flexopt.cli.common import (
     working,
 )
 from flexopt.cli.completing import argument
+from flexopt.foundation.escapes import of_option_list
 from flexopt.model import load
 
 
@@ -31,7 +31,7 @@ from flexopt.model import load
 @value("--posture", "A,B,…", "How the arm is held, rad (slides: m); by default where the log's joints stand.", numbers)
 @BASE
 @value(
-    "--unknown", "NAMES", "What is not known: stiffness,damping (the default), payload.mass and so on.", names,
+    "--unknown", "NAMES", "What is not known: stiffness,damping (the default), payload.mass and so on.", of_option_list,
     multiple=True,
 )  # fmt: skip
 @value("--window", "FROM,TO", "Part of the log, s; by default all after the arm's last motion.", numbers)

@@ -21,7 +21,6 @@ from flexopt.cli.common import (
     check_sheet,
     given,
     handing_out,
-    names,
     numbers,
     of_picture,
     of_sheet,
@@ -42,6 +41,7 @@ from flexopt.cli.judging import LOOP, asked_problem, judged, of_machine, real_lo
 from flexopt.cli.simulation import loop_options
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
+from flexopt.foundation.escapes import of_option_list
 from flexopt.model import load, load_experiment
 from flexopt.model.choices import ELBOWS
 
@@ -65,9 +65,11 @@ REPORT_FOLDER, PROBLEM_FOLDER = "flexopt-reproduce", "flexopt-report"
     "--elbow", metavar="|".join(ELBOWS), help="Which posture of a two-joint arm reaches an end-point (up by default)."
 )
 @value("--over", "end_point|posture|base", "What varies: end-point (default), two joints or placement.")
-@value("--joints", "A,B", "With --over posture: the two that vary (the first two by default).", names)
-@value("--rows", "R,S", "With --over end_point: the two task rows that vary (the first two by default).", names)
-@value("--coordinates", "X,Y", "With --over base: the two of the placement that vary (the first two).", names)
+@value("--joints", "A,B", "With --over posture: the two that vary (the first two by default).", of_option_list)
+@value(
+    "--rows", "R,S", "With --over end_point: the two task rows that vary (the first two by default).", of_option_list
+)
+@value("--coordinates", "X,Y", "With --over base: the two of the placement that vary (the first two).", of_option_list)
 @value(
     "--posture",
     "A,…",
