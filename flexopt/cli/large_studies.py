@@ -115,7 +115,8 @@ def export_command(as_json: bool, folder: str, out: str | None) -> None:
     write = result.to_csv if path.lower().endswith(".csv") else result.to_netcdf
     write_output("--out", path, lambda: write(path))
     if as_json:
-        print_json({"file": path, "bytes": Path(path).stat().st_size, "points": result.points})
+        size = Path(path).stat().st_size
+        print_json({"file": path, "bytes": size, "points": result.points, "provenance": result.provenance})
     else:
         say(f"{result.points} points: {path}")
 

@@ -24,6 +24,7 @@ from flexopt.cli.common import (
 )
 from flexopt.cli.completing import argument
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.documents import provenance
 from flexopt.foundation.escapes import of_option_list
 from flexopt.foundation.plain import counted
 from flexopt.foundation.quantities import ANGLE, INERTIA, LENGTH, LENGTH_OR_ZERO, MASS, Quantity
@@ -350,7 +351,7 @@ def new_command(as_json: bool, file: str | None, out: str | None, yes: bool, for
     steps = [f"flexopt check {shown}", f"flexopt evaluate {shown} --posture {posture}"]
     if as_json:
         print_json({"file": path, "machine": made.machine.name, "joints": list(made.machine.joints),
-                    "posture": list(made.posture), "next": steps})  # fmt: skip
+                    "posture": list(made.posture), "next": steps, "provenance": provenance(made.machine)})  # fmt: skip
         return
     say(f"{path}: {made.machine!r}")
     for sentence in filter(None, (end, made.held and f"In the machine {made.held}.")):

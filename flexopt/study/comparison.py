@@ -16,6 +16,8 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arrays import Document
+from flexopt.foundation.documents import provenance
 from flexopt.foundation.doubt import with_doubt
 from flexopt.foundation.plain import shown
 from flexopt.foundation.results import Result
@@ -177,6 +179,13 @@ class Comparison(Result):
     names: tuple[str, ...]
     rows: tuple[ComparedRow, ...]
     differences: tuple[tuple[str, tuple[str, ...]], ...]
+
+    DOCUMENT = "kind names rows differences provenance"
+
+    @property
+    def provenance(self) -> Document:
+        """The versions that compared; where each result comes from is in its own file."""
+        return provenance(results=list(self.names))
 
     def plot(self, path: str | os.PathLike[str] | None = None, **asked: Any) -> Figure:
         """Every quantity that is a number, a ring for each result; `asked`: as of the `plot` of results."""

@@ -122,8 +122,15 @@ def test_switches_change_the_numbers(command: Command) -> None:
 
 @pytest.mark.parametrize(
     "arguments",
-    [EVALUATE, SELECT, ("select", "article"), ("doctor",)],
-    ids=["evaluate", "select", "select-problem", "doctor"],
+    [
+        EVALUATE,
+        SELECT,
+        ("select", "article"),
+        ("doctor",),
+        ("new", "machine.toml", "--yes"),
+        ("region", "excavator", "--posture", "0.04,-2.05", "--loop", "kp=1e4", "--loop", "kv=1e3", "--boxes", "0"),
+    ],
+    ids=["evaluate", "select", "select-problem", "doctor", "new", "region"],
 )
 def test_every_document_stands_alone_and_has_provenance(command: Command, arguments: tuple[str, ...]) -> None:
     document = command.json(*arguments)

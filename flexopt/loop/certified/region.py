@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
 
 from flexopt.errors import InputError, raise_if_any
-from flexopt.foundation.arrays import BaseLike, PostureLike, Progress, Vector
+from flexopt.foundation.arrays import BaseLike, Document, PostureLike, Progress, Vector
 from flexopt.foundation.boundary import public, whole
 from flexopt.foundation.control import Control
+from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import listed
 from flexopt.foundation.results import Result
 from flexopt.foundation.stages import Stages
@@ -83,6 +84,7 @@ class Region(Result):
             self-motion, at `critical` and at `radius_critical`: of most a drift of the arm that is taken for the loop's
             as it moves the base; NaN where nothing acts on the self-motion, or there is none.
         settings: the loop's numbers, and where those come from that were not given.
+        provenance: machine, versions and options, the posture and the ranges among them.
 
     Example:
         >>> machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
@@ -114,11 +116,12 @@ class Region(Result):
     self_motion: float
     radius_self_motion: float
     settings: LoopSettings
+    provenance: Document = field(repr=False)
 
     DOCUMENT = """
     stable guaranteed rests_on certified boxes points decay[1/s] critical frequency_hz[Hz] radius radius_guaranteed
     radius_critical drift[1/s] drift_critical unheld unheld_at rests_off[m] rests_off_at rests_beyond rests_beyond_at
-    self_motion radius_self_motion settings
+    self_motion radius_self_motion settings provenance
     """
 
     def __repr__(self) -> str:
@@ -259,6 +262,17 @@ def stable_region(
         self_motion=last.self_motion,
         radius_self_motion=own,
         settings=settings,
+        provenance=provenance(
+            machine,
+            base=where,
+            posture=held,
+            control=settings.control,
+            gravity=gravity,
+            loop=asked and asked.model_dump(exclude_unset=True),
+            ranges=[each.model_dump(exclude_none=True) for each in known],
+            points=points,
+            boxes=boxes,
+        ),
     )
 
 
