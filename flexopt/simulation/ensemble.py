@@ -37,7 +37,7 @@ from flexopt.model.simulation import SimulationKeywords, SimulationOptions, on_t
 from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Behaviour, behaviour
-from flexopt.simulation.linear import SampledLoop
+from flexopt.simulation.linear import SampledLoop, coordinates
 from flexopt.simulation.members import Keep, Members, Plan, member_loops, motion_constants
 from flexopt.simulation.real_loop import in_shorter_steps, with_loop
 from flexopt.simulation.run import OUTGREW, check_residual, grew, moves, note_run, runners, signals_at_end, unfollowed
@@ -93,6 +93,12 @@ class Ensemble(Pictured, Tabled):
     def linear_loops(self) -> list[SampledLoop | str]:
         """Of each member, exact between the samples; a sentence where it rests nowhere."""
         return member_loops(self.plan, self.ends if self.moved else None)
+
+    @cached_property
+    def last_postures(self) -> Vector | None:
+        """In which each member ends, (N, n), rad or m, where arms have a self-motion, along which they may creep."""
+        scenario, n = self.plan.scenario, self.plan.scenario.loop.shape.n_joints
+        return None if self.ends is None else np.array([coordinates(scenario, x)[-n:] for x in self.ends.T])
 
     @cached_property
     def linear_growth_rate(self) -> Vector:

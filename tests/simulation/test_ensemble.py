@@ -121,6 +121,17 @@ def test_dead_times_vary_within_a_sample():
     assert "sensor" not in many.provenance["options"]
 
 
+def test_where_arms_with_a_self_motion_end():
+    """The last of their trajectories, under loads that draw them off; of other arms none is kept."""
+    machine, posture = flexopt.load("boom-stick-bucket"), (-1.2, -1.5, -0.8)
+    options = {"vary": {"payload.mass": [650.0, 1350.0]}, "gravity": True, "duration": 0.5, "kp": 1e4, "kv": 1e3}
+    ran = flexopt.simulate_ensemble(machine, posture, keep="trajectories", **options)
+    angles = ran.dataset["q"].isel(time=-1).transpose("member", ...).to_numpy()[:, -3:]
+    assert np.abs(np.diff(angles, axis=0)).max() > 1e-3
+    np.testing.assert_allclose(ran.last_postures, angles, rtol=0, atol=1e-12)
+    assert flexopt.simulate_ensemble(EXCAVATOR, POSTURE_B, vary={"offset": OFFSETS}, duration=0.1).last_postures is None
+
+
 def test_members_start_in_the_same_posture_whatever_varies():
     """On a base that cannot turn, too, whose angle at rest then varies."""
     base = EXCAVATOR.to_dict()["base"] | {"stiffness": {"x": 4e7}, "damping": {"x": 50.0}}

@@ -38,7 +38,7 @@ UNFINISHED = "the integrator could not finish the run"
 # Why a run that converges does not confirm; and more where the controller does not know the weight.
 OFF = "the end-point does not come to its target: in the end it is"
 SHORT = "; the run is short, "
-GIVES_WAY = "the arm comes to its target and then gives way:"
+GIVES_WAY = "the end-point comes nearer, but full levers do not hold the arm as it ends:"
 INTEGRAL = "an integral part takes it to the target (loop.feedback pid with ki)"
 SAGS = (
     "; the controller carries the load of the machine's file, and a heavier or lighter one draws the arm off: "
@@ -53,8 +53,8 @@ UNTIL = (
     "; another load than the machine's file has draws the arm until the integral part has caught up: a larger "
     "loop.servo_gain, or ki, keeps it nearer"
 )
-# Of the weight, what is none.
-ROUNDING = 1e-9
+# Of the weight, what is none; of what a full lever bears, what an arm that has crept onto it is off that.
+ROUNDING, ON_FULL_LEVER = 1e-9, 1e-3
 # What runs may show; of several the first that one of them shows.
 WORST_FIRST = ("grows", "undecided", "converges")
 
@@ -154,7 +154,10 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
             ]
             judgements = judged_beside(ensemble, beside)
             errors = zip(*(data[f"{name}_error"] for name in ("start", "peak", "end")), strict=True)
-            for row, own, linear, (start, peak, end) in zip(some, judgements, beside, errors, strict=True):
+            crept = ensemble.last_postures
+            held = [loop.posture] * len(some) if crept is None else crept
+            each = zip(some, judgements, beside, held, errors, strict=True)
+            for row, own, linear, posture, (start, peak, end) in each:
                 verdicts[row], nearer[row] = own.verdict, bool(end <= peak / 2 and end <= start)
                 # That a load draws the arm away tells more than what becomes of the base meanwhile.
                 confirms = own.verdict == "converges"
@@ -163,11 +166,12 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                     short = _short(float(decays[row]) * duration, AT_REST / least)
                     # What swings for longer than a load is being taken up is none of its doing.
                     swings = isinstance(linear, str) or linear.frequency_hz > 0
-                    sags = _sags(loop, members[row], UNTIL * (not swings)) or tilts(loop, members[row], float(end))
+                    until = UNTIL * (not swings)
+                    sags = _sags(loop, members[row], posture, until) or tilts(loop, members[row], float(end))
                     # What a full lever does not bear no longer run shows.
                     off = f"{OFF} {_off_told(start, peak, end)}"
                     whys.append(f"{off}{sags if sags.startswith(',') else short + sags}")
-                elif confirms and (full := _full_levers(loop, _unknown_load(loop, members[row]))):
+                elif confirms and (full := _full_levers(loop, members[row], posture)):
                     whys.append(f"{GIVES_WAY}{full.removeprefix(', and')}")
                 reasons[row] = "; ".join(whys)
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
@@ -199,24 +203,24 @@ def _short(over: float, needed: float) -> str:
     return f"{SHORT}{over:.2g} time constants of the slowest motion{long}"
 
 
-def _sags(loop: UncertainLoop, u: Vector, until: str) -> str:
+def _sags(loop: UncertainLoop, u: Vector, posture: Vector, until: str) -> str:
     """That the controller carries another weight than the member has, and what helps; empty where it has the right one.
 
     Full levers may not bear the difference, and without an integral part the arm hangs where its feedback does.
-    `until`: what is told of drives with one.
+    `posture`: in which the run ends;  `until`: what is told of drives with one.
     """
-    more, settings = _unknown_load(loop, u), loop.settings
-    if not more.any():
+    settings = loop.settings
+    if not _unknown_load(loop, u, loop.posture).any():
         return ""
     integrates = settings.feedback == "pid" and bool(np.all(settings.ki[settings.kp > 0] > 0))
     until = until if settings.drive == "velocity" else ""
-    return _full_levers(loop, more) or (until if integrates else SAGS)
+    return _full_levers(loop, u, posture) or (until if integrates else SAGS)
 
 
-def _unknown_load(loop: UncertainLoop, u: Vector) -> Vector:
+def _unknown_load(loop: UncertainLoop, u: Vector, posture: Vector) -> Vector:
     """By how much more joints carry (n,) than the controller takes them to, N m or N; 0 where that is rounding."""
     plant = build_plant(loop.box.machine)
-    at = plant.rest(loop.base, loop.posture, loop.box.nominal)
+    at = plant.rest(loop.base, posture, loop.box.nominal)
     each = (plant.gravity(at, loop.base, p).full().ravel() for p in (loop.box.numbers(u)[0], loop.box.nominal))
     own, known = (weight[plant.n_passive :] for weight in each)
     more: Vector = own - known
@@ -228,17 +232,17 @@ def tilts(loop: UncertainLoop, u: Vector, end: float) -> str:
     return TILTS if loop.off_target(loop.outcome(u)) > end / 2 else ""
 
 
-def _full_levers(loop: UncertainLoop, more: Vector) -> str:
-    """Which joint's full lever bears less than a load (n,) that the controller does not know; empty where all do."""
-    machine, settings = loop.box.machine, loop.settings
+def _full_levers(loop: UncertainLoop, u: Vector, posture: Vector) -> str:
+    """Which joint's full lever bears less than a load that the controller does not know; empty where all do."""
+    machine, settings, more = loop.box.machine, loop.settings, _unknown_load(loop, u, posture)
     # Without a speed no lever is known to be full.
     if settings.drive != "velocity" or machine.joints_without_speed:
         return ""
     # A drive pushes against what draws it.
-    rates = full_rates(machine, loop.posture)
+    rates = full_rates(machine, posture)
     bears = settings.servo_gain * np.where(more > 0, rates[:, 1], rates[:, 0])
     k = int(np.argmax(np.abs(more) / np.maximum(bears, np.finfo(np.float64).tiny)))
-    if abs(more[k]) <= bears[k]:
+    if abs(more[k]) < (1 - ON_FULL_LEVER) * bears[k]:
         return ""
     unit = "N m" if machine.joint_units[k] == "rad" else "N"
     load = f"at {machine.joints[k]} the load is another than the file's by {abs(more[k]):.3g} {unit}"
