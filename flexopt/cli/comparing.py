@@ -12,7 +12,7 @@ from flexopt.cli.completing import argument
 
 @click.command("compare", short_help="Saved results beside each other, as a table and a picture.")
 @argument("results", nargs=-1, required=True)
-@of_picture("Draw every quantity, a dot for each result: .png, .svg or .pdf.")
+@of_picture("Draw each quantity in one unit, a ring for each result: .png, .svg or .pdf.")
 @OUT
 @JSON
 def compare_command(as_json: bool, results: tuple[str, ...], **options: Any) -> None:

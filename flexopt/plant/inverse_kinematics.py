@@ -33,7 +33,7 @@ SAMPLES = 256
 NEAREST = 64
 # Postures closer than this, found by iteration, are one.
 SAME = 1e-6
-# The like by steps onto a target, with an arm of 1 m; see `_held_same`.
+# The like by steps onto a target, with an arm of 1 m; see `held_same`.
 HELD_SAME = 1e-4
 # A target is reached to this share of a metre, position and orientation rows alike.
 REACHED = 1e-10
@@ -127,7 +127,7 @@ def inverse_kinematics(
             bent = "" if elbow is None else f" with the elbow {elbow}"
             why = f"every posture{bent} that reaches it breaks a joint limit"
         raise unreachable(plant, point, placement, why, sagging=sagging)
-    return distinct(plant, found, _held_same(plant) if gravity else 1e-7)
+    return distinct(plant, found, held_same(plant) if gravity else 1e-7)
 
 
 def inside_reach(plant: Plant, target: Vector, bases: Vector) -> tuple[Vector, Vector]:
@@ -165,7 +165,7 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
     turned = list(into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
     middle = (low + high) / 2
     nearest = sorted(turned, key=lambda posture: float(np.abs(posture - middle).max()))
-    return distinct(plant, nearest, _held_same(plant))
+    return distinct(plant, nearest, held_same(plant))
 
 
 def _nearest_turn(plant: Plant, postures: Vector) -> Vector:
@@ -395,7 +395,7 @@ def low_discrepancy(dimensions: int, count: int, seed: int) -> Vector:
     return (shift[:, None] + steps[:, None] * np.arange(count)) % 1.0
 
 
-def _held_same(plant: Plant) -> float:
+def held_same(plant: Plant) -> float:
     """Steps onto a nearly straight arm of length l end up to four times the root of 2 `REACHED` / l apart, rad."""
     return HELD_SAME / math.sqrt(min(1.0, arm_length(plant)))
 

@@ -89,7 +89,7 @@ def plot_verdict(sheet: Sheet, answer: Any) -> None:
 
 @picture("", size=lambda comparison: _size(comparison, 2))
 def plot_comparison(sheet: Sheet, comparison: Any) -> None:
-    """Every quantity that is a number, a ring for each result, with its error where one is known."""
+    """Every quantity that is a number in one unit, a ring for each result, with its error where one is known."""
     _draw_all(sheet, comparison, 2)
 
 
@@ -135,9 +135,7 @@ def _draw(axes: Axes, bands: Bands) -> None:
         weight = "bold" if row.name == bands.told else "normal"
         across = axes.get_yaxis_transform()
         axes.text(-0.03, k, row.name, transform=across, va="center", ha="right", fontsize="small", fontweight=weight)
-        # Two units are long, and stand below the axis.
-        worst = row.worst.removesuffix(f" {bands.unit}") if " or " in bands.unit else row.worst
-        axes.text(1.04, k, worst, transform=across, va="center", fontsize="small")
+        axes.text(1.04, k, row.worst, transform=across, va="center", fontsize="small")
     axes.set_yticks([])
     axes.set_ylim(_bottom(bands), TOP)
     # A power of ten stands beside the axis: under its end it met the label of a narrow panel.
@@ -161,8 +159,8 @@ def _draw(axes: Axes, bands: Bands) -> None:
     formatter = axes.xaxis.get_major_formatter()
     formatter.set_locs(axes.get_xticks().tolist())
     better, unit = "" if bands.more is None else f" ({'more' if bands.more else 'less'} is better)", bands.unit or "SI"
-    # Two units are long, and a power of ten needs room beside the label: the rest is a line of its own.
-    apart = bool(better) and (" or " in unit or bool(formatter.get_offset()))
+    # A power of ten needs room beside the label: the rest is a line of its own.
+    apart = bool(better) and bool(formatter.get_offset())
     label = f"{labelled(bands.label, unit)}\n{better.strip()}" if apart else labelled(f"{bands.label}{better}", unit)
     axes.set_xlabel(label)
     open_frame(axes, "x")

@@ -190,10 +190,14 @@ def violated(problem: SelectionProblem, z: Vector, *, target: bool = True) -> Ve
 def beyond_rows(problem: SelectionProblem, z: Vector) -> Vector:
     """The violation of every row at points z (n_z, N), in units of the scales, (N, rows): ∞, no number."""
     lower, upper, scale = problem.row_bounds
-    at = [*problem.quantities.at(z), problem.constants]
-    rows = problem.configuration.rows_alone.call(at)[0].full().T
+    rows = rows_at(problem, z)
     found = np.maximum(np.maximum(lower - rows, rows - upper) / scale, 0.0)
     return np.where(np.isnan(found), np.inf, found)
+
+
+def rows_at(problem: SelectionProblem, z: Vector) -> Vector:
+    """Every row at points z (n_z, N), (N, rows)."""
+    return problem.configuration.rows_alone.call([*problem.quantities.at(z), problem.constants])[0].full().T
 
 
 def kept_by_none(problem: SelectionProblem) -> str:
@@ -483,15 +487,17 @@ def _nearest_to_constraints(problem: SelectionProblem) -> Vector:
     return scan.z[:, peaks(scan, -scan.violation, ~scan.feasible)[:STARTS_OF_SCAN]]
 
 
-def idle_joints(problem: SelectionProblem, z: Vector) -> list[int]:
-    """Joints that neither the end-point nor a measure depends on."""
+def idle_joints(problem: SelectionProblem, z: Vector, *, constrained: bool = False) -> list[int]:
+    """Joints that neither the end-point nor a measure depends on; `constrained`: nor what constraints keep there."""
     found = list[int]()
     for k in range(problem.measures.plant.n_base, z.size):
         at = np.repeat(z[:, None], TURNS.size, axis=1)
         at[k] += TURNS
         w, size, r = (x.full() for x in problem.measures.w.call(problem.quantities.at(at))[:3])
         if np.all(np.abs(w - w[:, :1]) <= EVEN * size) and np.all(np.abs(r - r[:, :1]) <= EVEN):
-            found.append(k)
+            rows = (rows_at(problem, at) / problem.row_bounds[2])[:, problem.target.size :]
+            if not constrained or np.all(np.ptp(rows, axis=0) <= EVEN):
+                found.append(k)
     return found
 
 

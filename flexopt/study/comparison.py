@@ -72,7 +72,7 @@ POSTURE = (
     SavedQuantity("outcome.delay_margin", "delay margin", "s", more=True),
     SavedQuantity("outcome.sensitivity_peak", "peak of the sensitivity", more=False),
     SavedQuantity("outcome.settling", "settling time", "s", more=False),
-    SavedQuantity("outcome.swing", "base swing", "rad or m for each m", more=False),
+    SavedQuantity("outcome.swing", "base swing, for each m", more=False, units="outcome.swing_unit"),
 )
 RUN = (
     SavedQuantity("verdict", "verdict"),
@@ -188,7 +188,7 @@ class Comparison(Result):
         return provenance(results=list(self.names))
 
     def plot(self, path: str | os.PathLike[str] | None = None, **asked: Any) -> Figure:
-        """Every quantity that is a number, a ring for each result; `asked`: as of the `plot` of results."""
+        """Every quantity that is a number in one unit, a ring for each result; `asked`: as of the `plot` of results."""
         from flexopt.plotting.bands import plot_comparison  # noqa: PLC0415  (matplotlib is slow to import)
 
         return plot_comparison(self, path, **asked)
@@ -200,8 +200,9 @@ class Comparison(Result):
 
     @property
     def heading(self) -> str:
-        """What is compared."""
-        return f"{self.kind}s: {', '.join(self.names)}"[:80]
+        """What is compared, and whether more of it is in the table."""
+        compared = f"{self.kind}s: {', '.join(self.names)}"[:80]
+        return compared + "; what has units of its own is in the table" * any(row.apart for row in self.rows)
 
     def _bands(self, row: ComparedRow) -> Bands | None:
         from flexopt.plotting import bands  # noqa: PLC0415
@@ -321,13 +322,13 @@ def _rows(quantity: SavedQuantity, documents: Sequence[Any]) -> list[ComparedRow
         values = [_or_falls(value, _at(d, quantity.rate)) for value, d in zip(values, documents, strict=True)]
     if all(value is None for value in values):
         return []
+    shared, several = _units(quantity, documents), len(_each_unit(quantity, documents)) > 1
     if not any(isinstance(value, list) for value in values):
         errors = tuple(_number(_at(document, quantity.error)) for document in documents)
         own = tuple(_value(v, _at(d, quantity.scale)) for v, d in zip(values, documents, strict=True))
-        several = len(_each_unit(quantity, documents)) > 1
-        units = _units(quantity, documents)
-        return [ComparedRow(quantity.label, units, own, errors, quantity.more, quantity.zero, several)]
-    shared = _units(quantity, documents) if quantity.control else quantity.unit
+        return [ComparedRow(quantity.label, shared, own, errors, quantity.more, quantity.zero, several)]
+    # Entries with units of their own have rows of their own.
+    shared, several = (quantity.unit, False) if quantity.units else (shared, several)
     found: dict[tuple[str, str], list[float | str | None]] = {}
     for k, (document, value) in enumerate(zip(documents, values, strict=True)):
         entries = cast(list[Any], value) if isinstance(value, list) else []
@@ -338,7 +339,8 @@ def _rows(quantity: SavedQuantity, documents: Sequence[Any]) -> list[ComparedRow
             key = f"{quantity.label}{apart}{own}", str(units[i]) if i < len(units) else shared
             found.setdefault(key, [None] * len(documents))[k] = _value(entry, scales[i] if i < len(scales) else None)
     none = (None,) * len(documents)
-    return [ComparedRow(label, unit, tuple(row), none, quantity.more) for (label, unit), row in found.items()]
+    each = found.items()
+    return [ComparedRow(label, unit, tuple(row), none, quantity.more, apart=several) for (label, unit), row in each]
 
 
 def _or_falls(decay: Any, rate: Any) -> Any:

@@ -172,7 +172,7 @@ def test_units_of_gains_and_measures(command: Command, tmp_path: Path) -> None:
         name: {each.label for each in compare_saved(files).bands}
         for name, files in (("same", [one, one]), ("both", [one, other]))
     }
-    assert "allowed Kp" in labels["same"] - labels["both"]
+    assert {"allowed Kp", "w1", "w2", "w3"} <= labels["same"] - labels["both"]
     assert "decay of the loop" in labels["both"]
 
 

@@ -248,3 +248,34 @@ def test_steps_that_end_in_one_posture_are_no_other(
     problem = flexopt.build_selection(machine, (1.8, 0.3, 1.5), base=0.0)
     assert (len(flexopt.inverse_kinematics(machine, (1.8, 0.3, 1.5), base=0.0)) > 1) == others
     assert held_otherwise(problem) == others
+
+
+@pytest.mark.parametrize(("off", "counts"), [(0.6, True), (0.0, False)])
+def test_a_roll_of_the_tool_is_another_posture_where_a_clearance_depends_on_it(off: float, counts: bool) -> None:
+    """One elbow alone is within the limits; what the tool carries lies beside the axis of its roll, or on it."""
+    car = {"name": "pitch", "kind": "hinge", "axis": (0, 1, 0), "passive": True, "stiffness": 1e5, "damping": 1e3}
+    bodies: list[dict[str, Any]] = [
+        {"name": "car", "parent": None, "joint": car, "mass": 900.0, "inertia": (90.0, 95.0, 99.0, 0, 0, 0)}
+    ]
+    for name, axis, position, limits, mass in (
+        ("slew", (0, 0, 1), (0, 0, 1.0), (-1.5, 1.5), 50.0),
+        ("boom", (0, 1, 0), (0, 0, 0.5), (-1.4, 0.5), 50.0),
+        ("stick", (0, 1, 0), (1.5, 0, 0), (0.1, 2.7), 50.0),
+        ("roll", (1, 0, 0), (0.8, 0, 0), (-1.5, 1.5), 10.0),
+    ):
+        joint = {"name": name, "kind": "hinge", "axis": axis, "limits": limits}
+        bodies.append({"name": name, "parent": bodies[-1]["name"], "joint": joint, "position": position, "mass": mass,
+                       "com": (0.2, 0, 0), "inertia": (0.5, 1.0, 1.0, 0, 0, 0)})  # fmt: skip
+    machine = flexopt.tree_from_dict(
+        {
+            "name": "tool",
+            "bodies": bodies,
+            "end_point": {"body": "roll", "position": (0.4, 0, 0), "rows": ("x", "y", "z")},
+            "placement": ("x",),
+            "capsules": [{"body": "roll", "start": (0.0, -off, 0), "end": (0.1, -off, 0), "radius": 0.05}],
+        }
+    )
+    target, kept = (1.8, 0.3, 1.5), {"clearance": {"distance": 0.0, "ground": 1.2}}
+    problem = flexopt.build_selection(machine, target, base=0.0, constraints=kept)
+    assert held_otherwise(problem) == counts
+    assert not held_otherwise(flexopt.build_selection(machine, target, base=0.0))

@@ -21,7 +21,7 @@ from flexopt.loop.beside_decay import BesideDecay
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.loop.uncertainty_box import UncertaintyBox
-from flexopt.plant.inverse_kinematics import distinct
+from flexopt.plant.inverse_kinematics import distinct, held_same
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.broken import broken, resting
@@ -242,11 +242,11 @@ def held_otherwise(problem: SelectionProblem) -> bool:
     reached = _reached(_standing_at(problem, now))
     allowed = np.isfinite(reached.value[0])
     z = reached.z[:, 0, allowed if allowed.any() else np.isfinite(reached.violation[0])]
-    if z.size:
-        # A roll of the tool that nothing depends on is no other posture.
-        z[idle_joints(problem, z[:, 0])] = 0.0
+    # A roll of the tool that nothing depends on is no other posture.
+    for each in z.T:
+        each[idle_joints(problem, each, constrained=True)] = 0.0
     plant = problem.measures.plant
-    return len(distinct(plant, list(z[plant.n_base :].T), SAME_POSTURE)) > 1
+    return len(distinct(plant, list(z[plant.n_base :].T), max(SAME_POSTURE, held_same(plant)))) > 1
 
 
 def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bool = True) -> Configurations | None:
