@@ -111,7 +111,8 @@ def identify(
         window: (from, to), s, of the log; by default all that follows the last motion of the measured joints.
         imu: where the accelerometer sits, m, in the axes of the body that carries the arm (in the plane x along it to
             the arm's first joint, y to its left), from the point at which its springs are: of the root link of a robot
-            file `[base] point`. By default there.
+            file `[base] point`. By default there. The axes of that link are those of the anchor frame at rest, here
+            and in the log, which `[base] rotation` turns the link against.
         progress: called with the number of stages done and of all.
 
     Returns:
