@@ -309,7 +309,8 @@ def _why(run: Shown, linear: SampledLoop, ran: Ran | None) -> str:
         whys.append("damped by its own integrator")
     if long and rate > 0:
         whys.append("without any of that motion")
-    if rate < 0 and linear.neutral:
+    # Drives that follow rates brake it, and leave one eigenvalue 1 of each of its directions instead of two.
+    if rate < 0 and linear.neutral and not linear.drift:
         whys.append("drawn along by the arm's self-motion, which nothing brakes")
     listed = ", ".join(whys[:-1])
     return f"the run is {listed and f'{listed}, or '}{whys[-1]}"

@@ -99,6 +99,12 @@ GROWN = {"word": "grows", "rate": 0.5, "grown": float(np.exp(5.0))}
         # Only what decays can be damped, and only what nothing brakes draws the base along.
         (GROWN, loop(-0.2), "undecided", "too short to show it, or too large for a linear loop"),
         (GROWN, replace(loop(-0.2), neutral=2), "undecided", "linear loop, or drawn along by the arm's self-motion"),
+        (
+            GROWN,
+            replace(loop(-0.2), neutral=1, own=np.array([0.2 + 0.0j])),
+            "undecided",
+            "too short to show it, or too large for a linear loop",
+        ),
         ({}, replace(loop(0.2), neutral=2), "undecided", "linear loop, or damped by its own integrator"),
         # What grows by e^103, or is out of the finite numbers, has had its time; what never began does not show.
         (
