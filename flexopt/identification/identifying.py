@@ -296,11 +296,11 @@ def _first_noise(small: SmallSwing, theta: Vector) -> Vector:
 
 
 def _check_motion(log: MeasuredLog, noise: Vector) -> None:
-    """Refuse what shows no swing."""
+    """Refuse what shows no swing, or that of another machine."""
     explained = 1.0 - (noise / np.maximum(np.nanstd(log.values, axis=0), 1e-300)) ** 2
     if explained.max() < EXPLAINED:
-        sentence = "shows no swing that stands out of its noise"
-        raise refused(f"{sentence}: of no column more than {max(0.0, explained.max()):.0%} is explained by one")
+        sentence = "shows no swing that stands out of its noise, or numbers that are not `unknown` do not fit it"
+        raise refused(f"{sentence}: what is unknown explains {max(0.0, explained.max()):.0%} of a column at most")
 
 
 def _check_duration(swing: HeldSwing, duration: float, found: Fit) -> None:

@@ -62,10 +62,14 @@ def test_places_that_break_constraints_on_some_ground_count_where_all_do() -> No
     assert fit({"stay": beside, "candidate 1": broken, "candidate 2": beside}) == ["stay", "candidate 2"]
     assert fit({"stay": broken, "candidate 1": broken._replace(at_rest=beside.at_rest)}) == ["stay"]
     # By less than weights and springs are known to, it is as one that keeps them.
-    hardly = beside._replace(hardly=True)
+    hardly = beside._replace(hardly=frozenset({"at_rest"}))
     assert fit({"stay": kept, "candidate 1": hardly, "candidate 2": beside}) == ["stay", "candidate 1"]
     assert fit({"stay": broken, "candidate 1": hardly, "candidate 2": beside}) == ["candidate 1"]
-    assert fit({"stay": kept, "candidate 1": broken._replace(hardly=True)}) == ["stay"]
+    by_little = broken._replace(hardly=frozenset({"somewhere"}))
+    assert fit({"stay": kept, "candidate 1": by_little, "candidate 2": broken}) == ["stay", "candidate 1"]
+    both = by_little._replace(at_rest=beside.at_rest)
+    assert fit({"stay": kept, "candidate 1": both}) == ["stay"]
+    assert fit({"stay": kept, "candidate 1": broken._replace(hardly=hardly.hardly)}) == ["stay"]
     # What grows is nowhere at rest, and no better than what breaks something there.
     grows_at = "candidate 2"
     assert fit({"stay": beside, "candidate 2": kept}) == ["stay", "candidate 2"]

@@ -1252,6 +1252,28 @@ def test_own_constraints_are_looked_at_with_other_loads_too() -> None:
     assert found.to_dict()["exclusions"] == found.exclusions
 
 
+@pytest.mark.parametrize(("beyond", "barred"), [(0.005, False), (0.02, True)])
+def test_what_is_broken_by_less_than_loads_are_known_to_is_told_and_bars_nothing(beyond: float, barred: bool) -> None:
+    """A bound on the boom's torque, passed by half a per cent and by two with the load of a corner."""
+    machine, most = flexopt.load("boom-stick-bucket"), 2.6e5
+    x = ca.MX.sym("torques", 3)
+    own = flexopt.Constraint(ca.Function("boom_torque", [x], [x[0]], ["torques"], ["o"]), lower=-most, upper=most)
+    chosen = flexopt.select(machine, (6.0, 2.0), base=0.0, constraints=[own], starts=5)
+    plant, first = flexopt.build_plant(machine), chosen.candidates[0].evaluation
+    data, torques = machine.to_dict(), list[float]()
+    for mass in (0.0, 1000.0):
+        data["payload"]["mass"] = mass
+        p = flexopt.build_plant(flexopt.machine_from_dict(data)).parameter_values
+        q = plant.rest(first.base, first.posture, p)
+        torques.append(abs(float(plant.gravity(q, first.base, p)[plant.n_passive])))
+    heaviest = 1000.0 * ((1.0 + beyond) * most - torques[0]) / (torques[1] - torques[0])
+    found = flexopt.verdict(chosen, loop="default", ranges={"payload.mass": (0.0, heaviest)}, members=4, runs=0)
+    broken = {place.name: place.breaks for place in found.places}
+    assert broken["candidate 1"].startswith(f"breaks boom_torque, {(1 + beyond) * most:.4g} ")
+    assert not broken["candidate 2"]
+    assert ("candidate 1" in found.excluded) == barred
+
+
 @pytest.mark.long
 def test_the_sentences_about_other_places_are_of_the_tables_numbers() -> None:
     """Why no nearer place, a slower decay than where a trench was dug, and how the arm is held beside an obstacle."""
@@ -1388,7 +1410,7 @@ def test_of_many_intervals_each_constraint_is_looked_at_where_its_own_room_falls
     chosen = flexopt.select(machine, (8.0, 1.0), base=0.0, base_range=(-1.0, 0.0), constraints=asked, starts=4)
     uncertain = tuple(flexopt.Uncertainty(of=name, value=ends) for name, ends in (others | heavy).items())
     stand = [(each.base, each.posture) for each in configurations_of(chosen)["candidate 1"]]
-    told = broken_within(chosen, stand, UncertaintyBox(machine, uncertain, 0.0))
+    told, _ = broken_within(chosen, stand, UncertaintyBox(machine, uncertain, 0.0))
     # As of a machine whose file has that number, by how much, is what `evaluate` says.
     data["links"][2]["mass"] = 905.0
     held = flexopt.evaluate(flexopt.machine_from_dict(data), stand[0][1], base=stand[0][0]).cylinders[1]

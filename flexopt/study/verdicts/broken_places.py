@@ -44,7 +44,8 @@ class Breaks(NamedTuple):
         somewhere: at corners of what is uncertain.
         at_rest: where feedback holds the end-point beside its target.
         barring: by which of these it is none to go to or to stay at; see `with_barring`.
-        hardly: whether all that is broken at rest is by `HARDLY` at most: it is told, and bars nothing.
+        hardly: which of `somewhere` and `at_rest` it breaks by `HARDLY` at most, all of it: that is told, and bars
+            nothing.
     """
 
     standing: str = ""
@@ -52,7 +53,7 @@ class Breaks(NamedTuple):
     somewhere: str = ""
     at_rest: str = ""
     barring: str = ""
-    hardly: bool = False
+    hardly: frozenset[str] = frozenset()
 
     @property
     def now(self) -> str:
@@ -72,13 +73,15 @@ class Breaks(NamedTuple):
 
 def breaks_of(chosen: Chosen, place: PlaceLoops, stand: Sequence[tuple[Vector, Vector]]) -> Breaks:
     """What a place breaks of what was asked for, (base, posture) at each target."""
-    at_rest, hardly = broken_at_rest(chosen, place)
+    somewhere, hardly_somewhere = broken_within(chosen, stand, place.box)
+    at_rest, hardly_at_rest = broken_at_rest(chosen, place)
+    hardly = {"somewhere": hardly_somewhere, "at_rest": hardly_at_rest}
     return Breaks(
         broken_standing(chosen, stand),
         broken_by_loop(chosen, stand, place),
-        broken_within(chosen, stand, place.box),
+        somewhere,
         at_rest,
-        hardly=hardly,
+        hardly=frozenset(kind for kind, is_so in hardly.items() if is_so),
     )
 
 
@@ -128,13 +131,14 @@ def _at_targets(each: Sequence[str]) -> str:
     return "; ".join(f"at target {k} {sentence}" for k, sentence in enumerate(each, start=1) if sentence)
 
 
-def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: UncertaintyBox) -> str:
-    """Which constraints a place keeps with the file's numbers and breaks at a corner of the box, asked for or assumed.
+def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: UncertaintyBox) -> tuple[str, bool]:
+    """Which constraints a place keeps with the file's numbers and breaks at a corner of the box; whether `hardly`.
 
+    Those that were asked for, and those that are assumed.
     Each at the corner, of those looked at, at which it is broken most. Choices keep those of statics, as of what joints
     hold, and the user's own, with the file's payload.
     """
-    found = dict[str, dict[str, dict[int, ConstraintValue | None]]]()
+    found, hardly = dict[str, dict[str, dict[int, ConstraintValue | None]]](), True
     for k, (problem, at) in enumerate(zip(problems_of(chosen), stand, strict=True), start=1):
         z, worst = np.concatenate(at), dict[str, _Broken]()
         if broken_names(problem, z, asked=True):
@@ -143,6 +147,7 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
         for theta in _corners(problem, z, whole):
             for each in (one for one in _broken_at(problem, z, whole, theta) if one.name not in unasked):
                 worst[each.name] = max(worst.get(each.name, each), each, key=lambda one: one.off)
+        hardly &= all(most.hardly for most in worst.values())
         for name, most in worst.items():
             plain = _plainest(problem, z, whole, most)
             where = told_numbers(box.machine, whole.numbers_at(plain.theta)[0].tolist())
@@ -156,7 +161,7 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
             for name, at in names.items()
         ]
         told.append(f"breaks {'; '.join(each)},{WHERE}{where}")
-    return "; ".join(told)
+    return "; ".join(told), bool(told) and hardly
 
 
 def _and_within(problem: SelectionProblem, box: UncertaintyBox) -> UncertaintyBox:
@@ -183,6 +188,10 @@ class _Broken(NamedTuple):
     @property
     def off(self) -> float:
         return math.inf if self.value is None else -self.value.least_room
+
+    @property
+    def hardly(self) -> bool:
+        return self.value is not None and self.value.beyond_allowed <= HARDLY
 
 
 def _broken_at(problem: SelectionProblem, z: Vector, box: UncertaintyBox, theta: Vector) -> list[_Broken]:

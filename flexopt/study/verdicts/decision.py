@@ -23,8 +23,8 @@ from flexopt.study.verdicts.places import STAY
 Word = Literal["move", "stay", "change gains", "cannot tell"]
 # By which share of its decay one is faster than the other, and in which share of the members it must be.
 FASTER, MOST = 0.1, 0.95
-# What is broken at rest beside the target by no more than this share of what is allowed takes no place out: weights and
-# springs, and by them where the arm rests, are not known to that.
+# What is broken with other numbers than the file's, on the target or at rest beside it, by no more than this share of
+# what is allowed takes no place out: weights and springs, and by them what joints carry, are not known to that.
 HARDLY = 0.01
 # Members of either sign that tell grounds apart.
 SEVERAL = 3
@@ -66,8 +66,8 @@ RULE = (
     "in no place found, and is not among those compared, nor is one from which the arm does not reach a target within "
     "its limits; nor is one that breaks constraints at a corner of what is uncertain, where another place keeps them "
     "with the end-point on the target, or there at rest beside its target, where another that is stable on every "
-    f"ground does not; what is broken at rest by {100 * HARDLY:.0f} % of what is allowed or less counts as kept, for "
-    "weights and springs, and by them where the arm rests, are not known to that. Where no nonlinear runs were asked "
+    f"ground does not; what is broken by {100 * HARDLY:.0f} % of what is allowed or less in one of these two ways "
+    "counts as kept in it, for weights and springs are not known to that. Where no nonlinear runs were asked "
     "for, they need not confirm. Of several places to move to it is that with the least drive among those whose "
     f"slowest decay is within {100 * FASTER:.0f} % of the best, and of drives within {100 * FASTER:.0f} % and "
     f"{1e3 * LEAST_TOLD:.0f} mm of the least, and turns of the base on its way within {100 * FASTER:.0f} % and "

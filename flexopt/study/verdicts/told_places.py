@@ -21,9 +21,10 @@ def with_barring(
     """What each place breaks, and by which of it it is none to move to or to stay at: others break nothing of the kind.
 
     None that breaks something as it stands is one. Of the others those whose loops do what they must are, where there
-    is one; of these those that break nothing on any ground; of these those that break nothing beside their targets, or
-    hardly, where one of them `holds`, which is to say whether it is stable wherever that was looked at: what grows is
-    nowhere at rest. One that does not reach its target, as where the arm is held now, keeps nothing in another's stead.
+    is one; of these those that break nothing on any ground; of these those that break nothing beside their targets,
+    where one of them `holds`, which is to say whether it is stable wherever that was looked at: what grows is nowhere
+    at rest. What is broken `hardly`, on a ground or at rest, is nothing there. One that does not reach its target, as
+    where the arm is held now, keeps nothing in another's stead.
     """
     found = {name: "standing" for name, each in breaks.items() if each.standing}
     for kind in ("by_loop", "somewhere", "at_rest"):
@@ -35,7 +36,7 @@ def with_barring(
 
 
 def _broken(breaks: Breaks, kind: str) -> bool:
-    return bool(getattr(breaks, kind)) and not (kind == "at_rest" and breaks.hardly)
+    return bool(getattr(breaks, kind)) and kind not in breaks.hardly
 
 
 def shares_better(decays: Mapping[str, Vector]) -> dict[str, float]:
