@@ -50,7 +50,8 @@ TOPICS: dict[str, tuple[str, str]] = {
     "errors": (
         "Errors and warnings",
         "FlexoptError InputError ModelError UnreachableTarget SingularPosture NotStabilizable NoSolutionFound "
-        "MarginNotComputed WrongSlope StudyInterrupted ExportError WriteError FlexoptWarning ImplausibleMachine",
+        "MarginNotComputed WrongSlope StudyInterrupted ExportError WriteError FlexoptWarning ImplausibleMachine "
+        "CompilerNotFound",
     ),
 }
 

@@ -3,6 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from flexopt.errors import CompilerNotFound as CompilerNotFound
 from flexopt.errors import ExportError as ExportError
 from flexopt.errors import FlexoptError as FlexoptError
 from flexopt.errors import FlexoptWarning as FlexoptWarning
@@ -124,6 +125,7 @@ __all__ = [
     "Candidate",
     "Certificate",
     "Check",
+    "CompilerNotFound",
     "Constraint",
     "Ensemble",
     "Evaluation",

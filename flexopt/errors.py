@@ -302,7 +302,13 @@ class FlexoptWarning(UserWarning):
 
 
 class CompilerNotFound(FlexoptWarning):
-    """No C compiler can be used, so CasADi's virtual machine serves: same results, more slowly."""
+    """No C compiler can be used, so CasADi's virtual machine serves: same results, more slowly.
+
+    Example:
+        >>> with warnings.catch_warnings():
+        ...     warnings.simplefilter("error", flexopt.CompilerNotFound)  # to stop where one is expected
+        ...     machine = flexopt.load("excavator")
+    """
 
 
 class ImplausibleMachine(FlexoptWarning):

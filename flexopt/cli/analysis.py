@@ -43,7 +43,7 @@ from flexopt.cli.common import (
 )
 from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, RANGES, control_asked, real_loop
-from flexopt.cli.postures import asked_posture, configuration
+from flexopt.cli.postures import asked_posture, configuration, elbow_faults
 from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Document, Progress
@@ -355,6 +355,7 @@ def _selection_settings(
     if options["objective"] not in (None, "V") and options["weights"] is None:
         settings.pop("weights", None)
     settings |= given(asked)
+    raise_if_any(InputError, "select", elbow_faults(settings["machine"], options))
     if not {"target", "targets", "path"} & set(settings):
         rows = ",".join(row.upper() for row in settings["machine"].task_rows)
         raise InputError(

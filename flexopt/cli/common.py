@@ -156,6 +156,7 @@ def print_json(document: dict[str, Any]) -> None:
 def option_names(options: dict[str, Any]) -> Generator[None]:
     """Faults of arguments under the names of the options they were given by; meanwhile a clock runs."""
     spelled = {"target": "end_point", "end-point": "end_point", "executor": "dask", "folder": "out"}
+    no_options = {"machine_or_problem": "MACHINE"}
     asked = dict(options)
     try:
         with clock():
@@ -168,7 +169,11 @@ def option_names(options: dict[str, Any]) -> Generator[None]:
             # What no option gave may be a file's.
             missing = word in asked and asked[word] is None and fault.value in (None, "None")
             given = asked.get(word) not in (None, ()) or (missing and fault.sentence.startswith(NEEDED))
-            field = f"--{word.replace('_', '-')}{re.sub(r'^[.]', ' ', rest)}" if given else fault.field
+            field = (
+                f"--{word.replace('_', '-')}{re.sub(r'^[.]', ' ', rest)}"
+                if given
+                else no_options.get(fault.field, fault.field)
+            )
             renamed.append(Fault(field, fault.sentence, None if missing else fault.value))
         # A sentence that was not made of its faults stays as it is, unless an option gave what it speaks of.
         if type(error) is InputError and (error.heading or renamed != list(error.faults)):

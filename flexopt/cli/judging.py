@@ -34,7 +34,7 @@ from flexopt.cli.common import (
     write_output,
 )
 from flexopt.cli.completing import argument
-from flexopt.cli.postures import asked_posture, configuration
+from flexopt.cli.postures import asked_posture, configuration, elbow_faults
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.model import AnyMachine, load, load_any
 from flexopt.model.choices import of_loop
@@ -213,6 +213,7 @@ def asked_problem(call: str, name: str, options: dict[str, Any]) -> tuple[Any, L
         faults = [Fault(f"--{word.replace('_', '-')}", sentence, typed(v)) for word, v in asked.items()]
         raise_if_any(InputError, call, faults)
         return loaded, loaded.loop or loaded.loaded_machine.loop
+    raise_if_any(InputError, call, elbow_faults(loaded, options))
     if "end_point" not in asked:
         raise InputError(f"{call}: a machine needs --end-point (m, inertial frame); a problem file brings its own")
     if of_loop(asked.get("objective")):

@@ -24,6 +24,13 @@ POSTURE = value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", num
 configuration = together(POSTURE, END_POINT, ELBOW, BASE, CONTROL, GRAVITY)
 
 
+def elbow_faults(machine: AnyMachine, options: Mapping[str, Any]) -> list[Fault]:
+    """That --elbow is given of a machine whose postures do not come in two branches."""
+    if options["elbow"] is None or build_plant(machine).closed_form:
+        return []
+    return [Fault("--elbow", "names a branch of planar arms only", options["elbow"])]
+
+
 def asked_posture(
     call: str, machine: AnyMachine, options: dict[str, Any], loop: Mapping[str, Any] | None = None
 ) -> Any:
@@ -35,8 +42,7 @@ def asked_posture(
     if posture is not None and options["elbow"] is not None:
         faults.append(Fault("--elbow", "goes with --end-point only", options["elbow"]))
     closed_form = build_plant(machine).closed_form
-    if options["elbow"] is not None and not closed_form:
-        faults.append(Fault("--elbow", "names a branch of planar arms only", options["elbow"]))
+    faults += elbow_faults(machine, options)
     raise_if_any(InputError, call, faults)
     if posture is not None:
         return posture

@@ -97,9 +97,9 @@ def map_command(as_json: bool, machine: str, **options: Any) -> None:
 
     With --loop how fast its controller's loop decays, too; with --vary that alone, over gains, dead time or soil.
 
-    End-points of a planar arm of two joints are in the workspace frame, which has the axes of the inertial one and its
-    origin at the first joint at rest; those of other machines in the inertial frame. With --gravity they are those of
-    the machine as it sags.
+    End-points of a planar arm of two joints are, without --posture, in the workspace frame, which has the axes of the
+    inertial one and its origin at the first joint at rest; all others in the inertial frame. With --gravity they are
+    those of the machine as it sags.
     """
     from flexopt.study import map_loop, map_workspace  # noqa: PLC0415  (only this command needs them)
 

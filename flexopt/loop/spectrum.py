@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from flexopt.errors import InputError
 from flexopt.foundation.arrays import ComplexArray, Vector
 from flexopt.foundation.plain import listed
+from flexopt.foundation.results import Result
 from flexopt.loop.structure import LoopStructure
 from flexopt.plant import Plant
 
@@ -133,7 +134,7 @@ def poles_of(multipliers: ArrayLike, period: float) -> ComplexArray:
 
 
 @dataclass(frozen=True)
-class SampledLoop:
+class SampledLoop(Result):
     """The linear loop x_{k+1} = Φ x_k about equilibrium.
 
     Attributes:
@@ -156,6 +157,11 @@ class SampledLoop:
     integrator: str = EXACT
     rounding: float = 0.0
     self_motion: float = math.nan
+
+    DOCUMENT = """
+    stable growth_rate[1/s] frequency_hz[Hz] drift[1/s] neutral self_motion period[s] integrator rounding[1/s]
+    multipliers
+    """
 
     @property
     def drift(self) -> tuple[float, ...]:

@@ -20,6 +20,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import PostureLike, Vector
 from flexopt.foundation.boundary import Keywords, number, public
 from flexopt.foundation.control import Control
+from flexopt.foundation.results import Result
 from flexopt.loop.borders import HIGH, LOW, stable_intervals
 from flexopt.loop.closed import closed_loop
 from flexopt.loop.gains import rigid_gains_at
@@ -35,7 +36,7 @@ from flexopt.simulation.scenario import Scenario, build_scenario, checked_option
 
 
 @dataclass(frozen=True)
-class StabilityBorder:
+class StabilityBorder(Result):
     """Intervals of the gain Kp in which the sampled linear loop is stable, Kv as it stands.
 
     Attributes:
@@ -50,6 +51,8 @@ class StabilityBorder:
     searched: tuple[float, float]
     kv: float | tuple[float, ...]
     ratio: bool
+
+    DOCUMENT = "intervals searched kv ratio largest"
 
     @property
     def largest(self) -> float | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import flexopt
 from tests.cli.command import Command
@@ -32,6 +33,13 @@ def test_a_redundant_arm_is_held_in_the_sampled_posture_with_the_greatest_first_
 def test_of_a_redundant_arm_in_the_plane_the_elbow_is_said_to_choose_among_the_postures(command: Command) -> None:
     told = command("evaluate", "boom-stick-bucket", "--end-point", "5,1", "--elbow", "down").stderr
     assert "reach it with the elbow down (--elbow names the other), the one with the greatest w1 is taken" in told
+
+
+@pytest.mark.parametrize("asked", ["evaluate", "explain", "select", "verdict"])
+def test_in_space_no_elbow_is_named(command: Command, asked: str) -> None:
+    refused = command(asked, "truck-crane", "--end-point", "4.5,1,1.8", "--base", "0,0,0", "--elbow", "down")
+    assert refused.code == 2
+    assert refused.stderr.strip().endswith("--elbow = down: names a branch of planar arms only")
 
 
 def test_without_a_word_of_the_elbow_both_branches_are_looked_at(command: Command) -> None:
