@@ -27,7 +27,7 @@ from flexopt.loop.standard_move import MOVE
 from flexopt.model.loop import GAINS
 from flexopt.model.simulation import SimulationOptions
 from flexopt.robustness.residues import residue_unit
-from flexopt.study.verdicts.places import FALLS, NO_GAIN, NO_GAIN_LOOKED_AT, STAY
+from flexopt.study.verdicts.places import FALLS, FIRST, NO_GAIN, NO_GAIN_LOOKED_AT, STAY
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -127,9 +127,11 @@ VERDICT = (
     *_of_place("staying", "staying", PLACE[1:]),
     *_of_place("pointed_to", "its place", PLACE),
 )
+# Of a report, beside its verdict, whose place may be another.
+BEST = [each._replace(label=f"{FIRST}: {each.label}".rstrip()) for each in within("selection", CHOICE[1:])]
 # Kinds of documents: keys by which they are known, and their quantities.
 KINDS: dict[str, tuple[tuple[str, ...], tuple[SavedQuantity, ...]]] = {
-    "report": (("selection", "no_verdict"), (*within("verdict", VERDICT), *within("selection", CHOICE))),
+    "report": (("selection", "no_verdict"), (*within("verdict", VERDICT), *within("selection", CHOICE[:1]), *BEST)),
     "selection": (("best", "candidates"), CHOICE),
     "verdict": (("word", "places"), VERDICT),
     "run": (("growth_rate", "settling_time"), RUN),
@@ -335,9 +337,11 @@ def _rows(quantity: SavedQuantity, documents: Sequence[Any]) -> list[ComparedRow
         names, units, scales = (_listed(document, key) for key in (quantity.names, quantity.units, quantity.scale))
         for i, entry in enumerate(entries):
             own = str(names[i]) if i < len(names) else str(i + 1)
-            apart = " " if len(quantity.label) > 1 and quantity.label else ""
+            apart = " " if quantity.label and len(quantity.label.split()[-1]) > 1 else ""
             key = f"{quantity.label}{apart}{own}", str(units[i]) if i < len(units) else shared
-            found.setdefault(key, [None] * len(documents))[k] = _value(entry, scales[i] if i < len(scales) else None)
+            # Of a configuration's numbers, which have names, 1 m or rad.
+            size = scales[i] if i < len(scales) else 1.0 if names else None
+            found.setdefault(key, [None] * len(documents))[k] = _value(entry, size)
     none = (None,) * len(documents)
     each = found.items()
     return [ComparedRow(label, unit, tuple(row), none, quantity.more, apart=several) for (label, unit), row in each]
