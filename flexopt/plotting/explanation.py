@@ -27,36 +27,43 @@ from flexopt.robustness.residues import residue_unit, written_unit
 # Length of an arrow, share of the machine's size; a line's letters where there is nothing to move.
 ARROW, LETTERS = 0.2, 38
 ROW, BARS = 2.5, 0.28  # in
+# More modes than this may stand in two columns.
+MANY = 3
 
 
 def _seen(found: Any) -> int:
     return len(found.model.kinematic_tree.axes) - 1
 
 
-def _size(found: Any) -> tuple[float, float]:
+def _sizes(found: Any) -> list[tuple[float, float]]:
+    """All modes one below the other; of many on a wide sheet two beside each other."""
     row = max(ROW, 1.2 + BARS * len(found.variables))
-    return 4.2 + 3.6 * _seen(found), row * len(found.moves) + 0.6
+    across, down = 4.2 + 3.6 * _seen(found), len(found.moves)
+    return [(n * across, row * math.ceil(down / n) + 0.6) for n in ((1, 2) if down > MANY else (1,))]
 
 
-@picture("Explanation", size=_size)
+@picture("Explanation", size=_sizes)
 def plot_explanation(sheet: Sheet, found: Any) -> None:
     """Draw for each mode a and b at the end-point, and what raises w_i most while the end-point stays."""
     shape = shape_of(found.model, found.evaluation)
     seen = views(shape)
-    grid = sheet.figure.add_gridspec(len(found.moves), len(seen) + 1)
+    count, wide = len(found.moves), len(seen) + 1
+    rows = math.ceil(count / (sheet.way + 1))
+    grid = sheet.figure.add_gridspec(rows, wide * (sheet.way + 1))
     drawn = list[list[Axes]]()
-    for i in range(len(found.moves)):
-        scenes = [sheet.figure.add_subplot(grid[i, k]) for k in range(len(seen))]
+    for i in range(count):
+        row, left = i % rows, wide * (i // rows)
+        scenes = [sheet.figure.add_subplot(grid[row, left + k]) for k in range(len(seen))]
         for axes, view in zip(scenes, seen, strict=True):
             _draw_arrows(axes, view, shape, found, i)
-            if i < len(found.moves) - 1:
+            if row < rows - 1 and i < count - 1:
                 axes.set_xlabel("")
                 axes.tick_params(labelbottom=False)
         scenes[0].set_title(_named(found, i), loc="left")
         if i == 0:
             handles = scenes[0].get_legend_handles_labels()
             sheet.figure.legend(*handles, loc="outside lower center", ncols=2, frameon=False)
-        _draw_move(sheet.figure.add_subplot(grid[i, len(seen)]), found, i)
+        _draw_move(sheet.figure.add_subplot(grid[row, left + len(seen)]), found, i, "\n" if sheet.way else " ")
         drawn.append(scenes)
     for column in zip(*drawn, strict=True):
         _align(column)
@@ -122,8 +129,11 @@ def _in_space(vector: Points, rows: tuple[str, ...], d: int) -> Points | None:
     return along
 
 
-def _draw_move(axes: Axes, found: Any, i: int) -> None:
-    """How far each coordinate goes for each unit of that which moves most; or why there is nothing to move."""
+def _draw_move(axes: Axes, found: Any, i: int, between: str) -> None:
+    """How far each coordinate goes for each unit of that which moves most; or why there is nothing to move.
+
+    `between`: what parts the number from its unit.
+    """
     move, inks = found.moves[i], colors()
     if move.variable is None:
         axes.set(xticks=[], yticks=[], frame_on=False)
@@ -141,7 +151,7 @@ def _draw_move(axes: Axes, found: Any, i: int) -> None:
     )
     unit = written_unit(residue_unit(found.evaluation.control, found.evaluation.joint_units))
     rate = f"{move.rate:.3g}".replace("-", "−")
-    axes.set_title(f"raises $w_{{{i + 1}}}$ by {rate} {unit} per {move.unit}", loc="left")
+    axes.set_title(f"raises $w_{{{i + 1}}}$ by {rate}{between}{unit} per {move.unit}", loc="left")
     axes.grid(axis="x")
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
