@@ -85,7 +85,7 @@ def check(told: str, decision: Any, given: dict[str, Any]) -> None:
     best = max(then.values(), key=lambda place: place.slowest)
     had = max([place.slowest for place in sound], default=None)
     numbers = re.search(
-        rf"decay is at best {NUMBER}/s, at (.*?) with kp 2 .*?(?:, against {NUMBER}/s at|$|, but)", told
+        rf"decay found is {NUMBER}/s, at (.*?) with kp 2 .*?(?:, against {NUMBER}/s at|$|, but)", told
     )
     assert numbers
     assert float(numbers[1]) == pytest.approx(best.slowest, rel=TOLD)
@@ -148,7 +148,7 @@ def test_a_verdict_that_keeps_its_gains_says_what_others_do(tmp_path: Any, monke
     words = (tmp_path / "verdict.html").read_text(encoding="utf-8")
     assert with_minus(found.gains_kept[1:]) in words
     assert "The same controller everywhere: " in words
-    told = re.search(rf"at best {NUMBER}/s, at (candidate .) with kp {NUMBER} N m", found.gains_kept)
+    told = re.search(rf"found is {NUMBER}/s, at (candidate .) with kp {NUMBER} N m", found.gains_kept)
     assert told
     alone = flexopt.verdict(chosen, loop=loop | {"kp": float(told[3])}, **few)  # type: ignore[arg-type]
     there = next(place for place in alone.places if place.name == told[2])

@@ -66,7 +66,8 @@ def gains_kept(
     best = max(tried, key=lambda each: each.place.slowest)
     rival = max(had, key=lambda place: place.slowest, default=None)
     what = f"with gains that hold {100 * (RESERVE - 1):.0f} % higher, too, where any do, " * best.place.holds
-    what += f"the slowest decay is at best {best.place.slowest_told}, at {spoken(best.place.name)} with {best.in_words}"
+    what += f"the best slowest decay found is {best.place.slowest_told}, at {spoken(best.place.name)} "
+    what += f"with {best.in_words}"
     what += f" ({best.at_end})" * bool(best.at_end)
     what += "" if rival is None else f", against {rival.slowest_told} at {spoken(rival.name)} with the present ones"
     of = f"of other gains within {which}"
