@@ -8,7 +8,7 @@ once, those that starts lead to, with springs unloaded (`solve_postures`) or as 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, cast
 
@@ -31,10 +31,9 @@ ELBOW_SIGN: dict[Elbow, float] = {"up": -1.0, "down": 1.0}
 SAMPLES = 256
 # So many of these, the nearest, are led to a target as the machine sags.
 NEAREST = 64
-# Postures closer than this, found by iteration, are one.
-SAME = 1e-6
-# The like by steps onto a target, with an arm of 1 m; see `held_same`.
-HELD_SAME = 1e-4
+# Postures closer than this, found by iteration, are one; closer than these, in hinges and in slides as a share of the
+# arm, where what lies between them is on the target, too: so far apart steps leave an arm that is straight.
+SAME, ALIKE = 1e-6, (1e-2, 1e-4)
 # A target is reached to this share of a metre, position and orientation rows alike.
 REACHED = 1e-10
 # A row of springs in units of what so much gives way, m or rad: rather is the end-point off than that they do not hold.
@@ -127,7 +126,7 @@ def inverse_kinematics(
             bent = "" if elbow is None else f" with the elbow {elbow}"
             why = f"every posture{bent} that reaches it breaks a joint limit"
         raise unreachable(plant, point, placement, why, sagging=sagging)
-    return distinct(plant, found, held_same(plant) if gravity else 1e-7)
+    return told_once(plant, found, point, placement, gravity=True) if gravity else distinct(plant, found, 1e-7)
 
 
 def inside_reach(plant: Plant, target: Vector, bases: Vector) -> tuple[Vector, Vector]:
@@ -165,7 +164,7 @@ def _by_iteration(plant: Plant, target: Vector, base: Vector, gravity: bool, see
     turned = list(into_limits(plant.machine, _nearest_turn(plant, np.array(reached).T)).T)
     middle = (low + high) / 2
     nearest = sorted(turned, key=lambda posture: float(np.abs(posture - middle).max()))
-    return distinct(plant, nearest, held_same(plant))
+    return told_once(plant, nearest, target, base, gravity=gravity)
 
 
 def _nearest_turn(plant: Plant, postures: Vector) -> Vector:
@@ -395,16 +394,38 @@ def low_discrepancy(dimensions: int, count: int, seed: int) -> Vector:
     return (shift[:, None] + steps[:, None] * np.arange(count)) % 1.0
 
 
-def held_same(plant: Plant) -> float:
-    """Steps onto a nearly straight arm of length l end up to four times the root of 2 `REACHED` / l apart, rad."""
-    return HELD_SAME / math.sqrt(min(1.0, arm_length(plant)))
+def told_once(
+    plant: Plant, postures: list[Vector], target: Vector, base: Vector, tolerance: float = SAME, *, gravity: bool
+) -> list[Vector]:
+    """Postures that steps led to one target from one placement, each once."""
+
+    def on_target(some: Vector) -> NDArray[np.bool_]:
+        bases, p = np.repeat(base[:, None], some.shape[1], axis=1), plant.parameter_values
+        if gravity:
+            off = sagging_off(plant, target, bases, some)
+        else:
+            q = plant.rest.call([bases, some, p])[0]
+            off = np.abs(plant.end_point.call([q, bases, p])[0].full() - target[:, None]).max(axis=0)
+        # Where either end is off by `REACHED`, to one side each.
+        return off <= 2 * REACHED
+
+    return distinct(plant, postures, tolerance, on_target)
 
 
-def distinct(plant: Plant, postures: list[Vector], tolerance: float) -> list[Vector]:
-    """The list without repeats, by whole turns of hinges that can make them, too (a straight arm's elbows agree)."""
+def distinct(
+    plant: Plant,
+    postures: list[Vector],
+    tolerance: float,
+    on_target: Callable[[Vector], NDArray[np.bool_]] | None = None,
+) -> list[Vector]:
+    """The list without repeats, by whole turns of hinges that can make them, too (a straight arm's elbows agree).
+
+    `on_target`: of postures (n, N); with it two that are `ALIKE` are one where what lies between them is on it.
+    """
     points, kept, units = np.array(postures), np.ones(len(postures), dtype=bool), plant.machine.joint_units
     # Slides of a small machine are short.
     scale = np.array([1.0 if unit == "rad" else min(1.0, arm_length(plant)) for unit in units])
+    alike = np.array([ALIKE[unit != "rad"] for unit in units])
     limits = zip(units, plant.machine.limits, strict=True)
     turn = np.array(
         [math.tau if unit == "rad" and high - low >= math.tau else math.inf for unit, (low, high) in limits]
@@ -413,5 +434,10 @@ def distinct(plant: Plant, postures: list[Vector], tolerance: float) -> list[Vec
         if kept[i]:
             apart = points[i + 1 :] - points[i]
             apart -= np.where(np.isfinite(turn), turn, 0.0) * np.rint(apart / turn)
-            kept[i + 1 :] &= np.abs(apart / scale).max(axis=1) > tolerance
+            far = np.abs(apart / scale)
+            kept[i + 1 :] &= far.max(axis=1) > tolerance
+            near = np.flatnonzero(kept[i + 1 :] & np.all(far <= alike, axis=1))
+            if on_target is not None and near.size:
+                one = on_target((points[i] + apart[near] / 2).T)
+                kept[i + 1 + near[one]] = False
     return [posture for posture, keep in zip(postures, kept, strict=True) if keep]

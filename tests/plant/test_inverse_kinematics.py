@@ -322,6 +322,74 @@ def test_a_small_machine_has_no_posture_told_twice(softer, posture):
     assert min(np.abs(each - posture).max() for each in found) < 2e-4
 
 
+def crane(size, *, upper, fore):
+    """A slew on a pedestal of 1.5 m, a boom and a stick of these lengths, on a spring that hardly gives; all scaled."""
+    spring = {"name": "pitch", "kind": "hinge", "axis": (0, 1, 0), "passive": True, "damping": 1e3}
+    spring["stiffness"] = 3e14 * size**4
+    bodies = [
+        {
+            "name": "car",
+            "parent": None,
+            "joint": spring,
+            "mass": 900.0 * size**3,
+            "inertia": (90.0 * size**5,) * 3 + (0, 0, 0),
+        }
+    ]
+    for name, axis, position, limits, length in (
+        ("slew", (0, 0, 1), (0, 0, 1.0), (-1.5, 1.5), 1.0),
+        ("boom", (0, 1, 0), (0, 0, 0.5), (-1.4, 0.5), upper),
+        ("stick", (0, 1, 0), (upper, 0, 0), (-2.7, 2.7), fore),
+    ):
+        joint = {"name": name, "kind": "hinge", "axis": axis, "limits": limits}
+        inertia = (*(x * length**2 * size**5 for x in (5.0, 6.0, 5.5)), 0, 0, 0)
+        bodies.append({"name": name, "parent": bodies[-1]["name"], "joint": joint, "inertia": inertia,
+                       "position": tuple(size * x for x in position), "mass": 50.0 * length * size**3,
+                       "com": (0.5 * length * size, 0, 0)})  # fmt: skip
+    end_point = {"body": "stick", "position": (fore * size, 0, 0), "rows": ("x", "y", "z")}
+    return tree_from_dict({"name": "crane", "bodies": bodies, "end_point": end_point})
+
+
+@pytest.mark.parametrize("gravity", [False, True])
+@pytest.mark.parametrize(
+    ("size", "upper", "fore"), [(1.0, 1.5, 1.2), (1.0, 1.5, 0.02), (1.0, 0.015, 0.012), (1e-2, 1.5, 1.2)]
+)
+def test_a_straight_arm_is_one_posture_whatever_its_links(size, upper, fore, gravity):
+    """Steps leave its elbow as far bent as that is off by 10⁻¹⁰ m, which a short link makes much."""
+    machine = crane(size, upper=upper, fore=fore)
+    along = np.array([math.cos(0.4) * math.cos(0.3), math.cos(0.4) * math.sin(0.3), math.sin(0.4)])
+    target = size * (np.array([0.0, 0.0, 1.5]) + (upper + fore) * along)
+    [only] = inverse_kinematics(machine, target, gravity=gravity)
+    assert only == pytest.approx([0.3, -0.4, 0.0], abs=2e-2)
+    nearer = size * (np.array([0.0, 0.0, 1.5]) + (1 - 1e-4) * (upper + fore) * along)
+    assert len(inverse_kinematics(machine, nearer, gravity=gravity)) == 2
+
+
+def test_postures_along_a_self_motion_are_told_apart_at_every_size():
+    """Three hinges in a plane that no closed form is used of, and two rows."""
+    counts = []
+    for size in (1.0, 1e-3):
+        spring = {
+            "name": "base.z",
+            "kind": "slide",
+            "axis": [0, 0, 1],
+            "passive": True,
+            "stiffness": 1e7,
+            "damping": 0.0,
+        }
+        body = {"mass": size**3, "com": [0, 0, 0], "inertia": [size**5] * 3 + [0] * 3}
+        bodies = [{"name": "base", "parent": None, "joint": spring} | body]
+        for k, length in enumerate((0.0, 1.0, 0.8)):
+            joint = {"name": f"q{k}", "kind": "hinge", "axis": [0, 1, 0], "limits": [-1.5, 1.5]}
+            place = {"position": [size * length, 0, 0]}
+            bodies.append({"name": f"link {k}", "parent": bodies[-1]["name"], "joint": joint} | place | body)
+        end_point = {"body": "link 2", "position": [0.6 * size, 0, 0], "rows": ["x", "z"]}
+        machine = tree_from_dict({"name": "three", "bodies": bodies, "end_point": end_point})
+        counts.append(len(inverse_kinematics(machine, size * np.array([1.5, 0.4]))))
+    assert counts[0] > 50
+    # Of the small one those a milliradian apart are one: what lies between them is on the target to 10⁻¹⁰ m as they are.
+    assert counts[1] >= 0.7 * counts[0]
+
+
 @pytest.mark.parametrize("size", [1.0, 1e-3])
 def test_slides_are_told_apart_as_shares_of_the_arm(size):
     """A lift, a boom and a telescope of 1 m and of 1 mm: a hundredth of it apart is another posture, a 10⁻⁵th none."""

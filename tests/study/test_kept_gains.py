@@ -84,9 +84,7 @@ def check(told: str, decision: Any, given: dict[str, Any]) -> None:
         then = {name: place for name, place in then.items() if place.drive < sound[0].drive}
     best = max(then.values(), key=lambda place: place.slowest)
     had = max([place.slowest for place in sound], default=None)
-    numbers = re.search(
-        rf"decay found is {NUMBER}/s, at (.*?) with kp 2 .*?(?:, against {NUMBER}/s at|$|, but)", told
-    )
+    numbers = re.search(rf"decay found is {NUMBER}/s, at (.*?) with kp 2 .*?(?:, against {NUMBER}/s at|$|, but)", told)
     assert numbers
     assert float(numbers[1]) == pytest.approx(best.slowest, rel=TOLD)
     assert numbers[2] == best.name.replace("stay", "the present place")

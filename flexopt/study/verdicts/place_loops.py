@@ -21,7 +21,7 @@ from flexopt.loop.beside_decay import BesideDecay
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.loop.uncertainty_box import UncertaintyBox
-from flexopt.plant.inverse_kinematics import distinct, held_same
+from flexopt.plant.inverse_kinematics import told_once
 from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem
 from flexopt.selection.broken import broken, resting
@@ -246,7 +246,8 @@ def held_otherwise(problem: SelectionProblem) -> bool:
     for each in z.T:
         each[idle_joints(problem, each, constrained=True)] = 0.0
     plant = problem.measures.plant
-    return len(distinct(plant, list(z[plant.n_base :].T), max(SAME_POSTURE, held_same(plant)))) > 1
+    postures = list(z[plant.n_base :].T)
+    return len(told_once(plant, postures, problem.target, now, SAME_POSTURE, gravity=problem.gravity)) > 1
 
 
 def held_from(problems: Sequence[SelectionProblem], base: Vector, *, allowed: bool = True) -> Configurations | None:
