@@ -35,6 +35,7 @@ from flexopt.study.verdicts import verdict as verdict_module
 from flexopt.study.verdicts.broken_places import Breaks, broken_standing, broken_within
 from flexopt.study.verdicts.confirmation import GIVES_WAY, nonlinear_runs, tilts
 from flexopt.study.verdicts.decision import spoken
+from flexopt.study.verdicts.drawbacks import SO_LITTLE
 from flexopt.study.verdicts.place_loops import besides_driving, configurations_of, held_at, unreached
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import allowed, told
@@ -1272,6 +1273,10 @@ def test_what_is_broken_by_less_than_loads_are_known_to_is_told_and_bars_nothing
     assert broken["candidate 1"].startswith(f"breaks boom_torque, {(1 + beyond) * most:.4g} ")
     assert not broken["candidate 2"]
     assert ("candidate 1" in found.excluded) == barred
+    told = replace(found, word="move", place="candidate 1").drawbacks
+    assert f"candidate 1 {broken['candidate 1']}" in told
+    # Of one that counts as kept nothing is said of all others.
+    assert told.endswith(SO_LITTLE) == ("every place found" not in told) == (not barred)
 
 
 @pytest.mark.long

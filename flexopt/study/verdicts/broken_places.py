@@ -66,6 +66,11 @@ class Breaks(NamedTuple):
         return "; ".join(filter(None, (self.somewhere, self.at_rest and f"at rest beside its target {self.at_rest}")))
 
     @property
+    def much(self) -> str:
+        """Of `by_loop` and `somewhere` what is more than hardly broken, within a sentence."""
+        return "; ".join(filter(None, (self.by_loop, self.somewhere * ("somewhere" not in self.hardly))))
+
+    @property
     def told(self) -> str:
         """All, within a sentence."""
         return "; ".join(filter(None, (self.now, self.otherwise)))

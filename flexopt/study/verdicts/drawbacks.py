@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 FAR_OFF = 0.01
 # Of what grows there is no rest.
 NOT_WHERE_IT_GROWS = "not counting where it grows"
+# What is broken by no more than `HARDLY`.
+SO_LITTLE = "which counts as kept, for weights and springs are not known to so little"
 
 
 def drawbacks_of(verdict: Verdict) -> str:
@@ -35,6 +37,7 @@ def drawbacks_of(verdict: Verdict) -> str:
     no_better = _no_better(verdict, there)
     way = verdict.selection.broken_between if isinstance(verdict.selection, BasePlan) and verdict.place == FIRST else ()
     rest = f"at rest beside its target {spoken(there.name)} {there.breaks_at_rest}" if there.breaks_at_rest else ""
+    rest += f", {SO_LITTLE}" * ("at_rest" in there.breaking.hardly)
     no_better = "; ".join(filter(None, (no_better, rest, *way)))
     stay = now if verdict.with_gains and stay is None else stay
     if stay is None or verdict.word not in ("move", "change gains"):
@@ -82,19 +85,21 @@ def _worse(verdict: Verdict, there: PlaceVerdict, stay: PlaceVerdict) -> list[st
 
 
 def _no_better(verdict: Verdict, there: PlaceVerdict) -> str:
-    """What the place of the word breaks, as all others do with the present gains; empty where nothing."""
-    name, by_gains, breaks = spoken(there.name), "", there.breaks
+    """What the place of the word breaks, as all others do with the present gains, or hardly; empty where nothing."""
+    name, breaking, by_gains = spoken(there.name), there.breaking, ""
+    breaks, hardly = breaking.much, "somewhere" in breaking.hardly
     if verdict.with_gains:
         # What is broken on some ground whatever the gains is another matter.
-        by_gains, breaks = there.breaking.by_loop, there.breaking.somewhere
+        by_gains, breaks = breaking.by_loop, breaking.somewhere * (not hardly)
     elif there.name == STAY:
         breaks = breaks or verdict.present_breaks
     # Else another place would keep them with its end-point on the target, and this one would be none to move to.
     where = " on some ground" if WHERE in breaks else " with the present gains"
     stay = None if there.name == STAY else verdict.stay
-    kept = stay is not None and not (stay.breaks or verdict.present_breaks)
+    kept = stay is not None and not (stay.breaking.much or verdict.present_breaks)
     every = breaks and f"every place found{' to move to' * kept} breaks constraints{where}: {name} {breaks}"
-    return "; ".join(filter(None, (by_gains and f"with the new gains {name} {by_gains}", every)))
+    by_gains = by_gains and f"with the new gains {name} {by_gains}"
+    return "; ".join(filter(None, (by_gains, every, f"{name} {breaking.somewhere}, {SO_LITTLE}" * hardly)))
 
 
 def first_gain(kp: Iterable[float]) -> float:
