@@ -26,7 +26,7 @@ from flexopt.model.constraints import Constraints
 from flexopt.plant.inverse_kinematics import held_on, led_from_nearest, low_discrepancy, reach_steps
 from flexopt.selection.nlp.program import values_of
 from flexopt.selection.places import FEASIBLE, places_left_out
-from flexopt.selection.problem import SelectionProblem
+from flexopt.selection.problem import SelectionProblem, own_held
 from flexopt.selection.scan import POSTURES_EACH, Scan, empty_scan, peaks, scanned
 
 # Enough for every peak of a curve; the redundancy of longer arms has maxima without end.
@@ -494,11 +494,18 @@ def idle_joints(problem: SelectionProblem, z: Vector, *, constrained: bool = Fal
         at = np.repeat(z[:, None], TURNS.size, axis=1)
         at[k] += TURNS
         w, size, r = (x.full() for x in problem.measures.w.call(problem.quantities.at(at))[:3])
-        if np.all(np.abs(w - w[:, :1]) <= EVEN * size) and np.all(np.abs(r - r[:, :1]) <= EVEN):
-            rows = (rows_at(problem, at) / problem.row_bounds[2])[:, problem.target.size :]
-            if not constrained or np.all(np.ptp(rows, axis=0) <= EVEN):
-                found.append(k)
+        turns_nothing = np.all(np.abs(w - w[:, :1]) <= EVEN * size) and np.all(np.abs(r - r[:, :1]) <= EVEN)
+        if turns_nothing and not (constrained and _constrained(problem, at)):
+            found.append(k)
     return found
+
+
+def _constrained(problem: SelectionProblem, z: Vector) -> bool:
+    """Whether constraints, the user's own, too, tell points z (n_z, N) apart."""
+    rows = (rows_at(problem, z) / problem.row_bounds[2])[:, problem.target.size :]
+    n_base, sizes = problem.measures.plant.n_base, [each.scale for each in problem.own_constraints]
+    own = np.array([own_held(problem, each[:n_base], each[n_base:], None) for each in z.T]) / sizes
+    return not np.all(np.ptp(np.hstack([rows, own]), axis=0) <= EVEN)
 
 
 def apart(problem: SelectionProblem, z: Vector, count: int, before: int = 0) -> list[Vector]:

@@ -1821,9 +1821,7 @@ def test_limits_that_are_assumed_count_on_other_springs_and_at_rest() -> None:
     assert float(rests[1]) == pytest.approx(float(runs.dataset["q"].to_numpy()[0, -1, 3]), abs=6e-4)
     assert found.place != "candidate 1"
     assert first.breaking.barring == "somewhere"
-    assert "candidate 1 is none to go to: another place keeps constraints on every ground, its end-point on" in repr(
-        found
-    )
+    assert "candidate 1 is none to go to: another place keeps constraints on every ground, to 1 %" in repr(found)
     integral = flexopt.verdict(chosen, loop=loop | {"feedback": "pid", "ki": 2e3}, **judged)
     there = next(place for place in integral.places if place.name == "candidate 1")
     assert (there.breaks, there.breaks_at_rest) == (first.breaks, "")

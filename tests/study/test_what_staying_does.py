@@ -279,3 +279,6 @@ def test_a_roll_of_the_tool_is_another_posture_where_a_clearance_depends_on_it(o
     problem = flexopt.build_selection(machine, target, base=0.0, constraints=kept)
     assert held_otherwise(problem) == counts
     assert not held_otherwise(flexopt.build_selection(machine, target, base=0.0))
+    x = ca.MX.sym("posture", 4)
+    own = flexopt.Constraint(ca.Function("turned", [x], [x[3]], ["posture"], ["o"]), lower=-1.2, upper=1.2)
+    assert held_otherwise(flexopt.build_selection(machine, target, base=0.0, constraints=[own]))

@@ -18,7 +18,7 @@ from flexopt.loop.uncertainty_box import member_in_words
 from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.problem import with_angles
 from flexopt.study.verdicts.confirmation import INTEGRAL
-from flexopt.study.verdicts.decision import BETWEEN, in_one, spoken, without_numbers
+from flexopt.study.verdicts.decision import BETWEEN, HARDLY, in_one, spoken, without_numbers
 from flexopt.study.verdicts.drawbacks import NOT_WHERE_IT_GROWS
 from flexopt.study.verdicts.places import FALLS, STAY
 
@@ -27,12 +27,16 @@ if TYPE_CHECKING:
 
 # What has decayed by so many e-folds has settled, whatever the transient: to 2 % of a two thousandth part.
 DECAYED = 11.5
+# What is kept as well as it is known.
+NEARLY = f", to {100 * HARDLY:.0f} % of what is allowed"
 # Why a place is none to go to, by what of `Breaks` bars it.
 BARRED = {
     "standing": "it breaks constraints as it stands",
     "by_loop": "in another place the loop does what it must",
-    "somewhere": "another place keeps constraints on every ground, its end-point on the target",
-    "at_rest": "another place, which is stable on every ground, keeps constraints at rest beside its target, too",
+    "somewhere": f"another place keeps constraints on every ground{NEARLY}, its end-point on the target",
+    "at_rest": (
+        f"another place, which is stable on every ground, keeps constraints at rest beside its target{NEARLY}, too"
+    ),
 }
 # A self-motion that takes longer than this to e-fold, s, stays where it is while a machine works.
 STAYS = 3600.0
