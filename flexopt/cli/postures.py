@@ -24,11 +24,14 @@ POSTURE = value("--posture", "A,B,…", "Actuated joints, rad (slides: m).", num
 configuration = together(POSTURE, END_POINT, ELBOW, BASE, CONTROL, GRAVITY)
 
 
-def elbow_faults(machine: AnyMachine, options: Mapping[str, Any]) -> list[Fault]:
-    """That --elbow is given of a machine whose postures do not come in two branches."""
-    if options["elbow"] is None or build_plant(machine).closed_form:
-        return []
-    return [Fault("--elbow", "names a branch of planar arms only", options["elbow"])]
+def elbow_faults(machine: AnyMachine, options: Mapping[str, Any], posture: Any = None) -> list[Fault]:
+    """That --elbow is given beside a posture, or of a machine whose postures do not come in two branches."""
+    elbow, faults = options["elbow"], list[Fault]()
+    if elbow is not None and posture is not None:
+        faults.append(Fault("--elbow", "goes with --end-point only", elbow))
+    if elbow is not None and not build_plant(machine).closed_form:
+        faults.append(Fault("--elbow", "names a branch of planar arms only", elbow))
+    return faults
 
 
 def asked_posture(
@@ -39,10 +42,8 @@ def asked_posture(
     faults: list[Fault] = []
     if (posture is None) == (end_point is None):
         faults.append(Fault("--posture, --end-point", "give one of the two"))
-    if posture is not None and options["elbow"] is not None:
-        faults.append(Fault("--elbow", "goes with --end-point only", options["elbow"]))
     closed_form = build_plant(machine).closed_form
-    faults += elbow_faults(machine, options)
+    faults += elbow_faults(machine, options, posture)
     raise_if_any(InputError, call, faults)
     if posture is not None:
         return posture

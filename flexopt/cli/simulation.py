@@ -33,8 +33,9 @@ from flexopt.cli.common import (
 )
 from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, real_loop
+from flexopt.cli.postures import elbow_faults
 from flexopt.cli.terminal import VOICE
-from flexopt.errors import InputError
+from flexopt.errors import InputError, raise_if_any
 from flexopt.model import AnyMachine, load_simulated
 from flexopt.model.simulation import Actuator, Experiment, Sensor, SimulationOptions
 from flexopt.model.simulation_faults import own_loop
@@ -151,6 +152,7 @@ def simulate_command(as_json: bool, machine: str, **options: Any) -> None:
         else:
             if "posture" not in asked and "end_point" not in asked:
                 raise InputError("simulate: a machine needs --posture or --end-point; an experiment brings its own")
+            raise_if_any(InputError, "simulate", elbow_faults(loaded, options, options["posture"]))
             real = real_loop(loaded.loop, entries)
             tell_gains(loaded, real, asked)
             result = simulate(loaded, loop=real, **asked)

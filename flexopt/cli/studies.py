@@ -38,6 +38,7 @@ from flexopt.cli.common import (
 )
 from flexopt.cli.completing import argument
 from flexopt.cli.judging import LOOP, asked_problem, judged, of_machine, real_loop
+from flexopt.cli.postures import elbow_faults
 from flexopt.cli.simulation import loop_options
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
@@ -105,6 +106,10 @@ def map_command(as_json: bool, machine: str, **options: Any) -> None:
 
     hand_out = handing_out(options, ".nc", as_json=as_json)
     loaded = read(load, machine)
+    elbow, others = options["elbow"], options["over"] not in (None, "end_point")
+    if elbow is not None and (others or elbow_faults(loaded, options, options["posture"])):
+        sentence = "goes with end-points of planar arms, without --posture"
+        raise_if_any(InputError, "map", [Fault("--elbow", sentence, elbow)])
     vary, options["loop"] = options.pop("vary"), real_loop(loaded.loop, options["loop"])
     with working(options, as_json, "loops" if vary else "postures") as progress:
         if vary:

@@ -18,6 +18,8 @@ from flexopt.foundation.roots import border
 LOW, HIGH, POINTS = -4.0, 4.0, 241
 # Relative width to which a narrow interval between two gains is looked for, and exponents to which a border is found.
 NARROW, BORDER = 1e-3, 1e-10
+# The first step, of exponents, from a border to that of a loop much like it.
+STEP = 0.01
 
 
 def stable_intervals(
@@ -37,6 +39,47 @@ def stable_intervals(
     roots = [border(growth, grid[i][0], grid[i + 1][0], xtol=BORDER) for i in edges.tolist()]
     ends = [10**x for x in ([LOW] if stable[0] else []) + roots + ([HIGH] if stable[-1] else [])]
     return tuple(zip(ends[::2], ends[1::2], strict=True))
+
+
+def followed(
+    growth: Callable[[float], float], rounding: float, intervals: tuple[Interval, ...]
+) -> tuple[Interval, ...]:
+    """Intervals whose ends are moved to where `growth`, of another loop much like theirs, changes its sign.
+
+    Each end into its interval while the loop grows, and out of it, as far as the next one, while it decays.
+    """
+
+    def grows(x: float) -> bool:
+        return not growth(x) < -rounding
+
+    found, ends = list[Interval](), [math.log10(end) for interval in intervals for end in interval]
+    beyond = [LOW, *ends, HIGH]
+    for k in range(0, len(ends), 2):
+        low, high = (
+            _walked(growth, grows, end, inward=inward, outward=outward)
+            for end, inward, outward in (
+                (ends[k], ends[k + 1], beyond[k]),
+                (ends[k + 1], ends[k], beyond[k + 3]),
+            )
+        )
+        if low < high:
+            found.append((10**low, 10**high))
+    return tuple(found)
+
+
+def _walked(
+    growth: Callable[[float], float], grows: Callable[[float], bool], end: float, *, inward: float, outward: float
+) -> float:
+    """Where the sign changes, looked for from an end in steps that double; the last that is looked at where nowhere."""
+    into = grows(end)
+    last = inward if into else outward
+    step, at = STEP, end
+    while at != last:
+        further = at + math.copysign(min(step, abs(last - at)), last - at)
+        if grows(further) != into:
+            return border(growth, at, further, xtol=BORDER)
+        at, step = further, 2 * step
+    return last
 
 
 def _with_narrow(growth: Callable[[float], float], grid: list[float], values: list[float]) -> list[tuple[float, float]]:

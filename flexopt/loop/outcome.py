@@ -19,7 +19,7 @@ from flexopt.coprime import StateSpace
 from flexopt.foundation.arrays import ComplexArray, Vector
 from flexopt.foundation.roots import border
 from flexopt.loop.assembly import OneSample, Slopes
-from flexopt.loop.borders import HIGH, LOW, POINTS, stable_intervals
+from flexopt.loop.borders import HIGH, LOW, POINTS, followed, stable_intervals
 from flexopt.loop.disturbance import Disturbed
 from flexopt.loop.frequency_response import PEAKS, SETTLED, crossings, exactly, peak, peak_at
 from flexopt.loop.small_motions import AT_REST, BY, DEAD_TIME, Parts, SmallMotions
@@ -36,7 +36,7 @@ from flexopt.loop.spectrum import (
     without_neutral,
 )
 from flexopt.loop.standard_move import StandardMove
-from flexopt.model.loop import DELAY_MAX
+from flexopt.model.loop import DELAY_MAX, GAINS
 
 # In a sample: of an undamped motion that the loop does not see this much decay may be rounding.
 UNDAMPED = 1e3 * float(np.finfo(float).eps)
@@ -59,17 +59,22 @@ class Measured(NamedTuple):
         value: of it.
         slopes: its derivative by what a sample is made of.
         more: what is to be added to a derivative by one of `INPUTS`.
+        by: the derivative itself, by each of `INPUTS` and by the dead time, where it is none of the loop's samples.
     """
 
     value: float
     slopes: Slopes | None = None
     more: Mapping[str, Vector] | None = None
+    by: Mapping[str, Vector] | None = None
 
     def times(self, factor: float) -> Measured:
         """The measure times a number."""
         slopes = None if self.slopes is None else self.slopes * factor
-        more = None if self.more is None else {name: factor * by for name, by in self.more.items()}
-        return Measured(factor * self.value, slopes, more)
+        more, by = (
+            None if given is None else {name: factor * slope for name, slope in given.items()}
+            for given in (self.more, self.by)
+        )
+        return Measured(factor * self.value, slopes, more, by)
 
 
 UNDEFINED = Measured(math.nan)
@@ -199,8 +204,24 @@ class LoopPoint:
             lambda: self._own if times == 1.0 else self._own_with(times),
         )
 
+    @cached_property
+    def _hangs(self) -> bool:
+        """Whether the weight, which its controller does not know, draws it the farther off the lower its gains are."""
+        of = self.numbers
+        return self.motions.own_model and self.rests and bool(np.any((of["kp"] > 0) & (of["ki"] == 0)))
+
+    def with_gains(self, factor: float) -> LoopPoint:
+        """The loop with all gains times a factor, where it rests then."""
+        changed = {name: factor * self.numbers[name] for name in GAINS}
+        given = {name: value for name, value in self.numbers.items() if name != "held"}
+        return replace(self, numbers=self.motions.numbers(given | changed))
+
     def _times(self, factor: float) -> SampledLoop:
-        """The loop with all gains times a factor, about where it rests now."""
+        """The loop with all gains times a factor."""
+        return self.with_gains(factor).loop if self._hangs and factor != 1.0 else self._about_here(factor)
+
+    def _about_here(self, factor: float) -> SampledLoop:
+        """The same about where it rests now."""
         return self.spectrum_of(self.sample.open + factor * self.sample.into @ self.sample.force, factor)
 
     @property
@@ -224,6 +245,8 @@ class LoopPoint:
 
     def gradient(self, measure: Measured) -> dict[str, Vector]:
         """The derivative of a measure by each of `INPUTS` and by the dead time; NaN where there is none."""
+        if measure.by is not None:
+            return {**measure.by}
         if measure.slopes is None:
             return {name: np.full(len(self.numbers.get(name, [math.nan])), np.nan) for name in BY}
         found = self.slopes_by(measure.slopes)
@@ -367,7 +390,8 @@ class LoopPoint:
             each = opened + 10.0 ** exponents[:, None, None] * (balanced - opened)
             radius = np.abs(np.linalg.eigvals(kept @ each @ kept.T)).max(axis=1)
             known = poles_of(radius, self.period).real.tolist()
-        return stable_intervals(self.growth_at, UNDAMPED / self.period, known)
+        found = stable_intervals(lambda x: self._about_here(10.0**x).growth_rate, UNDAMPED / self.period, known)
+        return followed(self.growth_at, UNDAMPED / self.period, found) if self._hangs else found
 
     @property
     def drifts_below(self) -> bool:
@@ -382,7 +406,8 @@ class LoopPoint:
         """The largest Kp along the present ratio of all gains, in its unit: of the first row that has one.
 
         The upper end of the interval in which the present gains lie; where they lie in none the largest one below, 0
-        where none is found; infinite where no border is met; NaN where no row has one.
+        where none is found; infinite where no border is met; NaN where no row has one. An arm whose weight its
+        controller does not know rests elsewhere with other gains: then it is that of the loop about that rest.
         """
         kp = self.numbers["kp"]
         row = int(np.argmax(kp > 0))
@@ -394,6 +419,8 @@ class LoopPoint:
         factor = below[-1][1]
         if factor >= 10**HIGH:
             return Measured(math.inf)
+        if self._hangs and factor != 1.0:
+            return self._allowed_where_it_rests(factor, row)
         value = self._times(factor).multipliers[0]
         _, by_matrix = self._by_multiplier(value, lambda mu: 1 / mu, factor)
         by_factor = float(np.sum(by_matrix * (self.smooth.into @ self.smooth.force)))
@@ -403,6 +430,19 @@ class LoopPoint:
             return Measured(factor * float(kp[row]))
         slopes = self.smooth.slopes(by_matrix, factor) * (-float(kp[row]) / by_factor)
         return Measured(factor * float(kp[row]), slopes, {"kp": more})
+
+    def _allowed_where_it_rests(self, factor: float, row: int) -> Measured:
+        """`allowed_gain` at a factor at the border, of a loop that rests elsewhere with other gains."""
+        there, kp = self.with_gains(factor), float(self.numbers["kp"][row])
+        slowest = there.rate()
+        slopes = there.gradient(slowest)
+        by_factor = sum(float(slopes[name] @ self.numbers[name]) for name in GAINS)
+        if slowest.slopes is None or not math.isfinite(by_factor) or by_factor == 0:
+            return Measured(factor * kp)
+        by = {name: -kp / by_factor * slope for name, slope in slopes.items()}
+        by |= {name: factor * by[name] for name in GAINS}
+        by["kp"][row] += factor
+        return Measured(factor * kp, by=by)
 
     def delay_margin(self, below: float = math.inf) -> Measured:
         """Dead time that may be added before the loop grows, s; NaN where it does already, infinite where at none.

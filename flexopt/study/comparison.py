@@ -329,11 +329,14 @@ def _rows(quantity: SavedQuantity, documents: Sequence[Any]) -> list[ComparedRow
         errors = tuple(_number(_at(document, quantity.error)) for document in documents)
         own = tuple(_value(v, _at(d, quantity.scale)) for v, d in zip(values, documents, strict=True))
         return [ComparedRow(quantity.label, shared, own, errors, quantity.more, quantity.zero, several)]
-    # Entries with units of their own have rows of their own.
-    shared, several = (quantity.unit, False) if quantity.units else (shared, several)
+    if quantity.names:
+        # Entries with units of their own have rows of their own.
+        shared, several = quantity.unit, False
+    longest = max(len(cast(list[Any], value)) for value in values if isinstance(value, list))
     found: dict[tuple[str, str], list[float | str | None]] = {}
     for k, (document, value) in enumerate(zip(documents, values, strict=True)):
-        entries = cast(list[Any], value) if isinstance(value, list) else []
+        # One number stands for that of every row.
+        entries = cast(list[Any], value) if isinstance(value, list) else [value] * longest * (value is not None)
         names, units, scales = (_listed(document, key) for key in (quantity.names, quantity.units, quantity.scale))
         for i, entry in enumerate(entries):
             own = str(names[i]) if i < len(names) else str(i + 1)

@@ -42,6 +42,21 @@ def test_in_space_no_elbow_is_named(command: Command, asked: str) -> None:
     assert refused.stderr.strip().endswith("--elbow = down: names a branch of planar arms only")
 
 
+@pytest.mark.parametrize(
+    "asked",
+    [
+        ("simulate", "truck-crane", "--posture", "0.2,0.8,-1.5,1.3", "--duration", "0.2"),
+        ("simulate", "excavator", "--posture", "0.9,-2.6", "--duration", "0.2"),
+        ("map", "truck-crane", "--posture", "0.2,0.8,-1.5,1.3", "--points", "3,3"),
+        ("map", "excavator", "--over", "posture", "--points", "3,3"),
+    ],
+)
+def test_beside_a_posture_no_elbow_is_named(command: Command, asked: tuple[str, ...]) -> None:
+    refused = command(*asked, "--elbow", "down")
+    assert refused.code == 2
+    assert "--elbow = down: " in refused.stderr
+
+
 def test_without_a_word_of_the_elbow_both_branches_are_looked_at(command: Command) -> None:
     """Of a redundant arm the best of all postures is taken, as the pages say."""
     asked = ("evaluate", "boom-stick-bucket", "--end-point", "5,1")

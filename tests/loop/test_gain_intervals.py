@@ -11,6 +11,8 @@ import flexopt
 from flexopt.loop.borders import stable_intervals
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.outcome import UNDAMPED
+from flexopt.loop.uncertain import UncertainLoop
+from flexopt.loop.uncertainty_box import UncertaintyBox
 
 CASES: list[tuple[str, tuple[float, ...], Any]] = [
     ("slewing-excavator", (0.3, 0.5, -0.9, -0.4), {"kp": 3e6, "kv": 6e5, "dead_time": 0.01}),
@@ -88,3 +90,49 @@ def test_gains_that_hold_a_load_which_is_not_known_leave_no_gap() -> None:
         assert own.rests
         assert own.loop.growth_rate < 0
         assert any(low < factor < high for low, high in point.gain_intervals)
+
+
+HANGING: list[tuple[str, tuple[float, ...], dict[str, Any], tuple[str, ...]]] = [
+    ("excavator", (0.0448, -2.0499), {"kp": 1e4, "kv": 1e3}, ("payload.mass",)),
+    ("excavator", (0.0448, -2.0499), {"kp": 1e4, "kv": 1e3}, ("payload.mass", "base.stiffness.rotation")),
+    ("boom-stick-bucket", (-1.2, -1.5, -0.8), {"kp": 3.0, "kv": 0.0, "drive": "velocity", "nullspace_damping": 1e4},
+     ("payload.mass",)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "posture", "law", "unknown"), HANGING)
+def test_the_largest_gain_of_an_arm_that_hangs_off_its_target_is_the_same_from_whatever_it_is_asked(
+    name: str, posture: tuple[float, ...], law: dict[str, Any], unknown: tuple[str, ...]
+) -> None:
+    """Loops with gains just below it decay where these rest, those just above grow; its slope is that of differences."""
+    machine, base = flexopt.load(name), np.zeros(1)
+    found = []
+    for factor in (1.0, 0.5):
+        gains = {each: factor * law[each] for each in ("kp", "kv")}
+        settings, _ = settings_at(
+            machine, np.array(posture), base, None, flexopt.Loop(**law | gains, rate=100.0), gravity=True, call="test"
+        )
+        own = machine.parameters
+        box = UncertaintyBox(
+            machine,
+            tuple(
+                flexopt.Uncertainty(of=each, factor=(0.5, 2.0))
+                if each.startswith("base")
+                else flexopt.Uncertainty(of=each, value=(0.0, 600.0 + next(p.value for p in own if p.name == each)))
+                for each in unknown
+            ),
+            settings.dead_time,
+        )
+        loop = UncertainLoop(settings, base, np.array(posture), True, box)
+        found.append((loop, loop.outcome(u := np.full(len(unknown), 0.8)).allowed_gain()))
+    (_, asked), (loop, other) = found
+    assert 0 < asked.value < np.inf
+    assert other.value == pytest.approx(asked.value, rel=1e-7)
+    kp = loop.settings.kp.max()
+    decays = loop.decays(u[None], np.array([0.999, 1.001]) * other.value / kp)
+    assert decays[0] > 0 > decays[1]
+    slopes, h = loop.slopes(u, loop.outcome(u), other), 1e-4
+    for k in range(len(u)):
+        ends = [loop.outcome(u + side * h * np.eye(len(u))[k]).allowed_gain().value for side in (-1, 1)]
+        assert slopes[k] == pytest.approx((ends[1] - ends[0]) / (2 * h), rel=1e-4)
+    assert np.all(slopes != 0)

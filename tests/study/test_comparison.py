@@ -176,6 +176,24 @@ def test_units_of_gains_and_measures(command: Command, tmp_path: Path) -> None:
     assert "decay of the loop" in labels["both"]
 
 
+def test_gains_of_rows_beside_one_for_all_and_other_units_are_not_drawn_together(tmp_path: Path) -> None:
+    """A number that stands for all rows is each row's; N m and 1/s share no axis."""
+    machine, asked = flexopt.load("excavator"), {"members": 2, "runs": 0, "starts": 2, "base_range": (-0.01, 0.01)}
+    loops: list[dict[str, Any]] = [
+        {"kp": (1e5, 2e5), "kv": (2e3, 4e3), "rate": 200},
+        {"kp": (20.0, 40.0), "kv": 0.0, "rate": 100, "drive": "velocity", "servo_gain": 5e4},
+    ]
+    found = [flexopt.verdict(machine, (0.0, 1.6), base=0.0, loop=loop, **asked) for loop in loops]
+    assert [each.word for each in found] == ["change gains"] * 2
+    told = compare_saved([save(tmp_path, name, each) for name, each in zip(("torque", "served"), found, strict=True)])
+    rows = {row.label: row for row in told.rows if row.label.startswith("new K")}
+    assert list(rows) == ["new Kp 1", "new Kp 2", "new Kv 1", "new Kv 2"]
+    assert all(row.apart and None not in row.values for row in rows.values())
+    assert [rows[f"new Kv {k}"].values[1] for k in (1, 2)] == [0.0, 0.0]
+    assert rows["new Kp 1"].unit == "N m or 1/s"
+    assert not [each.label for each in told.bands if each.label.startswith("new K")]
+
+
 def test_an_allowed_gain_that_there_is_not_is_none(command: Command, tmp_path: Path) -> None:
     """In words as in the evaluation's own; in the document the number that it has there."""
     machine, loops = flexopt.load("excavator"), ({"kp": 1e4, "kv": 1e3}, {"kp": 1e3, "kv": 0.0, "dead_time": 0.1})

@@ -214,7 +214,9 @@ def _sags(loop: UncertainLoop, u: Vector, posture: Vector, until: str) -> str:
         return ""
     integrates = settings.feedback == "pid" and bool(np.all(settings.ki[settings.kp > 0] > 0))
     until = until if settings.drive == "velocity" else ""
-    return _full_levers(loop, u, posture) or (until if integrates else SAGS)
+    # One that its levers did not bear may have fallen to where they do.
+    full = _full_levers(loop, u, loop.posture) or _full_levers(loop, u, posture)
+    return full or (until if integrates else SAGS)
 
 
 def _unknown_load(loop: UncertainLoop, u: Vector, posture: Vector) -> Vector:
@@ -246,7 +248,9 @@ def _full_levers(loop: UncertainLoop, u: Vector, posture: Vector) -> str:
         return ""
     unit = "N m" if machine.joint_units[k] == "rad" else "N"
     load = f"at {machine.joints[k]} the load is another than the file's by {abs(more[k]):.3g} {unit}"
-    return f", and {load}, of which a full lever bears {bears[k]:.3g}; a larger loop.servo_gain bears more"
+    hangs = abs(more[k]) <= (1 + ON_FULL_LEVER) * bears[k]
+    of_it = "all that a full lever bears" if hangs else f"of which a full lever bears {bears[k]:.3g}"
+    return f", and {load}, {of_it}; a larger loop.servo_gain bears more"
 
 
 def of_all(each: Sequence[Runs]) -> Runs:
