@@ -691,3 +691,34 @@ def test_of_gains_such_with_a_reserve_are_taken_but_not_such_that_grow(width, ha
         assert has_reserve(best_gains(narrow, wide, members, lambda loop: True), wide, members)
     never = best_gains(Window(settings, 3000.0, 4000.0), asked, members, lambda loop: True)
     np.testing.assert_allclose(never.settings.kp, 2500.0, rtol=1e-6)
+
+
+def test_new_gains_that_are_faster_on_few_grounds_only_say_so() -> None:
+    """Gains are judged by the slowest decay alone; the share is that of loops of their own over one range of springs."""
+    machine, target, factors = flexopt.load("excavator"), (0.0, 1.6), (0.3, 3.0)
+    law: dict[str, Any] = {"kv": 0.0, "rate": 100, "drive": "velocity", "servo_gain": 5e4}
+    found = flexopt.verdict(
+        machine, target, base=0.0, base_range=(-0.01, 0.01), loop=law | {"kp": 1.4, "kp_range": (0.1, 50)},
+        ranges={"stiffness": factors}, members=8, runs=0, starts=2,
+    )  # fmt: skip
+    assert (found.word, found.place) == ("change gains", "stay")
+    assert found.stay is not None
+    assert found.with_gains is not None
+    assert found.with_gains.decay.least > 1.1 * found.stay.decay.least > 0
+    share = found.with_gains.better
+    assert found.drawbacks.startswith(
+        "with the new gains it decays at least 10 % faster than where it stands with the present ones on "
+        f"{100 * share:.0f} % of the grounds only"
+    )
+    data, faster = machine.to_dict(), []
+    for factor in np.geomspace(*factors, 41):
+        base = data["base"] | {"stiffness": {name: factor * k for name, k in data["base"]["stiffness"].items()}}
+        ground = flexopt.machine_from_dict(data | {"base": base})
+        old, new = (
+            flexopt.outcome(ground, found.stay.posture, base=0.0, loop=law | {"kp": kp}).decay
+            for kp in (1.4, found.gains["kp"])
+        )
+        faster.append(new >= 1.1 * old)
+    # Eight members tell it to an eighth, and the corners are among them.
+    assert share == pytest.approx(np.mean(faster), abs=0.13)
+    assert 0 < share < 0.5

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from flexopt.loop.standard_move import MOVE, UNSETTLED
 from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.several import BasePlan
-from flexopt.study.verdicts.decision import FASTER, spoken
+from flexopt.study.verdicts.decision import BETTER, FASTER, MOST, percent, spoken
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import FIRST, STAY
 
@@ -44,7 +44,9 @@ def drawbacks_of(verdict: Verdict) -> str:
         return no_better
     how, found = "with the new gains it" if verdict.with_gains else "it", _worse(verdict, there, stay)
     told = f"in the worst case {how} {', '.join(found)} there" if found else ""
-    return "; ".join(filter(None, (told, no_better)))
+    few = verdict.with_gains is not None and stay.decay.least > 0 and there.better < MOST
+    than = f"than where it stands with the present ones on {percent(there.better)} of the grounds only"
+    return "; ".join(filter(None, (f"with the new gains it {BETTER} {than}" * few, told, no_better)))
 
 
 def _worse(verdict: Verdict, there: PlaceVerdict, stay: PlaceVerdict) -> list[str]:

@@ -21,7 +21,7 @@ from flexopt.selection.broken import cornerless
 from flexopt.study.verdicts.broken_places import Breaks, breaks_of
 from flexopt.study.verdicts.changed_gains import ChangedGains
 from flexopt.study.verdicts.confirmation import Runs
-from flexopt.study.verdicts.decision import spoken
+from flexopt.study.verdicts.decision import faster, spoken
 from flexopt.study.verdicts.place_loops import (
     MEMBERS,
     Chosen,
@@ -107,15 +107,20 @@ def judged_with_gains(
     points: Vector,
     drives: Mapping[str, tuple[float, float]],
     chosen: Chosen,
+    stay: Vector | None,
 ) -> PlaceVerdict:
-    """The place with other gains, judged as the others are with the present ones."""
+    """The place with other gains, judged as the others are with the present ones.
+
+    `stay`: decays (n,) of the present place with these; None where there is none.
+    """
     loop, name = changed.loop, changed.place.name
     decays = loop.decays(points)
     slowest, worst = loop.slowest(points, decays), decays.min(axis=0)
     held = [(each.base, each.posture) for each in stands[name]]
     breaks = breaks_of(chosen, loop, held)
+    better = math.nan if stay is None else float(np.mean(faster(worst, stay)))
     return judged_place(
-        name, stands[name], loop, points, worst, math.nan, slowest, drives[name], changed.runs, chosen, breaks
+        name, stands[name], loop, points, worst, better, slowest, drives[name], changed.runs, chosen, breaks
     )
 
 

@@ -222,7 +222,7 @@ def verdict(
     decision = with_present(decision, absent if stay is None else "", chosen, held.get(STAY))
     new = confirmed if decision.word == "change gains" else None
     bands = _each([*told, *[NEW_GAINS] * bool(new)], lambda name: judged_with_gains(
-        new, stands, points, drives, chosen,
+        new, stands, points, drives, chosen, decays.get(STAY),
     ) if new and name == NEW_GAINS else judged_place(
         name, stands[name], loops[name], points, decays[name], shares.get(name, math.nan), search(name), drives[name],
         shown.get(name) or _runs_of(points[:runs], duration, loops[name]), chosen,
