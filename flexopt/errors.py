@@ -305,6 +305,7 @@ class CompilerNotFound(FlexoptWarning):
     """No C compiler can be used, so CasADi's virtual machine serves: same results, more slowly.
 
     Example:
+        >>> import warnings
         >>> with warnings.catch_warnings():
         ...     warnings.simplefilter("error", flexopt.CompilerNotFound)  # to stop where one is expected
         ...     machine = flexopt.load("excavator")

@@ -135,7 +135,9 @@ def _draw(axes: Axes, bands: Bands) -> None:
         weight = "bold" if row.name == bands.told else "normal"
         across = axes.get_yaxis_transform()
         axes.text(-0.03, k, row.name, transform=across, va="center", ha="right", fontsize="small", fontweight=weight)
-        axes.text(1.04, k, row.worst, transform=across, va="center", fontsize="small")
+        # Two units, of hinges and slides, are long, and stand below the axis.
+        worst = row.worst.removesuffix(f" {bands.unit}") if " or " in bands.unit else row.worst
+        axes.text(1.04, k, worst, transform=across, va="center", fontsize="small")
     axes.set_yticks([])
     axes.set_ylim(_bottom(bands), TOP)
     # A power of ten stands beside the axis: under its end it met the label of a narrow panel.
@@ -159,8 +161,8 @@ def _draw(axes: Axes, bands: Bands) -> None:
     formatter = axes.xaxis.get_major_formatter()
     formatter.set_locs(axes.get_xticks().tolist())
     better, unit = "" if bands.more is None else f" ({'more' if bands.more else 'less'} is better)", bands.unit or "SI"
-    # A power of ten needs room beside the label: the rest is a line of its own.
-    apart = bool(better) and bool(formatter.get_offset())
+    # Two units are long, and a power of ten needs room beside the label: the rest is a line of its own.
+    apart = bool(better) and (" or " in unit or bool(formatter.get_offset()))
     label = f"{labelled(bands.label, unit)}\n{better.strip()}" if apart else labelled(f"{bands.label}{better}", unit)
     axes.set_xlabel(label)
     open_frame(axes, "x")

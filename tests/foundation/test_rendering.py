@@ -24,7 +24,7 @@ def test_a_value_that_is_missing_is_an_error():
 
 def test_names_in_html_are_text_wherever_they_stand():
     page = render("foundation/templates/page.html", title=EVIL, provenance={"name": EVIL})
-    assert "<script>alert" not in page
+    assert "<script" not in page
     assert "\N{RIGHT-TO-LEFT OVERRIDE}" not in page
     assert page.count("&lt;script&gt;") == 2  # the title and the heading; the document's quotes are JSON's
 
@@ -49,10 +49,3 @@ def test_templates_are_loaded_by_what_writes_alone():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
-
-
-def test_every_page_with_a_fold_opens_it_on_paper() -> None:
-    """Also where a room's page says nothing of scripts: browsers print what is folded as it is on the screen."""
-    written = render("foundation/templates/page.html", title="one", provenance={"machine": "excavator"})
-    assert "<details>" in written
-    assert "beforeprint" in written
