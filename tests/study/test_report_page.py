@@ -628,6 +628,33 @@ def test_an_asked_margin_of_joints_has_a_row_for_each(margin: float) -> None:
         assert float(room) == pytest.approx(min(q - low, high - q), abs=5e-4)
 
 
+def test_the_nearest_constraints_are_told_once_and_those_of_where_one_goes() -> None:
+    """At corners of what is uncertain a clearance has rows of its own; the chosen candidate's nearest is another's."""
+    walls = [
+        {"name": name, "kind": "box", "center": center, "size": [0.5, 1.0]}
+        for name, center in (("wall", [9.5, 2.0]), ("roof", [4.0, 7.5]))
+    ]
+    asked = {
+        "clearance": {"distance": 0.1, "obstacles": walls},
+        "within": [{"of": "payload.mass", "value": (0.0, 500.0)}],
+    }
+    machine = flexopt.load("boom-stick-bucket")
+    found = flexopt.select(machine, (7.0, 1.0), base=0.0, gravity=True, constraints=asked, starts=3)
+    rows = [name for name in found.best.constraints if name.startswith("clearance")]
+    assert len(rows) > tables.MANY
+    for k in range(min(3, len(found.candidates))):
+        report: Any = SimpleNamespace(selection=found, about=found, verdict=SimpleNamespace(place=f"candidate {k + 1}"))
+        told = tables.constraints(report)
+        assert told is not None
+        near = [name for name, *_ in told.near[1] if name.startswith("clearance")]
+        own = found.candidates[k].constraints
+        assert min(rows, key=lambda name, own=own: own[name].nearness) in [name.replace("−", "-") for name in near]
+        pairs = [re.split(", where", name)[0] for name in near]
+        assert len(near) <= 4
+        assert len(set(pairs[:3])) >= len(near) - 1
+        assert told.told.endswith("or at other corners")
+
+
 def test_the_caption_says_where_the_drawn_present_one_is() -> None:
     """A present posture beside the target is drawn with the others, and none where there is none."""
     machine, posture = flexopt.load("excavator"), (0.9, -2.4)

@@ -66,20 +66,26 @@ def constraints(report: Report) -> ConstraintTables | None:
     shown = [each.constraints for _, each in numbered]
     if not shown[0]:
         return None
-    kinds = by_kind(
-        shown[0], cornerless(selection.problem if isinstance(selection, Selection) else selection.problems[0])
-    )
+    alike = cornerless(selection.problem if isinstance(selection, Selection) else selection.problems[0])
+    chosen = chosen_number(report) - 1 if isinstance(selection, Selection) else selection.worst
+    kinds, own = by_kind(shown[0], alike), next(each.constraints for k, each in numbered if k == chosen)
     near, far = list[str](), list[str]()
     for names in kinds.values():
         if len(names) > MANY:
-            names = sorted(names, key=lambda name: min(each[name].nearness for each in shown))  # noqa: PLW2901
-            near, far = near + names[:NEAREST], far + names[NEAREST:]
+            nearest = dict[str, str]()
+            for name in sorted(names, key=lambda name: min(each[name].nearness for each in shown)):
+                nearest.setdefault(alike.get(name, name), name)
+            # What is nearest of all may be far where one goes.
+            first = {*list(nearest.values())[:NEAREST], min(names, key=lambda name: own[name].nearness)}
+            near += [name for name in names if name in first]
+            far += [name for name in names if name not in first]
         else:
             near += names
     kind = "candidate" if one else "target"
     header = ["constraint", "allowed", *(OfNumbers(f"{kind} {k + 1}") for k, _ in numbered)]
     several = [name for name, names in kinds.items() if len(names) > MANY]
-    told = f"{len(far)} more of {' and '.join(several)}, farther from their bounds"
+    corners = " or at other corners" * any(name in alike for name in far)
+    told = f"{len(far)} more of {' and '.join(several)}, farther from their bounds{corners}"
 
     left = len(selection.candidates if one else selection.places) - len(shown)
     more = f"1 more {kind} keeps" if left == 1 else f"{left} more {kind}s keep"
