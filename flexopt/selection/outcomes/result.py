@@ -6,6 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -155,8 +156,18 @@ class OutcomeSelection(ChosenByLoop, Selection):
                 found |= ~(values >= least)
         return found
 
+    @cached_property
+    def _known_along(self) -> dict[str, Vector | None]:
+        """What was computed of these: a page draws its pictures for light and for dark."""
+        return {}
+
     def _along(self, measure: Measure) -> Vector | None:
         """What a measure counts at the points of `problem.scan`, (N,); see `along_redundancy`."""
+        if measure.name not in self._known_along:
+            self._known_along[measure.name] = self._computed_along(measure)
+        return self._known_along[measure.name]
+
+    def _computed_along(self, measure: Measure) -> Vector | None:
         scan, best = self.problem.scan, self.best.evaluation
         parts = self.asked.parts(self.problem, best)
         # What the loop leaves out follows from where the choice began: it has the numbers of the best candidate's.
