@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,8 @@ from flexopt.foundation.roots import border
 LOW, HIGH, POINTS = -4.0, 4.0, 241
 # Relative width to which a narrow interval between two gains is looked for, and exponents to which a border is found.
 NARROW, BORDER = 1e-3, 1e-10
-# The first step, of exponents, from a border to that of a loop much like it.
-STEP = 0.01
+# The first and the widest step, of exponents, from the present gains to a border.
+STEP, WIDEST = 0.01, 0.1
 
 
 def stable_intervals(
@@ -41,45 +42,25 @@ def stable_intervals(
     return tuple(zip(ends[::2], ends[1::2], strict=True))
 
 
-def followed(
-    growth: Callable[[float], float], rounding: float, intervals: tuple[Interval, ...]
-) -> tuple[Interval, ...]:
-    """Intervals whose ends are moved to where `growth`, of another loop much like theirs, changes its sign.
+def highest_stable(growth: Callable[[float], float], rounding: float) -> float:
+    """The multiple up to which, from 1 on, `growth` is negative; where it is not at 1 the largest below at which it is.
 
-    Each end into its interval while the loop grows, and out of it, as far as the next one, while it decays.
+    In steps that are no wider than `WIDEST`, of a growth that is slow to compute. 10^HIGH where no border is met, 0
+    where none is stable.
     """
+    growth = cache(growth)
 
     def grows(x: float) -> bool:
         return not growth(x) < -rounding
 
-    found, ends = list[Interval](), [math.log10(end) for interval in intervals for end in interval]
-    beyond = [LOW, *ends, HIGH]
-    for k in range(0, len(ends), 2):
-        low, high = (
-            _walked(growth, grows, end, inward=inward, outward=outward)
-            for end, inward, outward in (
-                (ends[k], ends[k + 1], beyond[k]),
-                (ends[k + 1], ends[k], beyond[k + 3]),
-            )
-        )
-        if low < high:
-            found.append((10**low, 10**high))
-    return tuple(found)
-
-
-def _walked(
-    growth: Callable[[float], float], grows: Callable[[float], bool], end: float, *, inward: float, outward: float
-) -> float:
-    """Where the sign changes, looked for from an end in steps that double; the last that is looked at where nowhere."""
-    into = grows(end)
-    last = inward if into else outward
-    step, at = STEP, end
+    up, at, step = not grows(0.0), 0.0, STEP
+    last = HIGH if up else LOW
     while at != last:
-        further = at + math.copysign(min(step, abs(last - at)), last - at)
-        if grows(further) != into:
-            return border(growth, at, further, xtol=BORDER)
-        at, step = further, 2 * step
-    return last
+        further = at + math.copysign(min(step, abs(last - at)), last)
+        if grows(further) == up:
+            return 10 ** border(growth, at, further, xtol=BORDER)
+        at, step = further, min(2 * step, WIDEST)
+    return 10**HIGH if up else 0.0
 
 
 def _with_narrow(growth: Callable[[float], float], grid: list[float], values: list[float]) -> list[tuple[float, float]]:

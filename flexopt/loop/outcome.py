@@ -19,7 +19,7 @@ from flexopt.coprime import StateSpace
 from flexopt.foundation.arrays import ComplexArray, Vector
 from flexopt.foundation.roots import border
 from flexopt.loop.assembly import OneSample, Slopes
-from flexopt.loop.borders import HIGH, LOW, POINTS, followed, stable_intervals
+from flexopt.loop.borders import HIGH, LOW, POINTS, highest_stable, stable_intervals
 from flexopt.loop.disturbance import Disturbed
 from flexopt.loop.frequency_response import PEAKS, SETTLED, crossings, exactly, peak, peak_at
 from flexopt.loop.small_motions import AT_REST, BY, DEAD_TIME, Parts, SmallMotions
@@ -378,7 +378,10 @@ class LoopPoint:
 
     @cached_property
     def gain_intervals(self) -> tuple[tuple[float, float], ...]:
-        """(lower, upper) of the factors, 10^LOW to 10^HIGH, times which all gains together leave the loop stable."""
+        """(lower, upper) of the factors, 10^LOW to 10^HIGH, times which all gains together leave the loop stable.
+
+        About where it rests with the present gains.
+        """
         if not self.rests:
             return ()
         known, (balanced, scale) = None, balance(self.sample.matrix)
@@ -390,8 +393,7 @@ class LoopPoint:
             each = opened + 10.0 ** exponents[:, None, None] * (balanced - opened)
             radius = np.abs(np.linalg.eigvals(kept @ each @ kept.T)).max(axis=1)
             known = poles_of(radius, self.period).real.tolist()
-        found = stable_intervals(lambda x: self._about_here(10.0**x).growth_rate, UNDAMPED / self.period, known)
-        return followed(self.growth_at, UNDAMPED / self.period, found) if self._hangs else found
+        return stable_intervals(lambda x: self._about_here(10.0**x).growth_rate, UNDAMPED / self.period, known)
 
     @property
     def drifts_below(self) -> bool:
@@ -413,14 +415,14 @@ class LoopPoint:
         row = int(np.argmax(kp > 0))
         if not kp[row]:
             return UNDEFINED
+        if self._hangs:
+            return self._allowed_where_it_rests(row)
         below = [(low, high) for low, high in self.gain_intervals if low <= 1.0]
         if not below:
             return Measured(0.0)
         factor = below[-1][1]
         if factor >= 10**HIGH:
             return Measured(math.inf)
-        if self._hangs and factor != 1.0:
-            return self._allowed_where_it_rests(factor, row)
         value = self._times(factor).multipliers[0]
         _, by_matrix = self._by_multiplier(value, lambda mu: 1 / mu, factor)
         by_factor = float(np.sum(by_matrix * (self.smooth.into @ self.smooth.force)))
@@ -431,8 +433,11 @@ class LoopPoint:
         slopes = self.smooth.slopes(by_matrix, factor) * (-float(kp[row]) / by_factor)
         return Measured(factor * float(kp[row]), slopes, {"kp": more})
 
-    def _allowed_where_it_rests(self, factor: float, row: int) -> Measured:
-        """`allowed_gain` at a factor at the border, of a loop that rests elsewhere with other gains."""
+    def _allowed_where_it_rests(self, row: int) -> Measured:
+        """`allowed_gain` of a loop that rests elsewhere with other gains."""
+        factor = highest_stable(self.growth_at, UNDAMPED / self.period)
+        if not 0 < factor < 10**HIGH:
+            return Measured(math.inf if factor else 0.0)
         there, kp = self.with_gains(factor), float(self.numbers["kp"][row])
         slowest = there.rate()
         slopes = there.gradient(slowest)

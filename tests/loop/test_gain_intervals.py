@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.loop.borders import stable_intervals
+from flexopt.loop.borders import HIGH, highest_stable, stable_intervals
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.outcome import UNDAMPED
 from flexopt.loop.uncertain import UncertainLoop
@@ -136,3 +136,25 @@ def test_the_largest_gain_of_an_arm_that_hangs_off_its_target_is_the_same_from_w
         ends = [loop.outcome(u + side * h * np.eye(len(u))[k]).allowed_gain().value for side in (-1, 1)]
         assert slopes[k] == pytest.approx((ends[1] - ends[0]) / (2 * h), rel=1e-4)
     assert np.all(slopes != 0)
+
+
+@pytest.mark.parametrize(
+    ("stable", "expected"),
+    [
+        # An arm that falls with less than 0.4 of its gains, and holds again with ten times them.
+        ([(-0.4, 0.87), (1.0, 2.2)], 0.87),
+        ([(-4.0, 4.0)], HIGH),
+        ([(-2.0, -1.3), (0.5, 1.0)], -1.3),
+        ([(0.5, 1.0)], -np.inf),
+    ],
+)
+def test_from_the_present_gains_the_largest_stable_ones_are_found(
+    stable: list[tuple[float, float]], expected: float
+) -> None:
+    """Growth that jumps where the arm falls, and between islands of gains."""
+
+    def growth(x: float) -> float:
+        inside = [min(x - low, high - x) for low, high in stable]
+        return -max(inside) if max(inside) >= 0 or x > stable[0][0] else 7e4
+
+    assert highest_stable(growth, 1e-11) == pytest.approx(10.0**expected, rel=1e-8)
