@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,6 @@ from flexopt.foundation.roots import border
 LOW, HIGH, POINTS = -4.0, 4.0, 241
 # Relative width to which a narrow interval between two gains is looked for, and exponents to which a border is found.
 NARROW, BORDER = 1e-3, 1e-10
-# The first and the widest step, of exponents, from the present gains to a border.
-STEP, WIDEST = 0.01, 0.1
 
 
 def stable_intervals(
@@ -45,21 +44,21 @@ def stable_intervals(
 def highest_stable(growth: Callable[[float], float], rounding: float) -> float:
     """The multiple up to which, from 1 on, `growth` is negative; where it is not at 1 the largest below at which it is.
 
-    In steps that are no wider than `WIDEST`, of a growth that is slow to compute. 10^HIGH where no border is met, 0
-    where none is stable.
+    As the border of an interval of `stable_intervals`, with growth, which is slow to compute, looked at from 1 on up to
+    there only. 10^HIGH where no border is met, 0 where none is stable.
     """
     growth = cache(growth)
-
-    def grows(x: float) -> bool:
-        return not growth(x) < -rounding
-
-    up, at, step = not grows(0.0), 0.0, STEP
-    last = HIGH if up else LOW
-    while at != last:
-        further = at + math.copysign(min(step, abs(last - at)), last)
-        if grows(further) == up:
-            return 10 ** border(growth, at, further, xtol=BORDER)
-        at, step = further, min(2 * step, WIDEST)
+    exponents, here = np.linspace(LOW, HIGH, POINTS), POINTS // 2
+    up = growth(0.0) < -rounding
+    # Outward, with the one on the other side of 1 first: between it and the next there may be a gap.
+    way = (exponents[here - 1 :] if up else exponents[here + 1 :: -1]).tolist()
+    for three in zip(way, way[1:], way[2:], strict=False):
+        ordered = sorted(three)
+        seen = _with_narrow(growth, ordered, [growth(x) for x in ordered])
+        outward = [(x, value < -rounding) for x, value in (seen if up else reversed(seen)) if (x >= 0) == up or x == 0]
+        for (at, _), (further, stable) in pairwise(outward):
+            if stable != up:
+                return 10 ** border(growth, at, further, xtol=BORDER)
     return 10**HIGH if up else 0.0
 
 

@@ -207,8 +207,7 @@ class LoopPoint:
     @cached_property
     def _hangs(self) -> bool:
         """Whether the weight, which its controller does not know, draws it the farther off the lower its gains are."""
-        of = self.numbers
-        return self.motions.own_model and self.rests and bool(np.any((of["kp"] > 0) & (of["ki"] == 0)))
+        return self.motions.own_model and bool(np.any((self.numbers["kp"] > 0) & (self.numbers["ki"] == 0)))
 
     def with_gains(self, factor: float) -> LoopPoint:
         """The loop with all gains times a factor, where it rests then."""
@@ -218,7 +217,7 @@ class LoopPoint:
 
     def _times(self, factor: float) -> SampledLoop:
         """The loop with all gains times a factor."""
-        return self.with_gains(factor).loop if self._hangs and factor != 1.0 else self._about_here(factor)
+        return self.with_gains(factor).loop if self._hangs or not self.rests else self._about_here(factor)
 
     def _about_here(self, factor: float) -> SampledLoop:
         """The same about where it rests now."""

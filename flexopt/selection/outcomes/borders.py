@@ -157,8 +157,7 @@ class AllowedGain(Border):
         kp = _first(point)
 
         def loop(x: float) -> LoopPoint:
-            factor = math.exp(x) / kp
-            return replace(point, numbers={**point.numbers, **{name: point.numbers[name] * factor for name in GAINS}})
+            return point.with_gains(math.exp(x) / kp)
 
         def by(there: LoopPoint, slopes: SlopesByInput) -> tuple[dict[str, Any], float]:
             of = {name: float(slopes[name] @ there.numbers[name]) for name in GAINS}

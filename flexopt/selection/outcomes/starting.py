@@ -71,7 +71,7 @@ def starts_from(program: OutcomeProgram, looked: list[Vector], workers: int) -> 
             break
         known = _raised(*wider, workers)
     if known is None:
-        raise _nothing(program, f"has a {program.measure.name}: {program.measure.lacking}")
+        raise _nothing(program, f"has the measure {program.measure.name}: {program.measure.lacking}")
     program, ys, values = known
     ys, values, distance = _some_steps(program, ys, values, workers)
     return program, [ys[k] for k in _apart(program, ys, values, CLIMBED, distance)]
