@@ -399,8 +399,7 @@ class LoopPoint:
         """Whether below the least gains that leave it stable what grows is mostly a self-motion, one that drifts."""
         if not (self._drifts and self.gain_intervals):
             return False
-        factor = self.gain_intervals[0][0] * (1 - NEAR)
-        grows = self._times(factor)
+        grows = self._about_here(self.gain_intervals[0][0] * (1 - NEAR))
         return grows.growth_rate > 0 and grows.self_motion > MOSTLY
 
     def allowed_gain(self) -> Measured:

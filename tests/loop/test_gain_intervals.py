@@ -146,15 +146,54 @@ def test_the_largest_gain_of_an_arm_that_hangs_off_its_target_is_the_same_from_w
         ([(-4.0, 4.0)], HIGH),
         ([(-2.0, -1.3), (0.5, 1.0)], -1.3),
         ([(0.5, 1.0)], -np.inf),
+        # Gaps and an island narrower than what gains are looked at in, beside the present ones and farther.
+        ([(-1.0, 0.005), (0.012, 2.0)], 0.005),
+        ([(-1.0, 0.705), (0.71, 2.0)], 0.705),
+        ([(-3.0, -2.0), (-1.012, -1.007), (0.5, 1.0)], -1.007),
     ],
 )
 def test_from_the_present_gains_the_largest_stable_ones_are_found(
     stable: list[tuple[float, float]], expected: float
 ) -> None:
-    """Growth that jumps where the arm falls, and between islands of gains."""
+    """Growth that jumps where the arm falls, and between islands of gains; as `stable_intervals` tells them."""
 
     def growth(x: float) -> float:
         inside = [min(x - low, high - x) for low, high in stable]
         return -max(inside) if max(inside) >= 0 or x > stable[0][0] else 7e4
 
     assert highest_stable(growth, 1e-11) == pytest.approx(10.0**expected, rel=1e-8)
+    known = [interval for interval in stable_intervals(growth, 1e-11) if interval[0] <= 1.0]
+    assert (known[-1][1] if known else 0.0) == pytest.approx(10.0**expected, rel=1e-8)
+
+
+def test_a_gap_of_gains_with_which_a_loaded_arm_grows_ends_what_it_bears() -> None:
+    """It is a tenth of a decade wide: with 1 kg more or less in the bucket it is that of the bucket of the file."""
+    machine, posture = flexopt.load("boom-stick-bucket"), (-1.2039269383792974, -2.332522150516992, -2.001349182444738)
+    given = {"kp": 30.0, "kv": 0.0, "drive": "velocity", "nullspace_damping": 1e4, "rate": 100.0}
+    law = flexopt.Loop(**given)
+    settings, _ = settings_at(machine, np.array(posture), np.zeros(1), None, law, gravity=True, call="test")
+    unknown = (flexopt.Uncertainty(of="payload.mass", value=(999.0, 1001.0)),)
+    loop = UncertainLoop(
+        settings, np.zeros(1), np.array(posture), True, UncertaintyBox(machine, unknown, settings.dead_time)
+    )
+    known = flexopt.outcome(machine, posture, base=0.0, gravity=True, loop=law)
+    middle, *sides = (loop.outcome(np.array([u])).allowed_gain().value for u in (0.5, 0.0, 1.0))
+    assert (
+        known.gain_intervals[0][1] / 30.0 < known.gain_intervals[1][0] / 30.0 < 1.3 * known.gain_intervals[0][1] / 30.0
+    )
+    assert middle == pytest.approx(known.gain_intervals[0][1], rel=1e-8)
+    assert sides == pytest.approx([middle, middle], rel=1e-3)
+
+
+def test_an_arm_that_falls_grows_with_other_gains_as_it_does() -> None:
+    """With those that hold it it decays; with less it falls, which is no error."""
+    machine, posture = flexopt.load("excavator"), (0.0448, -2.0499)
+    law = flexopt.Loop(kp=1e3, kv=1e2, rate=100.0)
+    settings, _ = settings_at(machine, np.array(posture), np.zeros(1), None, law, gravity=True, call="test")
+    unknown = (flexopt.Uncertainty(of="payload.mass", value=(0.0, 600.0)),)
+    box = UncertaintyBox(machine, unknown, settings.dead_time)
+    point = UncertainLoop(settings, np.zeros(1), np.array(posture), True, box).outcome(np.array([1.0]))
+    assert not point.rests
+    assert point.growth_at(0.0) == point.growth_at(-0.5) == point.loop.growth_rate > 7e4
+    assert point.growth_at(0.9) < 0
+    assert point.allowed_gain().value == 0

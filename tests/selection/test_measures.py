@@ -109,15 +109,23 @@ def test_an_optimum_at_which_the_loop_itself_begins_to_grow_is_verified() -> Non
     assert max(near) > 0.999 * found.best.objective
 
 
-CASES = [(name, machine) for name in OUTCOMES for machine in ("excavator", "slewing-excavator")]
-GAINS = {"excavator": {"kp": 1e4, "kv": 1e3}, "slewing-excavator": {"kp": 3e6, "kv": 6e5}}
-TARGETS = {"excavator": TARGET, "slewing-excavator": (6.0, 2.0, 1.0)}
+LOADED = "excavator, a load that is not known"
+CASES = [(name, machine) for name in OUTCOMES for machine in ("excavator", LOADED, "slewing-excavator")]
+GAINS = {
+    "excavator": {"kp": 1e4, "kv": 1e3},
+    LOADED: {"kp": 1e5, "kv": 2e4},
+    "slewing-excavator": {"kp": 3e6, "kv": 6e5},
+}
+TARGETS = {"excavator": TARGET, LOADED: TARGET, "slewing-excavator": (6.0, 2.0, 1.0)}
 
 
 @pytest.mark.long(
     "radius-slewing-excavator",
     "settling-excavator",
     "swing-excavator",
+    "radius-excavator, a load that is not known",
+    "settling-excavator, a load that is not known",
+    "swing-excavator, a load that is not known",
     "decay-slewing-excavator",
     "allowed_gain-slewing-excavator",
     "delay_margin-slewing-excavator",
@@ -128,29 +136,31 @@ TARGETS = {"excavator": TARGET, "slewing-excavator": (6.0, 2.0, 1.0)}
 @pytest.mark.parametrize(("name", "which"), CASES)
 def test_slopes_at_points_that_are_no_optimum(name: str, which: str) -> None:
     """Of what must stay above zero, by everything that varies and by the level, beside differences."""
-    machine, gains = flexopt.load(which), GAINS[which]
-    problem = flexopt.build_selection(machine, TARGETS[which])
+    machine, gains, loaded = flexopt.load(which.split(",", maxsplit=1)[0]), GAINS[which], which == LOADED
+    problem = flexopt.build_selection(machine, TARGETS[which], gravity=loaded)
     n_base = len(machine.base_coordinates)
     # A move is told of a loop that decays.
     late = 0.0011 if name in (SETTLING, SWING) else 0.0071
     for k in np.flatnonzero(problem.scan.violation <= FEASIBLE)[5:].tolist():
         z, left = moved(problem, np.concatenate([problem.scan.base[:, [k]], problem.scan.posture[:, [k]]]), 1)
         assert left[0] <= FEASIBLE
-        stand = flexopt.evaluate(machine, z[n_base:, 0], base=z[:n_base, 0])
+        stand = flexopt.evaluate(machine, z[n_base:, 0], base=z[:n_base, 0], gravity=loaded)
         settings = loop_settings(machine, Loop(control="inverse", dead_time=late, **gains), stand)
-        stable = settings.outcome(machine, stand.base, stand.posture, gravity=False).loop.stable
+        stable = settings.outcome(machine, stand.base, stand.posture, gravity=loaded).loop.stable
         if stable or name not in (SETTLING, SWING):
             break
-    box = UncertaintyBox(machine, GROUND if name == "radius" else (), late)
-    loop = UncertainLoop(settings, stand.base, stand.posture, False, box)
+    unknown = (Uncertainty(of="payload.mass", value=(300.0, 900.0)),) if loaded else ()
+    box = UncertaintyBox(machine, unknown + (GROUND if name == "radius" else ()), late)
+    loop = UncertainLoop(settings, stand.base, stand.posture, loaded, box)
+    members = np.full((int(loaded), len(box.uncertainty)), 0.7)
     ranges = {} if name == "allowance" else {"kp": (1.0, 1e8), "kv": (1.0, 1e8)}
-    program = OutcomeProgram(problem, loop, ranges, np.zeros((0, 0)), 0.1, MEASURES[name])
+    program = OutcomeProgram(problem, loop, ranges, members, 0.1, MEASURES[name])
     y = np.append(z[:, 0] / problem.scale, np.log([gains[each] for each in ranges]))
     # A level that has nothing to do with the value there.
     level = {"allowed_gain": math.log(0.7 * gains["kp"]), "delay_margin": 0.13, "allowance": 0.1, "radius": 0.3}.get(
         name, 0.1
     )
-    found, step = program.branches(y, level), 1e-5
+    found, step = program.branches(y, level), 1e-4
     ways = [*np.eye(y.size), None]
     for i, way in enumerate(ways):
         sides = [program.branches(y, level + sign * step) if way is None else program.branches(y + sign * step * way, level)
@@ -158,9 +168,10 @@ def test_slopes_at_points_that_are_no_optimum(name: str, which: str) -> None:
         count = min(len(found.values), *(len(side.values) for side in sides))
         central = (sides[0].values[:count] - sides[1].values[:count]) / (2 * step)
         ours = found.by_level[:count] if way is None else found.slopes[:count, i]
-        # At a step of 1e-5 differences keep some six digits; the places between are found to 1e-3 of a grid's step.
-        size = 1e-4 * max(1.0, float(np.abs(found.slopes).max()))
-        np.testing.assert_allclose(ours, central, rtol=1e-4, atol=size)
+        # Differences keep some six digits, fewer of places between, which do not move with the level and are found to
+        # 1e-3 of a grid's step, whatever this step is.
+        size = np.where(found.by_level[:count] == 0, 1e-3, 1e-4) * max(1.0, float(np.abs(found.slopes).max()))
+        assert np.all(np.abs(ours - central) <= size + 1e-4 * np.abs(central))
 
 
 @pytest.mark.long

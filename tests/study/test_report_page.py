@@ -22,6 +22,7 @@ import flexopt
 from flexopt.foundation import printing
 from flexopt.foundation.rendering import OfNumbers, _environment, render
 from flexopt.selection import Selection
+from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.several import Stand
 from flexopt.study import page as study_page
 from flexopt.study.reports import page as report_page
@@ -642,6 +643,31 @@ def test_the_nearest_constraints_are_told_once_and_those_of_where_one_goes() -> 
     found = flexopt.select(machine, (7.0, 1.0), base=0.0, gravity=True, constraints=asked, starts=3)
     rows = [name for name in found.best.constraints if name.startswith("clearance")]
     assert len(rows) > tables.MANY
+    pairs = list(dict.fromkeys(name.split(WHERE)[0] for name in rows))
+    assert len(rows) >= 2 * len(pairs)
+    assert len(pairs) > 4
+
+    def with_room(room: dict[str, float]) -> SimpleNamespace:
+        """By pair, alike at all its corners but for what tells them apart."""
+        kept = {
+            name: dataclasses.replace(
+                value, value=value.lower + room.get(name.split(WHERE)[0], 9.0) + 1e-6 * rows.index(name)
+            )
+            for name, value in found.best.constraints.items()
+            if name in rows
+        }
+        return SimpleNamespace(constraints=kept)
+
+    # Of one the first three pairs are the nearest of all, each at one of its corners; of the other the last is.
+    candidates = [with_room(dict(zip(pairs, (0.1, 0.2, 0.3), strict=False))), with_room({pairs[-1]: 0.4})]
+    selection: Any = Selection.__new__(Selection)
+    for field, value in (("candidates", candidates), ("problem", found.problem)):
+        object.__setattr__(selection, field, value)
+    for k, last in ((0, []), (1, pairs[-1:])):
+        verdict = SimpleNamespace(place=f"candidate {k + 1}")
+        made = tables.constraints(SimpleNamespace(about=selection, selection=selection, verdict=verdict))  # type: ignore[arg-type]
+        assert made is not None
+        assert [name.replace("−", "-").split(WHERE)[0] for name, *_ in made.near[1]] == pairs[:3] + last
     for k in range(min(3, len(found.candidates))):
         report: Any = SimpleNamespace(selection=found, about=found, verdict=SimpleNamespace(place=f"candidate {k + 1}"))
         told = tables.constraints(report)
@@ -649,9 +675,7 @@ def test_the_nearest_constraints_are_told_once_and_those_of_where_one_goes() -> 
         near = [name for name, *_ in told.near[1] if name.startswith("clearance")]
         own = found.candidates[k].constraints
         assert min(rows, key=lambda name, own=own: own[name].nearness) in [name.replace("−", "-") for name in near]
-        pairs = [re.split(", where", name)[0] for name in near]
         assert len(near) <= 4
-        assert len(set(pairs[:3])) >= len(near) - 1
         assert told.told.endswith("or at other corners")
 
 

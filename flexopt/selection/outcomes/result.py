@@ -157,15 +157,15 @@ class OutcomeSelection(ChosenByLoop, Selection):
         return found
 
     @cached_property
-    def _known_along(self) -> dict[str, Vector | None]:
+    def _known_along(self) -> dict[Measure, Vector | None]:
         """What was computed of these: a page draws its pictures for light and for dark."""
         return {}
 
     def _along(self, measure: Measure) -> Vector | None:
         """What a measure counts at the points of `problem.scan`, (N,); see `along_redundancy`."""
-        if measure.name not in self._known_along:
-            self._known_along[measure.name] = self._computed_along(measure)
-        return self._known_along[measure.name]
+        if measure not in self._known_along:
+            self._known_along[measure] = self._computed_along(measure)
+        return self._known_along[measure]
 
     def _computed_along(self, measure: Measure) -> Vector | None:
         scan, best = self.problem.scan, self.best.evaluation
