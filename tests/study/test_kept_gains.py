@@ -1,4 +1,4 @@
-"""Why gains are not to be changed where the loop has ranges for others: true by the numbers of every place."""
+"""Why gains are not to be changed where others were tried: true by the numbers of every place."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from flexopt.model.loop import Loop
 from flexopt.study import page
 from flexopt.study.page import with_minus
 from flexopt.study.verdicts import changed_gains
-from flexopt.study.verdicts.changed_gains import ChangedGains, GainChange
+from flexopt.study.verdicts.changed_gains import ChangedGains, GainChange, Sought
 from flexopt.study.verdicts.decision import Place, decide
+from flexopt.study.verdicts.gain_search import tried_gains
 from flexopt.study.verdicts.kept_gains import gains_kept
 
-WHICH = ("kp", "kv")
 NUMBER = r"(-?[\d.]+(?:e[+-]\d+)?)"
 # To the three digits that are told.
 TOLD = 6e-3
@@ -68,7 +68,7 @@ def judge(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> tuple[st
         refuted=against and against.place, doubt=(against and against.doubt) or "",
         gains=changed.in_words if changed else "",
     )  # fmt: skip
-    told = gains_kept(WHICH, sought, decision, now, doubts)
+    told = gains_kept(asked, sought, decision, now, doubts)
     return told, decision, {"now": now, "then": then, "doubts": doubts, "refuted": refuted}
 
 
@@ -84,6 +84,14 @@ def check(told: str, decision: Any, given: dict[str, Any]) -> None:
         then = {name: place for name, place in then.items() if place.drive < sound[0].drive}
     best = max(then.values(), key=lambda place: place.slowest)
     had = max([place.slowest for place in sound], default=None)
+    stay = re.search(rf"; the present place is stable on every ground with kp 2 .*: slowest decay {NUMBER}/s$", told)
+    if stay is not None:
+        told = told[: stay.start()]
+        assert float(stay[1]) == pytest.approx(then["stay"].slowest, rel=TOLD)
+    may = now["stay"].slowest > 0 and "stay" not in given["doubts"]
+    assert (stay is not None) == (
+        decision.word == "cannot tell" and not may and best.name != "stay" and then["stay"].slowest > 0
+    )
     numbers = re.search(rf"decay found is {NUMBER}/s, at (.*?) with kp 2 .*?(?:, against {NUMBER}/s at|$|, but)", told)
     assert numbers
     assert float(numbers[1]) == pytest.approx(best.slowest, rel=TOLD)
@@ -119,15 +127,38 @@ def test_what_is_said_of_gains_that_are_kept_is_so(monkeypatch: pytest.MonkeyPat
         all_told.append(told)
     for words in (
         "keeps a place stable", "keeps a nearer place stable", "in a nearer place", "in the worst case",
-        "do not confirm", "grounds only",
+        "do not confirm", "grounds only", "; the present place is stable",
     ):  # fmt: skip
         assert any(words in told for told in all_told)
 
 
+def test_of_gains_times_one_factor_it_is_said_what_the_present_place_does_with_them() -> None:
+    """Where it grows with the present ones, and what there is elsewhere is as good."""
+    settings = SimpleNamespace(
+        feedback="pd", kp=np.array([2.0]), kv=np.array([1.0]), gain_units=("N m", "N m s", "N m/s")
+    )
+    loop: Any = SimpleNamespace(settings=settings)
+    grows = Place("stay", np.array([-1.0, 1.0]), -1.0, 0.0)
+    other = Place("candidate 1", np.array([0.157, 0.2]), 0.157, 1.0)
+    calmed = grows._replace(decays=np.array([0.154, 0.2]), slowest=0.154)
+    fastest = {place.name: ChangedGains(place, loop, None) for place in (calmed, other)}
+    decision = decide(grows, [other], tried=tried_gains(Loop(kp=1.0)))
+    told = gains_kept(
+        Loop(kp=1.0), Sought(None, fastest, None, {}), decision, {"stay": grows, "candidate 1": other}, {}
+    )
+    assert told.startswith(
+        "of gains 0.01 to 10 times these none decays 10 % faster in the worst case than what there is"
+    )
+    assert told.endswith(
+        "; the present place is stable on every ground with kp 2 N m, kv 1 N m s: slowest decay 0.154/s"
+    )
+
+
 def test_nothing_is_said_of_gains_without_ranges_and_that_none_were_tried_where_no_place_was_judged() -> None:
     decision = decide(None, [])
-    assert gains_kept((), None, decision, {}, {}) == ""
-    assert "no others were tried" in gains_kept(("kp",), None, decision, {}, {})
+    assert gains_kept(Loop(kp=1.0), None, decision, {}, {}) == ""
+    told = gains_kept(Loop(kp_range=(1.0, 2.0)), None, decision, {}, {})
+    assert told.startswith("of other gains within kp_range none were tried")
 
 
 @pytest.mark.long

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.plain import listed
 from flexopt.loop.settings import LoopSettings
 from flexopt.model.loop import NEAR_END, Loop, gain_ranges, least_tried, logarithms
 from flexopt.study.verdicts.place_loops import PlaceLoops
@@ -179,6 +180,13 @@ def tried_gains(asked: Loop) -> str:
     if gain_ranges(asked):
         return "others in their ranges"
     return f"{LEAST:g} to {MOST:g} times these, all by one factor; {OTHERS}"
+
+
+def gains_looked_at(asked: Loop) -> str:
+    """The like, where they are told of by themselves."""
+    if ranges := gain_ranges(asked):
+        return f"other gains within {listed(f'{name}_range' for name in ranges)}"
+    return f"gains {LEAST:g} to {MOST:g} times these"
 
 
 def one_factor(asked: Loop) -> str:

@@ -1,15 +1,15 @@
-"""Why gains are not to be changed, though the loop has ranges for others: what these do at best.
+"""Why gains are not to be changed, though others were tried: what these do at best.
 
 In: a decision, the places with the present gains and with others. Out: a sentence.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
-from flexopt.foundation.plain import listed
+from flexopt.model.loop import Loop, gain_ranges
 from flexopt.study.verdicts.changed_gains import ChangedGains, Sought
 from flexopt.study.verdicts.decision import (
     BETTER,
@@ -25,12 +25,12 @@ from flexopt.study.verdicts.decision import (
     sound_of,
     spoken,
 )  # fmt: skip
-from flexopt.study.verdicts.gain_search import RESERVE
+from flexopt.study.verdicts.gain_search import RESERVE, gains_looked_at
 from flexopt.study.verdicts.places import STAY
 
 
 def gains_kept(
-    ranges: Collection[str],
+    asked: Loop,
     sought: Sought | None,
     decision: Decision,
     known: Mapping[str, Place],
@@ -38,20 +38,20 @@ def gains_kept(
 ) -> str:
     """What was tried of other gains, and by what of `RULE` none are told to be changed to, a sentence.
 
-    Empty where they are, where the decision says it itself, or there are no ranges.
+    Empty where they are, where the decision says it itself, or others were neither tried nor asked for.
 
     Args:
-        ranges: names of the gains that have some.
+        asked: of the loop.
         sought: what is found of others; None where none were tried.
         decision: what is told.
         known: places with the present gains, by name.
         unconfirmed: why runs do not confirm these, by name.
     """
-    if not ranges or decision.word == "change gains":
+    if decision.word == "change gains":
         return ""
-    which = listed(f"{name}_range" for name in ranges)
+    of = f"of {gains_looked_at(asked)}"
     if sought is None:
-        return f"of the gains within {which} no others were tried, for every place that was judged breaks constraints"
+        return f"{of} none were tried, for every place that was judged breaks constraints" * bool(gain_ranges(asked))
     told = sought.changed
     if told is not None and told.doubt is not None and told.in_words in decision.reason:
         return ""
@@ -62,7 +62,7 @@ def gains_kept(
         had = [known[decision.place]]
         tried = [each for each in tried if nearer(each.place, had[0])]
         if not tried:
-            return f"other gains within {which} spare no drive: no place is nearer than {decision.place}"
+            return f"{gains_looked_at(asked)} spare no drive: no place is nearer than {decision.place}"
     best = max(tried, key=lambda each: each.place.slowest)
     rival = max(had, key=lambda place: place.slowest, default=None)
     what = f"with gains that hold {100 * (RESERVE - 1):.0f} % higher, too, where any do, " * best.place.holds
@@ -70,15 +70,20 @@ def gains_kept(
     what += f"with {best.in_words}"
     what += f" ({best.at_end})" * bool(best.at_end)
     what += "" if rival is None else f", against {rival.slowest_told} at {spoken(rival.name)} with the present ones"
-    of = f"of other gains within {which}"
     if not best.place.holds:
         where = "a nearer place" if decision.word == "move" else "a place"
         return f"{of} none keeps {where} stable on every ground: {what}"
     if rival is not None and decision.word == "move" and best.place.slowest < rival.slowest:
         return f"{of} none does as well in a nearer place: {what}"
     if rival is not None and decision.word != "move" and not _much_faster(best.place, rival):
-        return f"{of} none decays {100 * FASTER:.0f} % faster in the worst case than what there is: {what}"
-    return f"{of} none is told to be changed to: {what}{_but(best, sought, staying)}"
+        what = f"{of} none decays {100 * FASTER:.0f} % faster in the worst case than what there is: {what}"
+    else:
+        what = f"{of} none is told to be changed to: {what}{_but(best, sought, staying)}"
+    stay = sought.fastest.get(STAY)
+    if decision.word == "cannot tell" and staying is None and stay is not None and stay is not best:
+        what += f"; the present place is stable on every ground with {stay.in_words}" * stay.place.holds
+        what += f": slowest decay {stay.place.slowest_told}" * stay.place.holds
+    return what
 
 
 def _much_faster(one: Place, other: Place) -> bool:

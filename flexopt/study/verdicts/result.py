@@ -72,8 +72,8 @@ class Verdict(Pictured, Printed, Result):
         passed_over: where it sends the machine: of the nearest place with less to drive that is better than staying on
             some grounds, or where there is no staying of any, why it does not send it there, where gains are to be
             changed why not with others, either; where it stays with others, a faster place with its own; else empty.
-        gains_kept: where gains are not to be changed, though the loop has ranges for others: what these do at best, and
-            by what of the rule that is not enough, unless the reason says it; else empty.
+        gains_kept: where gains are not to be changed, though others were tried: what these do at best, and by what of
+            the rule that is not enough, unless the reason says it; else empty.
         measure: which uncertain number decides, a sentence, where the word is "cannot tell"; else empty.
         gains: those to change to;  with_gains: `place` with these, judged as the places are with the present ones; None
             where none are to be changed;  new_settings: `settings` with these gains, or None.

@@ -214,7 +214,7 @@ def verdict(
         most=max(fit_shares.values(), default=0.0), barred=any(name not in fit for name in others),
         sought=sought_by(chosen),
     )  # fmt: skip
-    kept = gains_kept(gain_ranges(asked), sought, decision, known, doubts)
+    kept = gains_kept(asked, sought, decision, known, doubts)
     barred = best_barred({name: shares[name] for name in others if STAY in fit and name not in fit}, breaks)
     decision = with_barred(with_alternates(with_new_gains(decision, confirmed), loops, slowest), barred, breaks)
     # What a sentence names has its row.
