@@ -160,7 +160,9 @@ def _lengths(machine: AnyMachine, parts: Sequence[BodyNumbers], reach: float) ->
             )
         # A body that carries nothing, or has the end-point in its joint, has no length to compare with.
         known = max(part.length, part.size)
-        if 0 < FAR * (max(known, 0.02 * reach) if known else reach) < part.com:
+        # Its inertia may say that it is as large as that: a rod ends √3 radii of gyration from its centre.
+        large = part.com < min(reach, math.sqrt(3 * (part.variance + part.across)))
+        if 0 < FAR * (max(known, 0.02 * reach) if known else reach) < part.com and not large:
             compared = f"{part.com / known:.0f} lengths" if known else f"{part.com / reach:.0f} times the arm's reach"
             across = isinstance(machine, Machine) and abs(part.aside) > abs(part.along)
             far = part.aside if across else part.com

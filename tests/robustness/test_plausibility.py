@@ -549,6 +549,28 @@ def test_an_end_point_in_its_bodys_joint_leaves_the_body_without_a_length() -> N
     assert any(field.endswith(".com") for field in found)
 
 
+def test_a_chassis_far_behind_the_foot_of_its_arm_is_none_in_mm_where_its_inertia_says_how_large_it_is() -> None:
+    """As in the file of a loader whose root frame is where the arm stands, well before the middle."""
+    data = flexopt.load("slewing-excavator").to_dict()
+    names = {body["name"]: body for body in data["bodies"]}
+    carrier = names[next(body["parent"] for body in data["bodies"] if body["joint"]["name"] == "slew")]
+    slew = next(body for body in data["bodies"] if body["joint"]["name"] == "slew")
+    slew["position"], data["capsules"] = [0.0, 0.0, 0.15], []
+    far = {"mass": 15800.0, "inertia": [14500.0, 61000.0, 64000.0, 0.0, 900.0, 0.0]}
+
+    def findings(com: list[float], inertia: float = 1.0) -> list[str]:
+        carrier.update(far | {"com": com, "inertia": (inertia * np.array(far["inertia"])).tolist()})
+        return [
+            finding.field for finding in flexopt.check(tree_from_dict(data)).findings if finding.field.endswith(".com")
+        ]
+
+    assert findings([-2.35, 0.72, 0.30]) == []
+    # Too far for a body so small, and beyond all the arm's reach, whatever the unit of the inertia is.
+    assert findings([-2.35, 0.72, 0.30], 1e-2) != []
+    assert findings([-1350.0, 720.0, 300.0]) != []
+    assert findings([-1350.0, 720.0, 300.0], 1e6) != []
+
+
 def test_a_machine_whose_payload_is_all_its_mass_is_checked() -> None:
     """Rotors make its joints independent."""
     bodies = [
