@@ -193,6 +193,20 @@ def build_constraints(
     )
 
 
+def without_corners(machine: AnyMachine, constraints: ConstraintSet) -> ConstraintSet:
+    """The rows with the machine's own numbers alone, which come before those at corners."""
+    structure = tuple(group for group in constraints.structure if group[0] not in {corners.KIND, WEIGHT})
+    weight = tuple(group for group in constraints.structure if group[0] == WEIGHT)
+    function, report = _functions(machine, structure, bool(weight))
+    return ConstraintSet(
+        rows=tuple(row for row in constraints.rows if not row.corner),
+        constants=constraints.constants[: sum(count for _, _, count in structure)],
+        function=function,
+        report=report,
+        structure=structure + weight,
+    )
+
+
 @lru_cache(maxsize=32)
 def _functions(machine: AnyMachine, structure: Structure, gravity: bool) -> tuple[ca.Function, ca.Function]:
     """The rows as a solver sees them, and as people do."""

@@ -23,6 +23,7 @@ from flexopt.plant.inverse_kinematics import (
     solve_postures,
 )
 from flexopt.plant.reach import arm_length, sampled_ranges
+from flexopt.selection.constraints import building
 from flexopt.selection.nlp.program import values_of
 from flexopt.selection.places import FEASIBLE
 from flexopt.selection.problem import SelectionProblem
@@ -102,13 +103,20 @@ def _with_moved(problem: SelectionProblem, reached: Reached) -> Reached:
 
 
 def _moved_inside(problem: SelectionProblem, z: Vector) -> tuple[Vector, Vector]:
-    """As `moved`, each placement held, from joints turned and brought within their bounds: steps alone need not be."""
+    """As `moved`, each placement held, from joints turned and brought within their bounds: steps alone need not be.
+
+    With the machine's own numbers first: rows at corners of what is uncertain cost many times as much, and what finds
+    no way into the others, as most, finds none into all.
+    """
     n_b = problem.measures.plant.n_base
     lower, upper = problem.lower[n_b:, None], problem.upper[n_b:, None]
     bounded = np.isfinite(upper - lower) & (np.array(problem.machine.joint_units)[:, None] == "rad")
     middle = (np.where(bounded, lower, z[n_b:]) + np.where(bounded, upper, z[n_b:])) / 2
     turned = z[n_b:] + math.tau * np.rint((middle - z[n_b:]) / math.tau)
-    return moved(problem, np.vstack([z[:n_b], np.clip(turned, lower, upper)]), standing=True)
+    there, left = moved(without_corners(problem), np.vstack([z[:n_b], np.clip(turned, lower, upper)]), standing=True)
+    if any(row.corner for row in problem.constraints) and (inside := left <= FEASIBLE).any():
+        there[:, inside], left[inside] = moved(problem, there[:, inside], standing=True)
+    return there, left
 
 
 def within_limits(problem: SelectionProblem, reached: Reached) -> Reached:
@@ -137,6 +145,15 @@ def without_constraints(problem: SelectionProblem) -> SelectionProblem:
         constraints=(*problem.constraints[:n_task], margin),
         constraint_set=None,
     )
+
+
+def without_corners(problem: SelectionProblem) -> SelectionProblem:
+    """The problem with what is kept with the machine's own numbers alone."""
+    kept = tuple(row for row in problem.constraints if not row.corner)
+    if len(kept) == len(problem.constraints) or problem.constraint_set is None:
+        return problem
+    own = building.without_corners(problem.machine, problem.constraint_set)
+    return replace(problem, constraints=kept, constraint_set=own if len(own) else None)
 
 
 def reached_by(problem: SelectionProblem, bases: Vector, starts: Vector) -> Reached:
