@@ -156,10 +156,13 @@ def test_slopes_at_points_that_are_no_optimum(name: str, which: str) -> None:
     ranges = {} if name == "allowance" else {"kp": (1.0, 1e8), "kv": (1.0, 1e8)}
     program = OutcomeProgram(problem, loop, ranges, members, 0.1, MEASURES[name])
     y = np.append(z[:, 0] / problem.scale, np.log([gains[each] for each in ranges]))
-    # A level that has nothing to do with the value there.
-    level = {"allowed_gain": math.log(0.7 * gains["kp"]), "delay_margin": 0.13, "allowance": 0.1, "radius": 0.3}.get(
-        name, 0.1
-    )
+    # Levels that have nothing to do with the value there; of gains the way to one begins with those there are.
+    levels = {"delay_margin": [0.13], "radius": [0.3], "allowed_gain": [math.log(x * gains["kp"]) for x in (0.7, 1.7)]}
+    for level in levels.get(name, [0.1]):
+        _slopes_are_differences(program, y, level)
+
+
+def _slopes_are_differences(program: OutcomeProgram, y: np.ndarray, level: float) -> None:
     found, step = program.branches(y, level), 1e-4
     ways = [*np.eye(y.size), None]
     for i, way in enumerate(ways):

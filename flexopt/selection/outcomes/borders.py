@@ -28,14 +28,14 @@ from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.choices import ALLOWED_GAIN, DELAY_MARGIN, RADIUS
 from flexopt.model.loop import DELAY_MAX, GAINS
 from flexopt.model.uncertainty import GROUND
-from flexopt.selection.outcomes.branches import Branches, Measure, SlopesByInput, rates_of, slopes_of
+from flexopt.selection.outcomes.branches import RATIO, Branches, Measure, SlopesByInput, rates_of, slopes_of
 
 # Places before a border that count.
 PLACES = 2
 # Places along a line that are looked at for where the rate comes near to zero; how near to that it is found, as a share
 # of the distance between them; and how near to its ends a level rests against these.
 POINTS, DIP, NEAR = 24, 1e-4, 1e-3
-# Decades below a border that gains are looked at in.
+# Decades below a border that gains are looked at in, down to the present ones.
 DECADES = 3.0
 # Points that are looked at in each box of factors for the stability radius.
 RADIUS_POINTS = 12
@@ -88,7 +88,9 @@ class Line:
         rates = np.array([self.rate(float(x)) for x in levels])
         # At a border the rate falls to zero, which hides where another motion comes near to it just before.
         last = POINTS - 2
-        inner = [k for k in range(1, last) if rates[k] <= min(rates[k - 1], rates[k + 1])]
+        # Where the arm falls it does at one rate, which is no dip.
+        beside = [(rates[k - 1], rates[k + 1]) for k in range(1, last)]
+        inner = [k for k, near in enumerate(beside, 1) if rates[k] <= min(near) and rates[k] < max(near)]
         found, dips = list(zip(levels.tolist(), rates.tolist(), strict=True)), list[tuple[float, float]]()
         for k in [*sorted(inner, key=lambda k: rates[k])[:PLACES], last]:
             low, high = float(levels[k - 1]), float(levels[k + 1])
@@ -125,6 +127,8 @@ class Border(Measure):
                     there = line.loop(place)
                     for k, value in enumerate(rates_of(there)[: SLOWEST_MOTIONS if moves else 1]):
                         by, by_level = line.by(there, slopes_of(there, k))
+                        if line.own and place == line.start:
+                            by.pop(RATIO, None)  # the loop itself moves with its gains
                         found.append((value, at.by_y(by), moves * by_level))
         _, high = self.ends(at)
         if level >= high - NEAR:
@@ -163,10 +167,12 @@ class AllowedGain(Border):
             of = {name: float(slopes[name] @ there.numbers[name]) for name in GAINS}
             total = sum(of.values())
             # The gain that the level is told in stays, whatever the present one is; the others follow their ratio.
-            return {**slopes, "ratio": {"kp": of["kp"] - total, "kv": of["kv"]}}, total
+            return {**slopes, RATIO: {"kp": of["kp"] - total, "kv": of["kv"]}}, total
 
-        start = level - DECADES * math.log(10)
-        return [Line(loop, lambda x: -point.growth_at((x - math.log(kp)) / math.log(10)), start, False, by)]
+        # What lower gains than the present ones do is nothing to it: with those an arm may fall.
+        now = math.log(kp)
+        start = max(level - DECADES * math.log(10), now)
+        return [Line(loop, lambda x: -point.growth_at((x - now) / math.log(10)), start, start == now, by)]
 
 
 class DelayMargin(Border):

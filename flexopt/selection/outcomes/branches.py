@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from flexopt.selection.outcomes.program import OutcomeProgram, ProgramPoint
 
 SlopesByInput = Mapping[str, Vector]
+# The slopes by the gains that are variables, where these are not those of the loop alone.
+RATIO = "ratio"
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from flexopt.model.choices import ALLOWED_GAIN, DECAY, DELAY_MARGIN
 from flexopt.model.loop import logarithms
 from flexopt.selection.continua import past_stops
 from flexopt.selection.nlp.program import row_gradients
-from flexopt.selection.outcomes.branches import Branches, Measure
+from flexopt.selection.outcomes.branches import RATIO, Branches, Measure
 from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.problem import SelectionProblem
 
@@ -264,7 +264,7 @@ class ProgramPoint:
     def by_y(self, by: Mapping[str, Any]) -> Vector:
         """A slope by y, from those by a loop's numbers."""
         gains = self.program.gains(self.y)
-        ratio: Mapping[str, float] = by.get("ratio") or {name: float(by[name].sum()) * x for name, x in gains.items()}
+        ratio: Mapping[str, float] = by.get(RATIO) or {name: float(by[name].sum()) * x for name, x in gains.items()}
         of_z = np.concatenate([by["base"], by["posture"]]) * self.program.problem.scale
         return np.append(of_z, [ratio[name] for name in gains])
 

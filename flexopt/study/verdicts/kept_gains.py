@@ -81,9 +81,20 @@ def gains_kept(
         what = f"{of} none is told to be changed to: {what}{_but(best, sought, staying)}"
     stay = sought.fastest.get(STAY)
     if decision.word == "cannot tell" and staying is None and stay is not None and stay is not best:
-        what += f"; the present place is stable on every ground with {stay.in_words}" * stay.place.holds
-        what += f": slowest decay {stay.place.slowest_told}" * stay.place.holds
+        what += _staying(stay, sought.doubts.get(STAY)) * stay.place.holds
     return what
+
+
+def _staying(stay: ChangedGains, doubt: str | None) -> str:
+    """What the present place does with its best other gains, the end of a sentence."""
+    told = (
+        f"; the present place is stable on every ground with {stay.in_words}: slowest decay {stay.place.slowest_told}"
+    )
+    return told if doubt is None else f"{told}{_doubted(doubt)}"
+
+
+def _doubted(doubt: str) -> str:
+    return f", but it {doubt}" if doubt.startswith(BREAKS) else f", but nonlinear runs do not confirm it ({doubt})"
 
 
 def _much_faster(one: Place, other: Place) -> bool:
@@ -94,7 +105,7 @@ def _but(best: ChangedGains, sought: Sought, staying: Place | None) -> str:
     """What speaks against gains with which a place decays fast enough, the end of a sentence."""
     doubt, standing = sought.doubts.get(best.place.name), sought.standing
     if doubt is not None:
-        return f", but it {doubt}" if doubt.startswith(BREAKS) else f", but nonlinear runs do not confirm it ({doubt})"
+        return _doubted(doubt)
     share = 1.0 if standing is None else best.place.better_than(standing)
     if share < MOST:
         how = "as it is" if standing is staying else "with others"
