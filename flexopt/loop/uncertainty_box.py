@@ -114,6 +114,12 @@ class UncertaintyBox:
                 return False
         return True
 
+    @property
+    def judged_over(self) -> str:
+        """What a choice by the worst counts, in words: the machine's own numbers, too; empty where all is known."""
+        names = ", ".join(self.names)
+        return f"{names}{', and with the own numbers, which lie outside' * (not self.holds_nominal)}" if names else ""
+
     def corners(self, most: int) -> Vector:
         """Corners (2^min(k, most), k): all of them, or of more intervals such that both ends of any two meet.
 

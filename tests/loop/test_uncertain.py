@@ -401,3 +401,19 @@ def test_members_are_the_same_in_whatever_order_intervals_are_named(runs: int) -
     order = np.random.default_rng(runs).permutation(5)
     again = box_of(tuple(names[k] for k in order)).members(64, 3, runs)
     np.testing.assert_array_equal(again, first[:, order])
+
+
+def test_what_a_choice_by_the_worst_counts_beside_its_ranges_is_said() -> None:
+    """The machine's own numbers are always among the members."""
+    machine = flexopt.load("excavator")
+    own = {each.name: each.value for each in machine.parameters}
+
+    def told(*each: Uncertainty) -> str:
+        return UncertaintyBox(machine, each, 0.01).judged_over
+
+    mass, late = own["base.mass"], Uncertainty(of="dead_time", value=(0.0, 0.02))
+    inside = Uncertainty(of="base.mass", value=(0.5 * mass, 2 * mass))
+    outside = Uncertainty(of="base.mass", value=(1.5 * mass, 2 * mass))
+    assert told() == ""
+    assert told(inside, late) == "base.mass, dead_time"
+    assert told(outside, late) == "base.mass, dead_time, and with the own numbers, which lie outside"

@@ -276,3 +276,40 @@ def test_least_outcomes_are_lifted_to_and_refused() -> None:
             flexopt.select(EXCAVATOR, TARGET, constraints={"outcome": {"radius": 1.5}}, **options)  # type: ignore[arg-type]
     with pytest.raises(flexopt.InputError, match="it wants a loop"):
         flexopt.build_selection(EXCAVATOR, TARGET, constraints={"outcome": {"decay": 0.1}})
+
+
+@pytest.mark.long
+def test_with_a_load_that_is_not_known_no_place_of_a_scan_bears_more_gain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each by decays of many gains, the arm where feedback holds it with each; with low ones it falls."""
+    monkeypatch.setattr(type(MEASURES["allowed_gain"]), "looked", 40)
+    monkeypatch.setattr(type(MEASURES["allowed_gain"]), "stages", ((8, 4), (3, 8)))
+    gains, ranges = {"kp": 1e5, "kv": 2e4}, {"payload.mass": (0.0, 900.0)}
+    machine = with_parameters(EXCAVATOR, {"payload.mass": 450.0})
+    found = flexopt.select(
+        machine, (2.2, 0.4), objective="allowed_gain", loop=gains, ranges=ranges, gravity=True, starts=2
+    )
+    assert isinstance(found, OutcomeSelection)
+    assert found.unverified is None
+    factors = np.geomspace(1.0, 100.0, 161)
+
+    def bears(x: float, posture: np.ndarray) -> float:
+        """The first of the gains with which a load lets it grow."""
+        stand = flexopt.evaluate(machine, posture, base=x, gravity=True)
+        settings = loop_settings(machine, Loop(control="inverse", **gains), stand)
+        box = UncertaintyBox(machine, (Uncertainty(of="payload.mass", value=(0.0, 900.0)),), settings.dead_time)
+        loop = UncertainLoop(settings, stand.base, stand.posture, True, box)
+        decays = loop.decays(np.linspace(0.0, 1.0, 5)[:, None], factors).reshape(len(factors), -1).min(axis=1)
+        grows = np.flatnonzero(~(decays > 0))
+        return gains["kp"] * (factors[max(grows[0] - 1, 0)] * (grows[0] > 0) if grows.size else factors[-1])
+
+    best = found.best.evaluation
+    told = bears(float(best.base[0]), best.posture)
+    step = factors[1] / factors[0]
+    assert told <= found.best.objective * (1 + 1e-9) <= told * step * (1 + 1e-6)
+    problem = flexopt.build_selection(machine, (2.2, 0.4), gravity=True)
+    seen = [
+        bears(float(problem.scan.base[0, k]), problem.scan.posture[:, k])
+        for k in np.flatnonzero(problem.scan.violation <= FEASIBLE)[::40].tolist()
+    ]
+    assert len(seen) > 20
+    assert max(seen) <= found.best.objective * (1 + 1e-9)

@@ -247,6 +247,10 @@ def test_slopes_at_points_that_are_no_optimum(
     unknown = replace(found, slopes=np.full_like(found.slopes, np.nan))
     monkeypatch.setattr(OutcomeProgram, "branches", lambda *_: unknown)
     assert first_order(program, y, program.value(y))[0] == math.inf
+    # Nor does a least branch that no level moves, where the point does not reach the level.
+    stuck = replace(found, values=np.append(-0.2, found.values[1:]), by_level=np.append(0.0, found.by_level[1:]))
+    monkeypatch.setattr(OutcomeProgram, "branches", lambda *_: stuck)
+    assert first_order(program, y, program.value(y))[0] == math.inf
 
 
 @pytest.mark.long("truck-crane")

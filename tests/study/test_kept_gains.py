@@ -150,7 +150,7 @@ def test_of_gains_times_one_factor_it_is_said_what_the_present_place_does_with_t
         Loop(kp=1.0), Sought(None, fastest, None, {}), decision, {"stay": grows, "candidate 1": other}, {}
     )
     assert told.startswith(
-        "of gains 0.01 to 10 times these none decays 10 % faster in the worst case than what there is"
+        "of gains 0.01 to 10 times the present ones none decays 10 % faster in the worst case than what there is"
     )
     assert told.endswith(
         "; the present place is stable on every ground with kp 2 N m, kv 1 N m s: slowest decay 0.154/s"

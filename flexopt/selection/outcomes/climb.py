@@ -354,7 +354,10 @@ def first_order(program: OutcomeProgram, y: Vector, value: float) -> tuple[float
 
 
 def _left_open(least: Vector, by_level: Vector, columns: list[Vector]) -> float:
-    """Norm of what nonnegative multipliers of branches (k, n) and rows leave of the gradient."""
+    """Norm of what nonnegative multipliers of branches (k, n) and rows leave of the gradient.
+
+    Infinite where no branch that is least falls with the level: there it is not the level that is reached.
+    """
     # The last row asks for −Σ λ_k ∂_t = 1, with a weight that leaves nothing of it open.
     weight = 1e3 * max(1.0, float(np.abs(least).max(initial=0.0)))
     matrix = np.zeros((least.shape[1] + 1, len(least) + len(columns)))
@@ -363,4 +366,5 @@ def _left_open(least: Vector, by_level: Vector, columns: list[Vector]) -> float:
     right = np.zeros(len(matrix))
     right[-1] = weight
     multipliers = nonnegative_least_squares(matrix, right)
-    return float(np.linalg.norm((matrix @ multipliers - right)[:-1]))
+    left = matrix @ multipliers - right
+    return math.inf if abs(left[-1]) > weight / 2 else float(np.linalg.norm(left[:-1]))

@@ -18,6 +18,7 @@ from flexopt.foundation.turns import available_cores
 from flexopt.loop.certified.region import LARGEST
 from flexopt.loop.evaluation import Outcome, unseen_told
 from flexopt.loop.settings import LoopSettings
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.loop import Loop, gain_ranges, least_tried
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.robustness import Evaluation
@@ -251,7 +252,8 @@ class OutcomeSelection(ChosenByLoop, Selection):
     def __repr__(self) -> str:
         best = self.best.evaluation
         names, measure = (*best.base_coordinates, *best.joints), f"{self.measure} {self.objective_unit}".strip()
-        over = f", worst over {', '.join(each.name for each in self.uncertainty)}" if self.uncertainty else ""
+        box = UncertaintyBox(self.problem.machine, self.uncertainty, self.settings[0].dead_time)
+        over = f", worst over {box.judged_over}" if box.judged_over else ""
         lines = [
             f"{best.machine}: end-point at ({', '.join(f'{x:g}' for x in self.problem.target)}) m, Jacobian "
             f"{best.control} control, objective {self.objective}{over}: {self.status}",

@@ -13,6 +13,7 @@ from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.documents import json_ready
 from flexopt.loop.evaluation import with_outcome
 from flexopt.loop.settings import LoopSettings
+from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.selection.nlp.coupling import Coupling
 from flexopt.selection.outcomes.asked import Asked
 from flexopt.selection.outcomes.choice import climbs, distinct_optima, kept_values
@@ -80,7 +81,7 @@ class ByLoop(ChosenByLoop, ConfigurationSet):
         return document | json_ready(more | {"problem": asked_of_loop(document["problem"], self.objective)})
 
     def __repr__(self) -> str:
-        over = ", ".join(each.name for each in self.uncertainty)
+        over = UncertaintyBox(self._judged[0].machine, self.uncertainty, self.settings.dead_time).judged_over
         worth = float(self.V[self.worst])
         lines = [super().__repr__(), f"  {self.measure}, the worst: {worth:.6g} {self.unit}".rstrip()]
         lines += [f"  worst over {over}"] if over else []

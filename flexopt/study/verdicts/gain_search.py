@@ -186,7 +186,7 @@ def gains_looked_at(asked: Loop) -> str:
     """The like, where they are told of by themselves."""
     if ranges := gain_ranges(asked):
         return f"other gains within {listed(f'{name}_range' for name in ranges)}"
-    return f"gains {LEAST:g} to {MOST:g} times these"
+    return f"gains {LEAST:g} to {MOST:g} times the present ones"
 
 
 def one_factor(asked: Loop) -> str:
