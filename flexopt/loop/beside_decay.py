@@ -40,7 +40,8 @@ class BesideDecay(NamedTuple):
             return cls(math.nan, {}, {}, {}, 0.0, {})
         points = points or [loop.outcome(u) for u in members]
         drift, drifting = loop.fastest_drift(members, points)
-        unheld = np.array([point.unheld for point in points])
+        # Of joints that it moves on some ground: the most may be where they carry so much that friction holds them.
+        unheld = np.array([point.unheld for point in points]) * np.any([point.felt for point in points], axis=0)
         driven = int(np.argmax(np.abs(unheld).max(axis=1)))
         by_joint = dict(zip(loop.box.machine.joints, unheld[driven].tolist(), strict=True))
         # Of what grows there is a rest that it does not come to.

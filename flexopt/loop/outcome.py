@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexopt.coprime import StateSpace
-from flexopt.foundation.arrays import ComplexArray, Vector
+from flexopt.foundation.arrays import ComplexArray, Mask, Vector
 from flexopt.foundation.roots import border
 from flexopt.loop.assembly import OneSample, Slopes
 from flexopt.loop.borders import HIGH, LOW, POINTS, highest_stable, stable_intervals
@@ -166,15 +166,19 @@ class LoopPoint:
     def unheld(self) -> Vector:
         """What drives a redundant arm's self-motion (n,), N m or N: of a weight that the controller does not know.
 
-        No feedback of the end-point holds it. 0 of joints at which it is below `FELT` of what they carry, or
-        below `CANCELLED` of what they can carry at most.
+        No feedback of the end-point holds it. 0 of joints at which it is below `CANCELLED` of what they can carry.
         """
-        found = np.zeros(self.motions.plant.n_actuated)
-        if self._excess and self.motions.own_model and self.rests:
-            _, unheld, carried, most = self._at_rest
-            felt = np.abs(unheld) > np.maximum(FELT * np.abs(carried), CANCELLED * most)
-            found[felt] = unheld[felt]
-        return found
+        if not (self._excess and self.motions.own_model and self.rests):
+            return np.zeros(self.motions.plant.n_actuated)
+        _, unheld, _, most = self._at_rest
+        return np.where(np.abs(unheld) > CANCELLED * most, unheld, 0.0)
+
+    @property
+    def felt(self) -> Mask:
+        """Which joints `unheld` moves, (n,): not below `FELT` of what they carry, which friction holds."""
+        if not self.unheld.any():
+            return np.zeros(self.motions.plant.n_actuated, dtype=bool)
+        return np.abs(self.unheld) > FELT * np.abs(self._at_rest[2])
 
     @cached_property
     def _own(self) -> OwnMotion:

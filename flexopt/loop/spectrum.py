@@ -117,7 +117,7 @@ def driven_self_motion(unheld: Mapping[str, float], units: Sequence[str], where:
     name, unit = max(zip(unheld, units, strict=True), key=lambda joint: abs(unheld[joint[0]]))
     force = f"{abs(unheld[name]):.3g} {'N m' if unit == 'rad' else 'N'} of {name}"
     driven = f"{OTHER_WEIGHT} drives the arm's self-motion"
-    return [f"{driven}, by up to {force}, {where}: it moves off there, for feedback of the end-point does not hold it"]
+    return [f"{driven}, by up to {force}, {where}: it moves off, for feedback of the end-point does not hold it"]
 
 
 def poles_of(multipliers: ArrayLike, period: float) -> ComplexArray:

@@ -154,6 +154,8 @@ def at_rest(
         by_x = np.hstack([here.flow, np.zeros((n, len(x) - n))]) + here.drive @ here.command
         change = np.hstack([np.vstack([period * by_x, here.law, here.queue]), by_brake])
         change[n:, : len(x)] -= np.eye(len(x))[n:]
+        # What nothing drives stays: an integral with Ki = 0 carries no load.
+        change[:, n + np.flatnonzero(~change[n:].any(axis=1))] = 0.0
         size = np.maximum(np.abs(change).max(axis=1), np.finfo(float).tiny)
         change, moved = change / size[:, None], here.moved / size
         if own is not None:

@@ -24,15 +24,16 @@ from flexopt.foundation.results import Result
 from flexopt.loop.borders import HIGH, LOW, stable_intervals
 from flexopt.loop.closed import closed_loop
 from flexopt.loop.gains import rigid_gains_at
-from flexopt.loop.outcome import UNDAMPED
+from flexopt.loop.outcome import UNDAMPED, LoopPoint
 from flexopt.loop.rest import resting_rows
+from flexopt.loop.small_motions import small_motions
 from flexopt.loop.spectrum import EXACT, OwnMotion, SampledLoop, neutral_directions, spectrum
 from flexopt.loop.structure import LoopStructure
 from flexopt.loop.tangent import SelfMotion, Tangent, still, tangent
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import LinearKeywords, SimulationOptions
 from flexopt.plant import build_plant
-from flexopt.simulation.scenario import Scenario, build_scenario, checked_options, given_options
+from flexopt.simulation.scenario import Scenario, build_scenario, checked_options, given_options, start_states
 
 
 @dataclass(frozen=True)
@@ -231,6 +232,28 @@ def self_motion(scenario: Scenario, x: Vector) -> SelfMotion | None:
 
     held = along(x).T @ s.loop.to_q[m:]
     return SelfMotion(np.hstack([held, np.zeros((len(held), len(x) - held.shape[1]))]), along)
+
+
+def where_held(scenario: Scenario) -> Vector | None:
+    """The state from which a loop's rest is found: where feedback holds the machine, None where it does so nowhere.
+
+    Under a weight that the controller does not know that is far from its design, and of a redundant arm one of a
+    family: `flexopt.loop.rest` follows it, so that runs are judged beside the loop that outcomes tell of. An integral
+    with Ki = 0, which carries nothing, is none.
+    """
+    s, structure = scenario, scenario.loop.structure
+    known = not (s.options.gravity and structure.own_model and structure.compensated)
+    if known or s.options.feedback not in ("pd", "pid"):
+        return s.resting
+    integral = s.options.feedback == "pid"
+    motions = small_motions(s.machine, s.options.control, gravity=True, integral=integral, own_model=True)
+    gains = {name: s.parts[name] for name in ("kp", "ki")[: 1 + integral]}
+    at = {"base": s.base, "posture": s.posture, "p": s.p, "servo_gain": 1.0}
+    point = LoopPoint(motions, motions.numbers(at | gains), 0.0)
+    if not point.rests:
+        return None
+    x: Vector = start_states(s.machine, s.loop, s.parts, point.configuration[:, None], s.p[:, None])[:, 0]
+    return x
 
 
 def linear_scenario(machine: AnyMachine, given: Mapping[str, Any], call: str) -> Scenario:

@@ -16,10 +16,11 @@ import numpy as np
 from flexopt.compiled.threaded import Interpreter
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
+from flexopt.loop.outcome import NOWHERE_HELD
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import taken_early
 from flexopt.plant.machine_motion import constant_names, constants
-from flexopt.simulation.linear import SampledLoop, bare_scenario
+from flexopt.simulation.linear import SampledLoop, bare_scenario, where_held
 from flexopt.simulation.run import signals_at_end
 from flexopt.simulation.scenario import Scenario, start_states
 from flexopt.simulation.verdict import Arrived, about, arrived_at, growth_about
@@ -91,7 +92,7 @@ def member_loops(plan: Plan, ends: Vector | None, among: Sequence[int] | None = 
         bare = bare_scenario(s.machine, s.options, plan.zeros, paths=ends is not None)
     except FlexoptError as error:
         return [str(error)] * len(asked)
-    e, x = np.zeros(bare.loop.signals.total), bare.resting
+    e = np.zeros(bare.loop.signals.total)
     if ends is not None:
         signals = s.signals()
         assert signals is not None
@@ -100,10 +101,11 @@ def member_loops(plan: Plan, ends: Vector | None, among: Sequence[int] | None = 
     p = parameters_of_members(s.machine, plan.varied, plan.n)
     for k in asked:
         own = {name: np.ascontiguousarray(values[:, k]) for name, values in varying.items()}
-        x = x if ends is None else ends[:, k]
-        key = b"".join([*(value.tobytes() for value in own.values()), b"" if ends is None else x.tobytes()])
+        key = b"".join([*(value.tobytes() for value in own.values()), b"" if ends is None else ends[:, k].tobytes()])
         if key not in loops:
-            loops[key] = about(replace(bare, parts={**bare.parts, **own}, p=p[:, k]), x, e)
+            here = replace(bare, parts={**bare.parts, **own}, p=p[:, k])
+            x = where_held(here) if ends is None else ends[:, k]
+            loops[key] = NOWHERE_HELD if x is None else about(here, x, e)
         found.append(loops[key])
     return found
 
@@ -166,7 +168,7 @@ class Member:
         here = self._own(self.among.stepped)
         if here is None:
             return None
-        x = self._last if self.among.moved else here.resting
+        x = self._last if self.among.moved else where_held(here)
         return None if x is None else growth_about(here, x, self._signals(here))
 
     def arrived(self) -> Arrived | None:

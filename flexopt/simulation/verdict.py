@@ -22,7 +22,7 @@ from flexopt.loop.tangent import Tangent, at_rest
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import SimulationOptions
 from flexopt.simulation.behaviour import ROUNDING, Grounds, Shown
-from flexopt.simulation.linear import SampledLoop, bare_scenario, coordinates, loop_about, self_motion
+from flexopt.simulation.linear import SampledLoop, bare_scenario, coordinates, loop_about, self_motion, where_held
 from flexopt.simulation.scenario import Scenario
 
 LoopVerdict = Literal["converges", "grows", "undecided"]
@@ -196,7 +196,8 @@ def arrived_at(scenario: Scenario, x: Vector, e: Vector) -> Arrived | None:
     s, m = scenario, len(scenario.q_design) - len(scenario.posture)
     if s.loop.shape.n_joints <= s.loop.shape.n_task:
         return None
-    design, rest = _rest(s, s.resting, e), _rest(s, x, e)
+    held = where_held(s)
+    design, rest = None if held is None else _rest(s, held, e), _rest(s, x, e)
     if design is None or rest is None:
         return None
     moved = (coordinates(s, rest[0]) - coordinates(s, design[0]))[m:]

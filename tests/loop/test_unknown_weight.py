@@ -16,7 +16,7 @@ import flexopt
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.evaluation import settings_at
 from flexopt.loop.many import decays
-from flexopt.loop.outcome import LoopPoint
+from flexopt.loop.outcome import NOWHERE_HELD, LoopPoint
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.loop.uncertainty_box import UncertaintyBox
@@ -180,6 +180,32 @@ def test_weak_feedback_is_followed_to_where_the_arm_hangs():
     assert np.isnan(falling.delay_margin().value)
     end = hanging.motions.plant.end_point(hanging.configuration, [0.0], hanging.numbers["p"]).full().ravel()
     assert np.hypot(*(end - EXCAVATOR_END)) > 0.3
+
+
+@pytest.mark.parametrize("feedback", ["pd", "pid", "integral"])
+def test_a_redundant_arm_that_hangs_far_off_rests_where_its_runs_are_judged(feedback: str):
+    """Of soft gains, also of a PID law whose integral has no gain: it carries no load. Each rest is one of the run's loop."""
+    rng, low, high = np.random.default_rng(7), *np.nan_to_num(np.array(BUCKET.limits).T, posinf=1.5, neginf=-1.5)
+    far = 0
+    for _ in range(6):
+        posture, kp = rng.uniform(low + 0.1 * (high - low), high - 0.1 * (high - low)), 10 ** rng.uniform(3.6, 4.8)
+        load = float(rng.uniform(0.0, 3000.0))
+        loop = {"kp": kp, "kv": 0.3 * kp, "rate": 100.0, "drive": "torque", "nullspace_damping": 1e4}
+        loop |= {} if feedback == "pd" else {"feedback": "pid", "ki": 0.2 * kp * (feedback == "integral")}
+        (linear,) = flexopt.simulate_ensemble(
+            BUCKET, posture, loop=loop, gravity=True, duration=0.05, vary={"payload.mass": [load]}
+        ).linear_loops
+        point = settings_of(BUCKET, tuple(posture.tolist()), loop, "inverse").outcome(
+            BUCKET, np.zeros(1), posture, gravity=True, own_model=True,
+            parameters=numbers(BUCKET, "payload.mass", np.array([load]))[:, 0],
+        )  # fmt: skip
+        if not point.rests:
+            assert linear == NOWHERE_HELD
+            continue
+        assert linear.growth_rate == pytest.approx(point.loop.growth_rate, rel=1e-7, abs=1e-9)
+        off = point.end_point - flexopt.evaluate(BUCKET, posture, base=0.0, gravity=True).end_point
+        far += bool(np.linalg.norm(off) > 0.3)
+    assert far >= (0 if feedback == "integral" else 2)
 
 
 def test_a_region_over_an_unknown_load_is_that_of_runs():
@@ -371,9 +397,10 @@ def test_what_drives_a_self_motion_under_an_unknown_weight() -> None:
     )
     more, jacobian = heavy - file, weight(taken, still, 0.0)[4].full()[:, m:]
     driven = more - np.linalg.pinv(jacobian) @ jacobian @ more
-    # Less than a hundredth of what a joint carries is left out.
-    driven = np.where(np.abs(driven) > 0.01 * np.abs(heavy), driven, 0.0)
     np.testing.assert_allclose(point.unheld, driven, rtol=1e-6)
+    # Less than a hundredth of what a joint carries is left out.
+    assert point.felt.tolist() == (np.abs(driven) > 0.01 * np.abs(heavy)).tolist()
+    driven = np.where(point.felt, driven, 0.0)
     assert np.flatnonzero(driven).tolist() == [2]
     # A region tells the end of the interval where that is, and nothing of a load at the teeth, which moves them alone.
     asked: dict[str, Any] = {"gravity": True, "loop": loop, "points": 4, "boxes": 0}

@@ -74,7 +74,7 @@ class Region(Result):
         drift_critical: where that is, as `critical`.
         unheld: torques, N m, and forces, N, by joint, with which a weight that the controller does not know drives a
             redundant arm's self-motion, where that is most (`unheld_at`): no feedback of the end-point holds them, and
-            the arm moves off. 0 of a joint where it is below 1 % of what that carries, empty where it is of all.
+            the arm moves off. 0 of a joint of which it is nowhere 1 % of what that carries, empty where it is of none.
         rests_off: how far beside its target feedback holds the end-point at rest, m, at most, of what was found
             (`rests_off_at`), not counting where the loop grows: it is looked at about there; NaN where no member looked
             at comes to rest.
