@@ -237,3 +237,21 @@ def test_a_servo_gain_follows_from_the_posture_where_cylinders_do() -> None:
     one, other = (settings_of(arm, posture, drive="velocity") for posture in postures)
     assert one.servo_gain == other.servo_gain
     assert one.of_posture == []
+
+
+def test_limits_of_drives_are_told_with_the_controller() -> None:
+    """A run that they hold back would else have nothing to show for it."""
+    machine, posture = flexopt.load("truck-crane"), (0.3, 0.6, -1.0, 0.8)
+    law = flexopt.Loop(
+        kp=1e6, kv=1e5, drive="torque", bandwidth_hz=20.0, torque_limit=[1e5, 2e5, 2e5, 3e4], rate_limit=2e5
+    )
+    told = repr(loop_settings(machine, law, flexopt.evaluate(machine, posture)))
+    assert "servo 20 Hz, torque limit [1e+05, 2e+05, 2e+05, 3e+04] N m or N, rate limit 2e+05 N m/s or N/s" in told
+    free = repr(
+        loop_settings(
+            machine,
+            law.model_copy(update={"torque_limit": None, "rate_limit": None}),
+            flexopt.evaluate(machine, posture),
+        )
+    )
+    assert "limit" not in free
