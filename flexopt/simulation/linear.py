@@ -248,7 +248,7 @@ def where_held(scenario: Scenario) -> Vector | None:
     integral = s.options.feedback == "pid"
     motions = small_motions(s.machine, s.options.control, gravity=True, integral=integral, own_model=True)
     gains = {name: s.parts[name] for name in ("kp", "ki")[: 1 + integral]}
-    at = {"base": s.base, "posture": s.posture, "p": s.p, "servo_gain": 1.0}
+    at = {"base": s.base, "posture": s.posture, "p": s.p, "servo_gain": np.ones(1)}
     point = LoopPoint(motions, motions.numbers(at | gains), 0.0)
     if not point.rests:
         return None
