@@ -148,7 +148,7 @@ def _about(loop: LoopSettings, law: _Law) -> str:
         text += f"; a damper on the self-motion is added, {loop.nullspace_damping:g} {loop.damping_unit}"
         text += f", divided by the drives' servo gain, {loop.servo_gain:g} {loop.damping_unit}" if law.served else ""
     if not law.served and loop.torque_limit is not None:
-        text += f"; torques within {_listed(loop.torque_limit)}, what carries the arm's weight and is added aside"
+        text += f"; torques within {_listed(loop.torque_limit)}, not counting what is added to carry the arm's weight"
     wait = f"for a dead time of {loop.dead_time:g} s" if loop.dead_time else "without dead time"
     late = "the damper among them" if law.damped else "which Jv asks for"
     text += (

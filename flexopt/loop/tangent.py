@@ -137,6 +137,15 @@ def at_rest(
     Where states of rest form a family it is the one nearest to x. `own`: held as if its joints were braked; what would
     drive it, as a weight that the controller does not know, is carried.
     """
+    found = _at_rest(structure, x, e, c, own, scaled=False)
+    # Of states of sizes far apart some may look like none, as angles beside torques.
+    return _at_rest(structure, x, e, c, own, scaled=True) if found is None else found
+
+
+def _at_rest(
+    structure: LoopStructure, x: Vector, e: Vector, c: Vector, own: SelfMotion | None, *, scaled: bool
+) -> tuple[Vector, Tangent] | None:
+    """`at_rest`, the nearest state told by states in units of what they change the loop by, where these are scaled."""
     count = 0 if own is None else len(own.held)
     brake = np.zeros(count)
     for _ in range(STEPS):
@@ -161,7 +170,9 @@ def at_rest(
         if own is not None:
             change = np.vstack([change, np.hstack([own.held, np.zeros((count, count))])])
             moved = np.append(moved, np.zeros(count))
-        newton = np.asarray(cast(Any, np.linalg.lstsq)(change, moved, rcond=1e-12)[0], dtype=np.float64)
+        unit = np.linalg.norm(change, axis=0) if scaled else np.ones(change.shape[1])
+        unit[unit == 0] = 1.0
+        newton = np.asarray(cast(Any, np.linalg.lstsq)(change / unit, moved, rcond=1e-12)[0], dtype=np.float64) / unit
         x, brake = x - newton[: len(x)], brake - newton[len(x) :]
     return None
 

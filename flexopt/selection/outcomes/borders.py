@@ -169,10 +169,10 @@ class AllowedGain(Border):
             # The gain that the level is told in stays, whatever the present one is; the others follow their ratio.
             return {**slopes, RATIO: {"kp": of["kp"] - total, "kv": of["kv"]}}, total
 
-        # What lower gains than the present ones do is nothing to it: with those an arm may fall.
-        now = math.log(kp)
-        start = max(level - DECADES * math.log(10), now)
-        return [Line(loop, lambda x: -point.growth_at((x - now) / math.log(10)), start, start == now, by)]
+        # What lower gains than present ones that decay do is nothing to it: with those an arm may fall.
+        now, start = math.log(kp), level - DECADES * math.log(10)
+        own = point.loop.stable and start <= now
+        return [Line(loop, lambda x: -point.growth_at((x - now) / math.log(10)), now if own else start, own, by)]
 
 
 class DelayMargin(Border):
