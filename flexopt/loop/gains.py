@@ -16,6 +16,7 @@ from flexopt.loop.feedback import self_motion_damping
 from flexopt.model import AnyMachine
 from flexopt.plant import build_plant
 from flexopt.plant.control import task_to_joints
+from flexopt.plant.singularity import check_regular
 from flexopt.robustness import Evaluation
 
 # Of the closed loop on a rigid base: corner over the lowest flexible mode's, damping ratio, and the corner's largest
@@ -49,8 +50,13 @@ def rigid_gains(machine: AnyMachine, stand: Evaluation, rate: float, share: floa
 def rigid_gains_at(
     machine: AnyMachine, q: Vector, base: Vector, control: Control, lowest: float, rate: float, share: float = 1.0
 ) -> dict[str, float]:
-    """The same at coordinates q (n_q,), where the lowest flexible mode has `lowest` Hz."""
+    """The same at coordinates q (n_q,), where the lowest flexible mode has `lowest` Hz.
+
+    Raises:
+        SingularPosture: no gain suits an arm that no joint moves along an axis; a damped control bears to be there.
+    """
     plant = build_plant(machine)
+    check_regular(plant, q, base)
     p, n = plant.parameter_values, plant.n_actuated
     mass: Vector = plant.mass(q, base, p).full()[-n:, -n:]
     mobility: Vector = np.asarray(np.linalg.inv(mass), dtype=np.float64)

@@ -278,8 +278,9 @@ def loop_settings(machine: AnyMachine, loop: Loop, stand: Evaluation, *, gravity
             sources[name] = f"the middle of {name}_range"
     chosen = {name for name in ("kp", "kv") if getattr(loop, name) is None and name not in gains}
     told = gains | {name: max(getattr(loop, name)) for name in ("kp", "kv") if getattr(loop, name) is not None}
-    usual = {"kp": VELOCITY_KP, "kv": 0.0} if drive == "velocity" else _suiting(machine, stand, rate, told, 1.0)
-    gains |= {name: usual[name] for name in chosen}
+    if chosen:
+        usual = {"kp": VELOCITY_KP, "kv": 0.0} if drive == "velocity" else _suiting(machine, stand, rate, told, 1.0)
+        gains |= {name: usual[name] for name in chosen}
     why = USUAL
     if drive == "torque":
         how = "beside the other gain" if any(told.values()) else f"corner at {SHARE:g} of the lowest mode"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
@@ -255,3 +256,15 @@ def test_limits_of_drives_are_told_with_the_controller() -> None:
         )
     )
     assert "limit" not in free
+
+
+@pytest.mark.filterwarnings("ignore::flexopt.FlexoptWarning")
+@pytest.mark.parametrize("stick", [0.0, math.pi])
+def test_no_gains_are_proposed_for_a_posture_that_is_singular(stick: float) -> None:
+    """A damped control bears to be there with gains that are given."""
+    asked: dict[str, Any] = {"control": "damped:0.2"}
+    assert (
+        flexopt.evaluate(EXCAVATOR, (0.5, stick), **asked, loop=GAINS | asked).outcome.settings.kp.max() == GAINS["kp"]
+    )
+    with pytest.raises(flexopt.SingularPosture, match="posture \\(joint stick\\) = "):
+        flexopt.evaluate(EXCAVATOR, (0.5, stick), **asked, loop=asked)
