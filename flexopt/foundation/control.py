@@ -63,3 +63,8 @@ def gain_units(control: Control, joint_units: Sequence[str]) -> tuple[str, str, 
 def damping_unit(joint_units: Sequence[str]) -> str:
     """Unit of a damping constant that all joints share: of arms of hinges, of slides, of both."""
     return " or ".join(dict.fromkeys("N m s/rad" if unit == "rad" else "N s/m" for unit in joint_units))
+
+
+def limit_unit(joint_units: Sequence[str], per: str = "") -> str:
+    """Of what drives may give, and with `per` = "/s" of how fast that changes; of hinges, of slides, of both."""
+    return " or ".join(dict.fromkeys(f"{'N m' if unit == 'rad' else 'N'}{per}" for unit in joint_units))

@@ -176,9 +176,8 @@ class LoopPoint:
     @property
     def felt(self) -> Mask:
         """Which joints `unheld` moves, (n,): not below `FELT` of what they carry, which friction holds."""
-        if not self.unheld.any():
-            return np.zeros(self.motions.plant.n_actuated, dtype=bool)
-        return np.abs(self.unheld) > FELT * np.abs(self._at_rest[2])
+        unheld = np.abs(self.unheld)
+        return unheld > FELT * np.abs(self._at_rest[2]) if unheld.any() else unheld > 0
 
     @cached_property
     def _own(self) -> OwnMotion:

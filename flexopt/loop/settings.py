@@ -13,7 +13,7 @@ from typing import Literal, cast
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.control import RATE_GAIN_UNITS, Control, damping_unit, gain_units
+from flexopt.foundation.control import RATE_GAIN_UNITS, Control, damping_unit, gain_units, limit_unit
 from flexopt.foundation.results import Result
 from flexopt.loop.borders import HIGH, LOW
 from flexopt.loop.gains import DAMPING_RATIO, SHARE, rigid_gains
@@ -217,10 +217,8 @@ class LoopSettings(Result):
         parts = [f"{self.drive}-served joints{served}", *gains, f"{self.rate:g} Hz", f"dead time {self.dead_time:g} s"]
         parts += [] if self.filter_hz is None else [f"filter {self.filter_hz:g} Hz"]
         parts += [] if self.bandwidth_hz is None else [f"servo {_numbers(self.bandwidth_hz)} Hz"]
-        units = dict.fromkeys("N m" if each == "rad" else "N" for each in self.joint_units)
         for limit, name, per in ((self.torque_limit, "torque", ""), (self.rate_limit, "rate", "/s")):
-            told = "" if limit is None else f"{_numbers(limit)} {' or '.join(f'{unit}{per}' for unit in units)}"
-            parts += [f"{name} limit {told}"] if told else []
+            parts += [] if limit is None else [f"{name} limit {_numbers(limit)} {limit_unit(self.joint_units, per)}"]
         if self.nullspace_damping > 0:
             parts.append(f"damper of the self-motion {self.nullspace_damping:.4g} {self.damping_unit}")
         lines = [f"{self.feedback.upper()}, Jacobian {self.control} control, {', '.join(parts)}"]

@@ -126,9 +126,10 @@ class Border(Measure):
                 for place, moves in places:
                     there = line.loop(place)
                     for k, value in enumerate(rates_of(there)[: SLOWEST_MOTIONS if moves else 1]):
-                        by, by_level = line.by(there, slopes_of(there, k))
-                        if line.own and place == line.start:
-                            by.pop(RATIO, None)  # the loop itself moves with its gains
+                        slopes = slopes_of(there, k)
+                        # The loop itself moves as it does.
+                        itself = line.own and not moves and place == line.start
+                        by, by_level = (slopes, 0.0) if itself else line.by(there, slopes)
                         found.append((value, at.by_y(by), moves * by_level))
         _, high = self.ends(at)
         if level >= high - NEAR:
