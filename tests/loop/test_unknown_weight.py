@@ -202,7 +202,9 @@ def test_a_redundant_arm_that_hangs_far_off_rests_where_its_runs_are_judged(feed
         if not point.rests:
             assert linear == NOWHERE_HELD
             continue
-        assert linear.growth_rate == pytest.approx(point.loop.growth_rate, rel=1e-7, abs=1e-9)
+        # A run's loop counts as at rest where it moves by 1e-9 in a sample, of which soft gains make more: with another
+        # BLAS kernel that left 1.6e-9/s. Another rest is off by percents.
+        assert linear.growth_rate == pytest.approx(point.loop.growth_rate, rel=1e-7, abs=2e-8)
         off = point.end_point - flexopt.evaluate(BUCKET, posture, base=0.0, gravity=True).end_point
         far += bool(np.linalg.norm(off) > 0.3)
     assert far >= (0 if feedback == "integral" else 2)
