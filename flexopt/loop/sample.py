@@ -39,7 +39,7 @@ class SampleModel:
         self.e = layouts.signals.split(e)
         self.motion = motion_of(self.s.motion, self.of)
         own = {name.removeprefix(MODEL): value for name, value in self.of.items() if name.startswith(MODEL)}
-        self.model = motion_of(self.s.motion, self.of | own)
+        self.model = motion_of(self.s.motion, self.of | own) if own else self.motion
 
     def base_at(self, t: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Placement and its rate at a time after the start of the sample; x and y count from where it was at first."""
@@ -79,7 +79,7 @@ class SampleModel:
         The controller measures the joints and takes passive coordinates for what they are by design.
         """
         pairs = paired(self.of["design_directions"])
-        at, known = self.motion.known(u, along, self.of["design"], pairs)
+        at, known = self.motion.known(u, along, self.of["design"], pairs, self.model)
         jacobian = self.model.rigid_jacobian(at, known, self.motion.faced(base))
         n = jacobian.shape[1]
         torque = ca.SX.zeros(n, 1)

@@ -37,7 +37,7 @@ from flexopt.plant.motion import CosSin, Directions, Motion
 class ChainMotion(Motion):
     """See `Motion`. Nothing here depends on u but the springs and where the end-point is."""
 
-    KNOWN = frozenset(("a", "b", "length", "lateral", "gravity", "origin_x", "origin_y"))
+    KNOWN = frozenset(("a", "b", "length", "lateral", "gravity", "origin_x", "origin_y", "base_cos", "base_sin"))
 
     @cached_property
     def translations(self) -> list[tuple[str, float]]:
@@ -101,13 +101,18 @@ class ChainMotion(Motion):
         """Directions of all bodies from those that can turn."""
         return directions if not self.first else [(self.of("base_cos"), self.of("base_sin")), *directions]
 
-    def known(self, u: ca.SX, along: Directions, design: ca.SX, pairs: Directions) -> tuple[ca.SX, Directions]:
+    def known(
+        self, u: ca.SX, along: Directions, design: ca.SX, pairs: Directions, model: Motion
+    ) -> tuple[ca.SX, Directions]:
         """See `Motion`.
 
-        A body's direction is turned back by the deflections of all hinges before it, products of the pairs at hand.
+        A body's direction is turned back by the deflections of all hinges before it, products of the pairs at hand,
+        and by what a base that cannot turn stands otherwise than the controller's.
         """
         result = Directions()
         back: CosSin | None = None
+        if self.first and model is not self:
+            back = _difference(along[0], model.with_base(Directions())[0])
         for k, pair in enumerate(along):
             if k in self.hinged:
                 own = _difference(pair, along[k - 1]) if k else pair

@@ -115,13 +115,16 @@ class Motion(ABC):
         """Placement coordinates along which springs carry the machine: entry of u, and sign."""
 
     @abstractmethod
-    def known(self, u: ca.SX, along: Directions, design: ca.SX, pairs: Directions) -> tuple[ca.SX, Directions]:
+    def known(
+        self, u: ca.SX, along: Directions, design: ca.SX, pairs: Directions, model: Motion
+    ) -> tuple[ca.SX, Directions]:
         """Coordinates and directions as a controller knows them: joints measured, the rest as it should be.
 
         Args:
             u, along: as they are.
             design: of the passive coordinates (m,), from the anchor.
             pairs: (cos, sin) of `design` at `hinges`.
+            model: the controller's own motion, this one where it knows the machine.
         """
 
     @abstractmethod

@@ -46,7 +46,9 @@ class TreeMotion(Motion):
             rows[row, self.bodies.index(body)] = 1
         return rows
 
-    def known(self, u: ca.SX, along: Directions, design: ca.SX, pairs: Directions) -> tuple[ca.SX, Directions]:
+    def known(
+        self, u: ca.SX, along: Directions, design: ca.SX, pairs: Directions, model: Motion  # noqa: ARG002 - chains' only
+    ) -> tuple[ca.SX, Directions]:
         """See `Motion`."""
         coordinates, directions, hinges = self._by_body(u), list(along), self.hinges
         for row, i in enumerate(self.structure.passive):

@@ -38,7 +38,14 @@ from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Behaviour, behaviour
 from flexopt.simulation.linear import SampledLoop, coordinates
-from flexopt.simulation.members import Keep, Members, Plan, member_loops, motion_constants
+from flexopt.simulation.members import (
+    Keep,
+    Members,
+    Plan,
+    member_loops,
+    motion_constants,
+    parameters_of_members,
+)
 from flexopt.simulation.real_loop import in_shorter_steps, with_loop
 from flexopt.simulation.run import OUTGREW, check_residual, grew, moves, note_run, runners, signals_at_end, unfollowed
 from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options
@@ -97,8 +104,11 @@ class Ensemble(Pictured, Tabled):
     @cached_property
     def last_postures(self) -> Vector | None:
         """In which each member ends, (N, n), rad or m, where arms have a self-motion, along which they may creep."""
-        scenario, n = self.plan.scenario, self.plan.scenario.loop.shape.n_joints
-        return None if self.ends is None else np.array([coordinates(scenario, x)[-n:] for x in self.ends.T])
+        s, n = self.plan.scenario, self.plan.scenario.loop.shape.n_joints
+        if self.ends is None:
+            return None
+        own = parameters_of_members(s.machine, self.plan.varied, self.plan.n)
+        return np.array([coordinates(s, x, p)[-n:] for x, p in zip(self.ends.T, own.T, strict=True)])
 
     @cached_property
     def linear_growth_rate(self) -> Vector:

@@ -209,10 +209,12 @@ def _resting_rows(machine: AnyMachine, control: Control) -> ca.Function:
     return resting_rows(build_plant(machine), control)
 
 
-def coordinates(scenario: Scenario, x: Vector) -> Vector:
-    """All coordinates (n_q,) in a state."""
+def coordinates(scenario: Scenario, x: Vector, p: Vector | None = None) -> Vector:
+    """All coordinates (n_q,) in a state; p (n_par,) of the machine that moves, None: of the scenario."""
     s = scenario
-    return s.q_design + s.loop.to_q @ (x - s.resting)[: s.loop.shape.n]
+    own = (s.p if p is None else p)[:, None]
+    design = start_states(s.machine, s.loop, s.parts, s.q_design[:, None], own)[:, 0]
+    return s.q_design + s.loop.to_q @ (x - design)[: s.loop.shape.n]
 
 
 def self_motion(scenario: Scenario, x: Vector) -> SelfMotion | None:

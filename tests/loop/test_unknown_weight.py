@@ -694,3 +694,27 @@ def test_what_the_rate_of_a_region_stands_for_where_the_arm_falls_is_told() -> N
     assert "that rate stands for an arm that falls: there the feedback is not found to hold the weight" in repr(found)
     stands = flexopt.stable_region(EXCAVATOR, POSTURE, gravity=True, loop=TORQUE, points=2, boxes=0)
     assert "falls" not in repr(stands)
+
+
+@pytest.mark.parametrize("control", ["inverse", "transpose"])
+def test_a_base_that_cannot_turn_may_stand_at_another_angle_than_the_controller_takes_it_for(control: str) -> None:
+    """The controller adds the angles of the joints that it measures to the one that its file has; so do the runs."""
+    numbers_of = EXCAVATOR.to_dict()
+    for table in ("stiffness", "damping"):
+        del numbers_of["base"][table]["rotation"]
+    numbers_of["base"]["damping"] = {name: 3e4 for name in numbers_of["base"]["damping"]}
+    machine = flexopt.machine_from_dict(numbers_of)
+    angles = [machine.base.rest_angle + change for change in (-0.2, 0.0, 0.3)]
+    runs = flexopt.simulate_ensemble(
+        machine, POSTURE, loop=TORQUE, control=control, gravity=True, duration=10.0, keep="trajectories",
+        vary={"base.rest_angle": angles},
+    )  # fmt: skip
+    settings = settings_of(machine, POSTURE, TORQUE, control)
+    given = numbers(machine, "base.rest_angle", np.array(angles))
+    for p, linear, q in zip(given.T, runs.linear_loops, runs.dataset["q"].to_numpy(), strict=True):
+        point = settings.outcome(machine, np.zeros(1), np.array(POSTURE), gravity=True, parameters=p, own_model=True)
+        assert not isinstance(linear, str)
+        assert linear.growth_rate == pytest.approx(point.loop.growth_rate, rel=1e-8)
+        # What the start is off by, 0.4 rad, decays by e^-15 at least.
+        assert point.loop.growth_rate < -1.5
+        np.testing.assert_allclose(q[-1], point.configuration, rtol=0, atol=1e-6)

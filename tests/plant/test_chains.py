@@ -102,7 +102,7 @@ def test_motion_in_absolute_angles(seed, structure, plane):
     # A controller that measures what is there knows it as it is.
     deflected = numbers(motion.passive(at, anchor))
     pairs = [(ca.SX(np.cos(deflected[row])), ca.SX(np.sin(deflected[row]))) for row in motion.hinges]
-    _, seen = motion.known(at, along, ca.SX(deflected), pairs)
+    _, seen = motion.known(at, along, ca.SX(deflected), pairs, motion)
     close(
         np.array([numbers(part) for pair in seen for part in pair]), [numbers(part) for pair in along for part in pair]
     )
