@@ -47,7 +47,12 @@ class TreeMotion(Motion):
         return rows
 
     def known(
-        self, u: ca.SX, along: Directions, design: ca.SX, pairs: Directions, model: Motion  # noqa: ARG002 - chains' only
+        self,
+        u: ca.SX,
+        along: Directions,
+        design: ca.SX,
+        pairs: Directions,
+        model: Motion,  # noqa: ARG002 - chains' only
     ) -> tuple[ca.SX, Directions]:
         """See `Motion`."""
         coordinates, directions, hinges = self._by_body(u), list(along), self.hinges

@@ -702,7 +702,7 @@ def test_a_base_that_cannot_turn_may_stand_at_another_angle_than_the_controller_
     numbers_of = EXCAVATOR.to_dict()
     for table in ("stiffness", "damping"):
         del numbers_of["base"][table]["rotation"]
-    numbers_of["base"]["damping"] = {name: 3e4 for name in numbers_of["base"]["damping"]}
+    numbers_of["base"]["damping"] = dict.fromkeys(numbers_of["base"]["damping"], 30000.0)
     machine = flexopt.machine_from_dict(numbers_of)
     angles = [machine.base.rest_angle + change for change in (-0.2, 0.0, 0.3)]
     runs = flexopt.simulate_ensemble(
