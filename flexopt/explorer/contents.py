@@ -17,7 +17,7 @@ from flexopt.explorer.meshes import Meshes
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import control_damping
 from flexopt.foundation.rounding import ROUNDING
-from flexopt.loop.outcome import STRAINS
+from flexopt.loop.loop_motions import STRAINS
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.spectrum import INVARIANT, OWN, neutral_directions

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from flexopt.foundation.arrays import ComplexArray, Vector
-from flexopt.loop.outcome import SLOWEST_MOTIONS, LoopPoint, Measured
+from flexopt.loop.loop_motions import SLOWEST_MOTIONS, Measured
+from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.spectrum import balance
 
 # How many times as far away as from each other two eigenvalues that meet must be from every other.

@@ -16,8 +16,9 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.borders import HIGH
+from flexopt.loop.loop_motions import Measured
 from flexopt.loop.many import decays
-from flexopt.loop.outcome import UNDAMPED, LoopPoint, Measured
+from flexopt.loop.outcome import UNDAMPED, LoopPoint
 from flexopt.loop.rest import ARRIVED
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME

@@ -16,7 +16,7 @@ import numpy as np
 from flexopt.compiled.threaded import Interpreter
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.outcome import NOWHERE_HELD
+from flexopt.loop.loop_motions import NOWHERE_HELD
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import taken_early
 from flexopt.plant.machine_motion import constant_names, constants

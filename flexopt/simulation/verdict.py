@@ -16,7 +16,7 @@ import numpy as np
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.doubt import with_doubt
-from flexopt.loop.outcome import NOWHERE_HELD, falling
+from flexopt.loop.loop_motions import NOWHERE_HELD, falling
 from flexopt.loop.spectrum import CAUSES, from_sample_to_sample, too_much
 from flexopt.loop.tangent import Tangent, at_rest
 from flexopt.model import AnyMachine

@@ -22,7 +22,7 @@ from flexopt.foundation.doubt import with_doubt
 from flexopt.foundation.plain import shown
 from flexopt.foundation.results import Result
 from flexopt.foundation.rounding import without_rounding
-from flexopt.loop.outcome import NOWHERE_HELD, falling
+from flexopt.loop.loop_motions import NOWHERE_HELD, falling
 from flexopt.loop.standard_move import MOVE
 from flexopt.model.loop import GAINS
 from flexopt.model.simulation import SimulationOptions

@@ -15,8 +15,9 @@ from scipy.optimize import root
 import flexopt
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.evaluation import settings_at
+from flexopt.loop.loop_motions import NOWHERE_HELD
 from flexopt.loop.many import decays
-from flexopt.loop.outcome import NOWHERE_HELD, LoopPoint
+from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.loop.uncertainty_box import UncertaintyBox

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.verdicts import draw
-from flexopt.loop.outcome import LoopPoint, Measured
+from flexopt.loop.loop_motions import Measured
+from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.small_motions import SmallMotions, small_motions
 from flexopt.loop.spectrum import eigenvectors
 from flexopt.loop.standard_move import SETTLED

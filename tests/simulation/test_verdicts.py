@@ -11,7 +11,7 @@ import pytest
 
 import flexopt
 from benchmarks import verdicts
-from flexopt.loop.outcome import FALLS
+from flexopt.loop.loop_motions import FALLS
 from flexopt.model.parameter_values import with_parameters
 from flexopt.simulation.behaviour import Shown
 from flexopt.simulation.ensemble import judged_beside

@@ -24,7 +24,8 @@ from flexopt.foundation.stages import Stages
 from flexopt.loop.beside_decay import BesideDecay
 from flexopt.loop.certified.certificate import BOXES, DECAY, RegionProof, certified_radius, certify
 from flexopt.loop.evaluation import settings_at
-from flexopt.loop.outcome import NOWHERE_HELD, LoopPoint, falling
+from flexopt.loop.loop_motions import NOWHERE_HELD, falling
+from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.spectrum import (
     OTHER_WEIGHT,

@@ -20,7 +20,8 @@ from flexopt.foundation.arrays import Vector
 from flexopt.foundation.roots import border
 from flexopt.loop.borders import HIGH
 from flexopt.loop.certified.region import LARGEST, stability_radius
-from flexopt.loop.outcome import SLOWEST_MOTIONS, LoopPoint
+from flexopt.loop.loop_motions import SLOWEST_MOTIONS
+from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.uncertain import UncertainLoop

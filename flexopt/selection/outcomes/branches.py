@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.outcome import SLOWEST_MOTIONS, LoopPoint
+from flexopt.loop.loop_motions import SLOWEST_MOTIONS
+from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.uncertain import UncertainLoop
 

@@ -13,8 +13,9 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.lag import lagged_modes
+from flexopt.loop.loop_motions import SLOWEST_MOTIONS, Measured
 from flexopt.loop.many import decays
-from flexopt.loop.outcome import SLOWEST_MOTIONS, LoopPoint, Measured
+from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.uncertain import UncertainLoop

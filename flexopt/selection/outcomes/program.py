@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.processes import in_parallel
+from flexopt.loop.loop_motions import UNDEFINED
 from flexopt.loop.meeting import Nearest, nearest
-from flexopt.loop.outcome import UNDEFINED, LoopPoint
+from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.uncertain import FEW, MEMBERS, SENSES, UncertainLoop, ValueAt
 from flexopt.model.choices import ALLOWED_GAIN, DECAY, DELAY_MARGIN
 from flexopt.model.loop import logarithms

@@ -20,8 +20,8 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import Quantity, pair
 from flexopt.loop.evaluation import settings_at
+from flexopt.loop.loop_motions import falling
 from flexopt.loop.many import decays, expect_decays
-from flexopt.loop.outcome import falling
 from flexopt.loop.settings import LoopSettings
 from flexopt.loop.small_motions import DEAD_TIME
 from flexopt.loop.uncertainty_box import UncertaintyBox

@@ -26,8 +26,8 @@ from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import whole_number
 from flexopt.foundation.results import Tabled
 from flexopt.foundation.rounding import ROUNDING
+from flexopt.loop.loop_motions import NOWHERE_HELD
 from flexopt.loop.many import Decays
-from flexopt.loop.outcome import NOWHERE_HELD
 from flexopt.model import AnyMachine
 from flexopt.robustness.residues import posture_unit, residue_unit
 from flexopt.study.maps.grid import Grid

@@ -16,7 +16,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.rounding import way
-from flexopt.loop.outcome import falling
+from flexopt.loop.loop_motions import falling
 from flexopt.loop.uncertain import FEW
 from flexopt.model.loop import Loop
 from flexopt.study.verdicts.confirmation import SHORT, Runs, ends_off

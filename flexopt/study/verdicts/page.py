@@ -13,7 +13,7 @@ import numpy as np
 
 from flexopt.foundation.rendering import OfNumbers, render
 from flexopt.foundation.rounding import way
-from flexopt.loop.outcome import falling
+from flexopt.loop.loop_motions import falling
 from flexopt.loop.settings import CHOSEN
 from flexopt.loop.standard_move import LONGEST, MOVE
 from flexopt.selection import SelectionProblem

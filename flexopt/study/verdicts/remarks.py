@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from flexopt.foundation.plain import listed
 from flexopt.loop.evaluation import unseen_told
-from flexopt.loop.outcome import NOWHERE_HELD, falling
+from flexopt.loop.loop_motions import NOWHERE_HELD, falling
 from flexopt.loop.spectrum import OTHER_WEIGHT, driven_self_motion, mostly_self_motion
 from flexopt.loop.standard_move import LONGEST, UNSETTLED
 from flexopt.loop.uncertainty_box import member_in_words

@@ -17,7 +17,7 @@ from flexopt.foundation.plain import listed
 from flexopt.foundation.printing import Printed
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
-from flexopt.loop.outcome import falling
+from flexopt.loop.loop_motions import falling
 from flexopt.loop.settings import CHOSEN, LoopSettings
 from flexopt.loop.standard_move import MOVE
 from flexopt.model import AnyMachine

@@ -18,7 +18,7 @@ from flexopt.foundation.arrays import Progress, TargetLike, Vector
 from flexopt.foundation.boundary import Keywords, number, public, whole
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.stages import Stages
-from flexopt.loop.outcome import falling
+from flexopt.loop.loop_motions import falling
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model import AnyMachine, Problem
