@@ -53,10 +53,10 @@ def rigid_gains_at(
     """The same at coordinates q (n_q,), where the lowest flexible mode has `lowest` Hz.
 
     Raises:
-        SingularPosture: no gain suits an arm that no joint moves along an axis; a damped control bears to be there.
+        SingularPosture: no gain suits an arm that no joint moves along an axis, where a damped control bears to be.
     """
     plant = build_plant(machine)
-    check_regular(plant, q, base)
+    check_regular(plant, q, base, otherwise="give kp and kv in [loop], which are proposed for a regular one only")
     p, n = plant.parameter_values, plant.n_actuated
     mass: Vector = plant.mass(q, base, p).full()[-n:, -n:]
     mobility: Vector = np.asarray(np.linalg.inv(mass), dtype=np.float64)

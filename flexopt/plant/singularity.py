@@ -130,7 +130,7 @@ def unmoved_told(plant: Plant) -> str:
     return f"in no posture do the joints move all task rows ({', '.join(rows)}), but {together}{more}"
 
 
-def check_regular(plant: Plant, q: Vector, base: Vector, control: Control = "inverse") -> float:
+def check_regular(plant: Plant, q: Vector, base: Vector, control: Control = "inverse", *, otherwise: str = "") -> float:
     """Return cond Jv, or raise `SingularPosture` naming the joint that would lead out of the singularity and its angle.
 
     Args:
@@ -138,13 +138,14 @@ def check_regular(plant: Plant, q: Vector, base: Vector, control: Control = "inv
         q: configuration (n_q,).
         base: placement (n_b,).
         control: a damped one is refused only where its damping is too small against Jv.
+        otherwise: what else than another posture would help, in words.
     """
     largest, condition = _largest_and_condition(plant, q, base)
     if inverse_condition(np.array(condition), np.array(largest), control) <= CONDITION_MAX:
         return condition
     escape = [_smallest_singular_value(plant, q, base, i) for i in range(plant.n_passive, plant.n_coordinates)]
     index = int(np.argmax(escape))
-    joint, angle = plant.machine.joints[index], float(q[plant.n_passive + index])
+    joint, angle = plant.machine.joints[index], float(q[plant.n_passive + index]) + 0.0
     hinge, rows = plant.machine.joint_units[index] == "rad", plant.n_task
     value = f"{angle:.6g} rad ({math.degrees(angle):.4g}°)" if hinge else f"{angle:.6g} m"
     sentences = {1: "the joints do not move the task row", 2: "the end-point can only move along one line"}
@@ -153,7 +154,7 @@ def check_regular(plant: Plant, q: Vector, base: Vector, control: Control = "inv
     remedy = "" if never else f"; {'bend' if hinge else 'move'} {joint}"
     raise SingularPosture(
         f"posture (joint {joint}) = {value} is singular: {never or stuck} "
-        f"(cond Jv = {condition:.3g}, allowed up to {CONDITION_MAX:.0e}){remedy}",
+        f"(cond Jv = {condition:.3g}, allowed up to {CONDITION_MAX:.0e}){remedy}{otherwise and f', or {otherwise}'}",
         joint=joint,
         angle=angle,
     )

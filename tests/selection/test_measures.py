@@ -5,9 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy import optimize
 
 import flexopt
 from flexopt.loop.settings import loop_settings
@@ -18,6 +20,7 @@ from flexopt.model.loop import Loop
 from flexopt.model.parameter_values import with_parameters
 from flexopt.model.uncertainty import GROUND, Uncertainty
 from flexopt.selection.outcomes.borders import Line
+from flexopt.selection.outcomes.climb import climbed
 from flexopt.selection.outcomes.measures import MEASURES
 from flexopt.selection.outcomes.program import OutcomeProgram
 from flexopt.selection.outcomes.result import OutcomeSelection
@@ -175,6 +178,49 @@ def _slopes_are_differences(program: OutcomeProgram, y: np.ndarray, level: float
         # 1e-3 of a grid's step, whatever this step is.
         size = np.where(found.by_level[:count] == 0, 1e-3, 1e-4) * max(1.0, float(np.abs(found.slopes).max()))
         assert np.all(np.abs(ours - central) <= size + 1e-4 * np.abs(central))
+
+
+def _loaded(kp: float, base: float) -> tuple[OutcomeProgram, np.ndarray]:
+    """A choice of the largest allowed gain with a load up to 900 kg, and a place on it, from an independent solver."""
+    machine = with_parameters(EXCAVATOR, {"payload.mass": 450.0})
+    posture = optimize.fsolve(
+        lambda q: flexopt.evaluate(machine, q, base=base, gravity=True).end_point - np.array([2.2, 0.4]), (-1.765, 1.52)
+    )
+    stand = flexopt.evaluate(machine, posture, base=base, gravity=True)
+    settings = loop_settings(machine, Loop(kp=kp, kv=kp / 5, rate=100.0), stand, gravity=True)
+    box = UncertaintyBox(machine, (Uncertainty(of="payload.mass", value=(0.0, 900.0)),), 0.0)
+    loop = UncertainLoop(settings, stand.base, stand.posture, True, box)
+    problem = flexopt.build_selection(machine, (2.2, 0.4), gravity=True)
+    program = OutcomeProgram(problem, loop, {}, np.array([[1.0]]), 1.0, MEASURES["allowed_gain"])
+    return program, np.append(base, posture) / problem.scale
+
+
+@pytest.mark.parametrize("base", [-0.24, -0.3])
+def test_present_gains_above_the_border_change_no_choice_of_the_largest(base: float) -> None:
+    """Along one ratio of gains it is the same; with the lowest the arm falls, which is nothing to it."""
+    (low, start), (high, _) = _loaded(1e5, base), _loaded(1e6, base)
+    assert high.value(start) == pytest.approx(low.value(start), rel=1e-9)
+    ends = [climbed(program, start) for program in (low, high)]
+    assert all(end is not None and end.holds for end in ends)
+    values = [end.value for end in ends if end is not None]
+    assert values[1] == pytest.approx(values[0], rel=1e-6)
+    assert values[0] > 1.1 * low.value(start)
+
+
+@pytest.mark.parametrize("least", [60.0, 500.0])
+def test_a_loop_that_decays_keeps_an_allowed_gain_below_its_own(least: float) -> None:
+    """Whatever it does there: under its weight it grows with gains below 120."""
+    asked: dict[str, Any] = {
+        "gravity": True, "objective": "decay", "loop": {"kp": 725.0, "kv": 72.5, "rate": 200.0}, "starts": 3,
+    }  # fmt: skip
+    target = (0.22364, 1.53065)
+    free = flexopt.select(EXCAVATOR, target, **asked)
+    found = flexopt.select(EXCAVATOR, target, **asked, constraints={"outcome": {"allowed_gain": least}})
+    assert isinstance(free, OutcomeSelection)
+    assert isinstance(found, OutcomeSelection)
+    assert free.best.evaluation.outcome.gain_intervals[0][0] > 100.0
+    assert found.unverified is None
+    assert found.best.objective == pytest.approx(free.best.objective, rel=1e-6)
 
 
 @pytest.mark.long

@@ -38,6 +38,8 @@ PLACES = 2
 POINTS, DIP, NEAR = 24, 1e-4, 1e-3
 # Decades below a border that gains are looked at in, down to the present ones.
 DECADES = 3.0
+# How wide a stretch of gains is that is no island, in their logarithm: a decade.
+WIDE = math.log(10.0)
 # Points that are looked at in each box of factors for the stability radius.
 RADIUS_POINTS = 12
 
@@ -76,9 +78,14 @@ class Line:
     def nearest(self, level: float) -> list[float]:
         """Levels before this one where the rate is least among its neighbours, the lowest of them.
 
-        Where the line begins it may rise, too: of a loop that stands at a border of stability itself.
+        Where the line begins it may rise, too: of a loop that stands at a border of stability itself. On a line that
+        is not the loop's own what lies before a stretch of decays to the level is none, if that is `WIDE`: with lower
+        gains an arm may fall. A narrower one is an island, on which no gain is to end.
         """
-        dips = self._looked(level)[1] if level > self.start else []
+        looked, dips = self._looked(level) if level > self.start else ([], [])
+        if not self.own:
+            grown = max((x for x, rate in looked if rate < 0 and x < level - NEAR), default=level)
+            dips = [dip for dip in dips if dip[0] > min(grown, level - WIDE)]
         return [x for x, _ in sorted(dips, key=lambda dip: dip[1])[:PLACES]]
 
     def _looked(self, level: float) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
@@ -121,12 +128,14 @@ class Border(Measure):
             known = set[float]()
             for line in self.lines(at, point, level):
                 near = [x for x in line.nearest(level) if x not in known]
-                places = [(level, 1.0), *((x, 0.0) for x in near)]
+                # A loop that decays keeps a level before it, whatever those there do.
+                kept = line.own and level < line.start
+                places = [(line.start, 0.0)] if kept else [(level, 1.0), *((x, 0.0) for x in near)]
                 if line.own and line.start in near:
                     known.add(line.start)  # further lines begin alike
                 for place, moves in places:
                     there = line.loop(place)
-                    for k, value in enumerate(rates_of(there)[: SLOWEST_MOTIONS if moves else 1]):
+                    for k, value in enumerate(rates_of(there)[: SLOWEST_MOTIONS if moves or kept else 1]):
                         slopes = slopes_of(there, k)
                         # The loop itself moves as it does.
                         itself = line.own and not moves and place == line.start
