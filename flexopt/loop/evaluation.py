@@ -57,8 +57,9 @@ class Outcome(Result):
         other_frequencies_hz, other_damping_ratios: of the loop's further oscillations that are slower than the fastest
             of these, in frequency or decay, the slowest decay first, (k,): of the arm under its feedback.
         decay: of the slowest motion of the sampled loop, 1/s; negative where it grows. decay_rounding: one that is
-            nearer to 0 than this, 1/s, is neither growth nor decay. frequency_hz: of that motion. unseen: whether it is
-            a mode that neither moves the end-point nor is excited by it, which decays by itself, whatever the loop.
+            nearer to 0 than this, 1/s, is neither growth nor decay. frequency_hz: at which that motion swings,
+            |Im s|/2π, the less below |s|/2π the less it is damped. unseen: whether it is a mode that neither moves the
+            end-point nor is excited by it, which decays by itself, whatever the loop.
         too_much: names of the gains that make a loop grow which changes its sign at every sample: without these, and
             no fewer, no such motion grows. Empty where it does not.
         drift: growth rates of a redundant arm's self-motion, which is no part of the decay, 1/s. drifts_below: whether
@@ -175,7 +176,7 @@ class Outcome(Result):
     def _others(self) -> str:
         pairs = list(zip(self.other_frequencies_hz, self.other_damping_ratios, strict=True))
         told = [
-            f"{hertz:.4g} Hz, damping {ratio:.3g} (decay {math.tau * hertz * ratio:.4g}/s)"
+            f"{swing_of(hertz, ratio):.4g} Hz, damping {ratio:.3g} (decay {math.tau * hertz * ratio:.4g}/s)"
             for hertz, ratio in pairs[:OTHERS]
         ]
         more = len(pairs) - OTHERS
@@ -192,7 +193,7 @@ class Outcome(Result):
         unit = self.settings.force_units[1]
         kappa, wide = f"κ, {unit}", max(11, len(unit) + 3)
         head = f"  {'mode':>4} {kappa:>{wide}} {'κ, isotropic':>13} {'lag':>8} {'reserve':>8} {'1st order':>11}"
-        lines = [f"loop: {first}", *sources, f"{head} {'frequency':>12} {'damping':>10}"]
+        lines = [f"loop: {first}", *sources, f"{head} {'|s|/2π':>12} {'damping':>10}"]
         for i, allowed in enumerate(self.allowance):
             lines.append(
                 f"  {i + 1:4d} {allowed:{wide}.4g} {self.allowance_isotropic[i]:13.4g} {in_degrees(self.lag[i], 8, 1)} "
@@ -259,6 +260,11 @@ def unseen_told(whose: str) -> str:
         f"the slowest motion of {whose} is one that the end-point does not show and no feedback excites: its decay is "
         "the machine's own; a base without its direction, as roll of an arm that moves in a plane, shows the others"
     )
+
+
+def swing_of(hertz: float, ratio: float) -> float:
+    """At how many Hz what has |s|/2π = `hertz` and −Re s/|s| = `ratio` swings: |Im s|/2π."""
+    return hertz * math.sqrt(max(1.0 - ratio**2, 0.0))
 
 
 def _oscillation(hertz: float, ratio: float) -> str:

@@ -17,7 +17,7 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.doubt import in_degrees
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.results import Result
-from flexopt.loop.evaluation import Outcome
+from flexopt.loop.evaluation import Outcome, swing_of
 from flexopt.model import AnyMachine
 from flexopt.model.loop import LoopLike
 from flexopt.plant.reach import arm_length
@@ -214,7 +214,8 @@ class Explanation(Pictured, Result):
         despite = f": {of.despite_reserve}" if reserve < 0 < decay and not fails else ""
         exact = of.mode_decay[i]
         if math.isfinite(exact):
-            despite += f"; exactly, at {of.frequencies_hz[i]:.4g} Hz, {'decays' if exact > 0 else 'grows'} at "
+            swing = swing_of(of.frequencies_hz[i], of.damping_ratios[i])
+            despite += f"; exactly, it swings at {swing:.4g} Hz and {'decays' if exact > 0 else 'grows'} at "
             despite += f"{abs(exact):.4g}/s"
             despite += f": {of.why_first_order_fails}" if fails else ""
         return (

@@ -34,7 +34,7 @@ from flexopt.study.page import with_minus
 from flexopt.study.verdicts import confirmation, remarks
 from flexopt.study.verdicts import verdict as verdict_module
 from flexopt.study.verdicts.broken_places import Breaks, broken_standing, broken_within
-from flexopt.study.verdicts.confirmation import GIVES_WAY, nonlinear_runs, tilts
+from flexopt.study.verdicts.confirmation import GIVES_WAY, Runs, nonlinear_runs, tilts
 from flexopt.study.verdicts.decision import spoken
 from flexopt.study.verdicts.drawbacks import SO_LITTLE
 from flexopt.study.verdicts.place_loops import besides_driving, configurations_of, held_at, unreached
@@ -1093,6 +1093,11 @@ def test_what_all_targets_rest_on_is_told_once() -> None:
     )
     assert place.rest == "stay rests on base.x upper bound, decay at target 1, boom lower bound at target 2"
     assert replace(place, rests_on=((), ())).rest == ""
+    # An end of a joint in the file's numbers or at a corner: runs go beyond it all the same. One of the base is no joint's.
+    runs = Runs(("converges",), np.ones(1), np.ones(1), np.ones(1), (True,), ("",), 5.0)
+    for name, stops in (("boom lower bound", True), ("limits of boom where stiffness is 1.4", True), ("decay", False),
+                        ("base.x upper bound", False)):  # fmt: skip
+        assert ("runs know no end stops" in replace(place, runs=runs, rests_on=((name,), ())).rest) == stops
 
 
 def value_of(machine: Any, name: str) -> float:

@@ -10,6 +10,7 @@ from flexopt.foundation.plain import listed
 from flexopt.foundation.results import Result
 from flexopt.selection.constraint_values import resting_told
 from flexopt.selection.constraints.corners import WHERE
+from flexopt.selection.constraints.joint_limits import LIMITS
 from flexopt.study.verdicts.broken_places import Breaks
 from flexopt.study.verdicts.confirmation import Runs
 
@@ -165,7 +166,7 @@ class PlaceVerdict(Result):
     @property
     def _on_a_joint(self) -> bool:
         names = {name for each in self.rests_on for name in each}
-        return any(name.endswith(END) and not name.startswith("base.") for name in names)
+        return any((name.endswith(END) or name.startswith(LIMITS)) and not name.startswith("base.") for name in names)
 
     @property
     def shown_runs(self) -> str:
