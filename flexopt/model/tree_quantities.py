@@ -141,8 +141,10 @@ def check_square(value: Any) -> tuple[tuple[float, ...], ...]:
     names = [[f"[{i}][{j}]" for j in range(len(rows))] for i in range(len(rows))]
     matrix = np.array([each_named(_ENTRY, row, words) for row, words in zip(rows, names, strict=True)])
     scale = np.sqrt(np.abs(np.outer(np.diag(matrix), np.diag(matrix))))
-    if (np.abs(matrix - matrix.T) > SYMMETRY * scale).any():
-        raise ValueError("must be symmetric")
+    off = np.abs(matrix - matrix.T) - SYMMETRY * scale
+    if (off > 0).any():
+        i, j = sorted(map(int, np.unravel_index(np.argmax(off), off.shape)))
+        raise ValueError(f"must be symmetric: [{i}][{j}] is {matrix[i, j]:g}, [{j}][{i}] is {matrix[j, i]:g}")
     return tuple(tuple(float(x) + 0.0 for x in row) for row in (matrix + matrix.T) / 2)
 
 

@@ -168,7 +168,7 @@ MACHINE_FAULTS: dict[str, tuple[dict[str, Any], list[str]]] = {
     "five stiffnesses": ({"base/stiffness": [1.0] * 5}, ["table of x, y, z, roll, pitch, yaw", "six numbers", "6 × 6"]),
     "matrix not symmetric": (
         {"base/stiffness": [[float(i == j) + (i == 0) * (j == 1) for j in range(6)] for i in range(6)], "base/damping": {}},
-        ["base.stiffness", "must be symmetric"],
+        ["base.stiffness", "must be symmetric: [0][1] is"],
     ),
     "matrix not definite": (
         {"base/stiffness": [[1.0] * 6 for _ in range(6)], "base/damping": {}}, ["base.stiffness", "positive definite"],
