@@ -14,7 +14,7 @@ from flexopt.model.loop import Loop
 from flexopt.model.uncertainty import Uncertainty
 from flexopt.study.verdicts import reasons
 from flexopt.study.verdicts.broken_places import Breaks
-from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, faster, ranked
+from flexopt.study.verdicts.decision import Decision, Place, decide, deciding, faster, ranked, told_in
 from flexopt.study.verdicts.gain_search import tried_gains
 from flexopt.study.verdicts.places import gains_in_words
 from flexopt.study.verdicts.reasons import best_barred, with_barred
@@ -180,6 +180,11 @@ def test_nothing_is_said_that_runs_do_not_confirm() -> None:
             "near": "it is 0.2 m off; C",
             "far": "B",
         },
+        "confirm the present place and near (it is 0.1 and 0.2 m off); nor far (B); C": {
+            "stay": "it is 0.1 m off; C",
+            "near": "it is 0.2 m off; C",
+            "far": "B; C",
+        },
         "confirm the present place, near and far (0.1, 0.2 and 0.2 m in 2, 3 and 4 s)": {
             "stay": "0.1 m in 2 s",
             "near": "0.2 m in 3 s",
@@ -193,7 +198,13 @@ def test_nothing_is_said_that_runs_do_not_confirm() -> None:
         "confirm the present place, near and far (A)": {"stay": "A", "near": "A", "far": "A"},
     }
     for words, doubts in ends.items():
-        assert decide(STAY, two, unconfirmed=doubts).reason.endswith(words)
+        reason = decide(STAY, two, unconfirmed=doubts).reason
+        assert reason.endswith(words)
+        # So that no line beside it tells of one again, but with another number.
+        for why in doubts.values():
+            first = why.split("; ")[0]
+            assert told_in(reason, first)
+            assert not told_in(reason, first.replace("0.", "7.")) or "0." not in first
     assert decide(place("stay", -GROUNDS), [better], unconfirmed={"near": ""}).word == "cannot tell"
 
 

@@ -37,6 +37,7 @@ BETWEEN = "; "
 # Of several places so many lists of numbers, each in their order, are still read.
 LISTS = 2
 NUMBER = re.compile(r"[-+±]?\d[\d.e+-]*")
+NUMBERS = re.compile(rf"{NUMBER.pattern}(?:(?:, | and ){NUMBER.pattern})*")
 # How it begins that a place does not do what it must at least.
 BREAKS = "breaks "
 # What "better" is, in every sentence.
@@ -267,16 +268,18 @@ def _doubted(names: Sequence[str], unconfirmed: Mapping[str, str]) -> str:
     alike = dict[str, list[str]]()
     for name in names:
         alike.setdefault(without_numbers(unconfirmed[name]), []).append(name)
-    if len(alike) > 1 and len(alike) < len(names):
-        return "; nor ".join(_doubted(group, unconfirmed) for group in alike.values())
     if len(alike) == 1 and (why := in_one([unconfirmed[name] for name in names])):
         return listed(map(spoken, names)) + _because(why)
     parts = [unconfirmed[name].split(BETWEEN) for name in names]
     least, common = min(map(len, parts)), 0
     while common < least - 1 and len({each[-1 - common] for each in parts}) == 1:
         common += 1
-    heads = [BETWEEN.join(each[: len(each) - common]) for each in parts]
-    each = listed(f"{spoken(name)}{_because(head)}" for name, head in zip(names, heads, strict=True))
+    heads = {name: BETWEEN.join(each[: len(each) - common]) for name, each in zip(names, parts, strict=True)}
+    each = (
+        "; nor ".join(_doubted(group, heads) for group in alike.values())
+        if 1 < len(alike) < len(names)
+        else listed(f"{spoken(name)}{_because(head)}" for name, head in heads.items())
+    )
     return BETWEEN.join([each, *parts[0][len(parts[0]) - common :]])
 
 
@@ -291,6 +294,12 @@ def in_one(whys: Sequence[str]) -> str:
             for k, numbers in enumerate(zip(*each, strict=True))]  # fmt: skip
     texts = NUMBER.split(whys[0])
     return "".join(text + number for text, number in zip(texts, [*told, ""], strict=True))
+
+
+def told_in(reason: str, why: str) -> bool:
+    """Whether a reason tells why, be it with the numbers of others beside its own, as `in_one` does."""
+    told, numbers = NUMBERS.sub("", reason), NUMBER.findall(reason)
+    return NUMBERS.sub("", why) in told and set(NUMBER.findall(why)) <= set(numbers)
 
 
 def _why_not(rival: Place, share: float, unconfirmed: Mapping[str, str]) -> str:

@@ -18,7 +18,7 @@ from flexopt.loop.uncertainty_box import member_in_words
 from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.problem import with_angles
 from flexopt.study.verdicts.confirmation import INTEGRAL
-from flexopt.study.verdicts.decision import BETWEEN, HARDLY, in_one, spoken, without_numbers
+from flexopt.study.verdicts.decision import BETWEEN, HARDLY, in_one, spoken, told_in, without_numbers
 from flexopt.study.verdicts.drawbacks import NOT_WHERE_IT_GROWS
 from flexopt.study.verdicts.places import FALLS, STAY
 
@@ -68,7 +68,8 @@ def doubts(verdict: Verdict) -> dict[str, str]:
     return {
         name: f"{name}, a nonlinear run that does not confirm: {why}"
         for name, why in whys.items()
-        if why and not (why.split(BETWEEN)[0] in verdict.reason and re.search(rf"\b{spoken(name)}\b", verdict.reason))
+        if why
+        and not (told_in(verdict.reason, why.split(BETWEEN)[0]) and re.search(rf"\b{spoken(name)}\b", verdict.reason))
     }
 
 
