@@ -81,7 +81,7 @@ class ConstraintSet:
     @property
     def placed(self) -> bool:
         """Whether places in the inertial frame enter other than heights."""
-        parts = [shape[:2] if kind == corners.KIND else (kind, shape) for kind, shape, _ in self.structure]
+        parts = [part for group in self.structure for part in corners.kinds_of(group)]
         return any(
             kind not in EVERYWHERE and not (kind == "clearance" and shape[0] == "ground") for kind, shape in parts
         )
@@ -230,10 +230,15 @@ def _functions(machine: AnyMachine, structure: Structure, gravity: bool) -> tupl
 def _made(scene: Scene, name: str, shape: Any, numbers: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
     """The rows of a group as a solver sees them, and as people do."""
     if name == corners.KIND:
-        name, shape, entries, kept = shape
-        other = corners.at_corner(scene, entries, numbers[: len(entries)])
-        rows, told = _made(other, name, shape, numbers[len(entries) :])
-        return [rows[k] for k in kept], [told[k] for k in kept]
+        entries, parts = shape
+        start, found = len(entries), (list[ca.SX](), list[ca.SX]())
+        other = corners.at_corner(scene, entries, numbers[:start])
+        for kind, (own, kept), count in parts:
+            made = _made(other, kind, own, numbers[start : start + count])
+            for all_rows, rows in zip(found, made, strict=True):
+                all_rows += [rows[k] for k in kept]
+            start += count
+        return found
     kind = KINDS[name]
     rows = kind.graph(scene, shape, numbers)
     return rows, rows if kind.report is None else kind.report(scene, shape, numbers)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -51,11 +52,13 @@ def corner_groups(
     within: Sequence[Uncertainty],
     dependence: Callable[[Group], list[tuple[int, int]]],
 ) -> list[Group]:
-    """These groups' rows at every corner that is not the machine's own numbers.
+    """These groups' rows at every corner that is not the machine's own numbers, those of each corner together.
+
+    So that the arm, which is held there, is found once for all of them.
 
     `dependence`: which rows of a group depend on which entries of p.
     """
-    machine, found = plant.machine, list[Group]()
+    machine, found = plant.machine, dict[tuple[tuple[int, ...], tuple[float, ...]], list[Group]]()
     places = [parameters_of(each.of, machine) for each in within]
     for group in groups:
         on = dependence(group)
@@ -67,9 +70,23 @@ def corner_groups(
             if where := told_numbers(machine, p.tolist()):
                 corner = WHERE + where
                 rows = tuple(replace(group.rows[k], name=group.rows[k].name + corner, corner=corner) for k in kept)
-                shape = (group.kind, group.shape, tuple(entries), kept)
-                found.append(Group(KIND, shape, (*p[entries].tolist(), *group.constants), rows))
-    return found
+                at = tuple(entries), tuple(p[entries].tolist())
+                found.setdefault(at, []).append(replace(group, shape=(group.shape, kept), rows=rows))
+    return [
+        Group(
+            KIND,
+            (entries, tuple(group.structure for group in at)),
+            (*numbers, *(constant for group in at for constant in group.constants)),
+            tuple(row for group in at for row in group.rows),
+        )
+        for (entries, numbers), at in found.items()
+    ]
+
+
+def kinds_of(structure: tuple[str, Any, int]) -> list[tuple[str, Any]]:
+    """Kind and shape of what a group's structure consists of."""
+    kind, shape, _ = structure
+    return [(own, part) for own, (part, _), _ in shape[1]] if kind == KIND else [(kind, shape)]
 
 
 def all_corners(machine: AnyMachine, within: Sequence[Uncertainty]) -> list[tuple[str, Vector]]:

@@ -142,3 +142,21 @@ def test_own_constraints_are_said_to_be_kept_with_the_files_numbers() -> None:
     asked = [own, {"within": {"payload.mass": (0.0, 500.0)}}]
     with pytest.raises(flexopt.InputError, match="constraints of your own are kept with the file's numbers"):
         flexopt.build_selection(flexopt.load("excavator"), (0.0, 1.6), constraints=asked)
+
+
+@pytest.mark.parametrize("name", SHIPPED[1:])
+def test_at_each_corner_the_arm_is_held_once_whatever_is_asked(name: str) -> None:
+    """Under its weight that is most of the graph: with further kinds it grows by their own rows only."""
+    machine = supported(name)
+    plant, (load, _) = build_plant(machine), masses(machine)
+    own = next(each.value for each in machine.parameters if each.name == load)
+
+    def size(within: dict[str, Any], **asked: Any) -> int:
+        rows = build_constraints(plant, read_constraints(asked | within), gravity=True)
+        assert len({row.corner for row in rows.rows} - {""}) == 2 * len(within)
+        return rows.function.n_instructions()
+
+    less, more = {"tip_over_margin": 0.1}, {"tip_over_margin": 0.1, "self_clearance": 0.01}
+    within = {"within": {load: (0.5 * own, 2.0 * own)}}
+    # Those rows with three numbers instead of one.
+    assert size(within, **more) - size(within, **less) <= 3 * (size({}, **more) - size({}, **less))
