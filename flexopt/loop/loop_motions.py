@@ -32,6 +32,9 @@ from flexopt.model.loop import GAINS
 
 # Relative distance up to which an eigenvalue is one of those that are known.
 SAME = 1e-6
+# Im s / |s| up to which a pole is no oscillation: by rounding a double real one, as of a filter in two rows, has 1e-8,
+# a triple one 1e-5.
+SWINGS = 1e-3
 # Motions of a loop that count, the slowest first: at an optimum several are as slow.
 SLOWEST_MOTIONS = 6
 
@@ -320,10 +323,11 @@ class LoopMotions:
         balanced, scale = balance(self.sample.matrix)
         values, vectors = (np.asarray(x, dtype=np.complex128) for x in np.linalg.eig(balanced))
         n = len(mass)
-        # An oscillation above half the sampling rate is seen as a real multiplier below zero.
         known = np.array([np.min(np.abs(self.loop.multipliers - value)) <= SAME for value in values])
-        chosen = np.flatnonzero(known & (values.imag >= 0) & ((values.imag > 0) | (values.real < 0)))
-        poles = poles_of(values[chosen], self.period)
+        every = poles_of(values, self.period)
+        # An oscillation above half the sampling rate is seen as a real multiplier below zero: Im s = π/T.
+        chosen = np.flatnonzero(known & (values.imag >= 0) & (every.imag > SWINGS * np.abs(every)))
+        poles = every[chosen]
         shapes = self.motions.loop.to_q @ (scale[:, None] * vectors)[:n, chosen]
         moving = np.abs(poles) ** 2 * np.einsum("ik,ij,jk->k", shapes.conj(), mass, shapes).real
         strained = omega_squared[:, None] * np.abs(modes.T @ mass @ shapes) ** 2

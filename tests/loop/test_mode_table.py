@@ -132,3 +132,14 @@ def test_no_slow_oscillation_is_left_out(loop, count):
         assert f"{hertz:.4g} Hz, damping {ratio:.3g} (decay {rate:.4g}/s)" in line[0]
     if count:
         assert "further oscillations" in evaluation._repr_html_()
+
+
+@pytest.mark.parametrize("filter_hz", [5.0, 8.0, 10.0, 12.0])
+def test_a_double_pole_that_rounding_splits_is_no_oscillation(filter_hz: float) -> None:
+    """Of what the filter forgets in both rows alike: exp(−2π f T) twice, which nothing drives and nothing sees."""
+    machine = flexopt.load("excavator")
+    found = flexopt.outcome(
+        machine, (0.0448, -2.0499), loop={"kp": 1e4, "kv": 1e3, "rate": 200.0, "filter_hz": filter_hz}
+    )
+    assert len(found.other_frequencies_hz) == 2
+    assert found.other_damping_ratios.max() < 0.5
