@@ -207,6 +207,42 @@ def test_present_gains_above_the_border_change_no_choice_of_the_largest(base: fl
     assert values[0] > 1.1 * low.value(start)
 
 
+@pytest.mark.parametrize("below", [0.02, 1.0, 4.0])
+def test_slopes_below_what_a_loop_bears_that_grows_with_its_present_gains(below: float) -> None:
+    """There every member is asked for its own border alone, and keeps a level below whatever it does at that."""
+    program, start = _loaded(1e6, -0.3)
+    level = program.level(program.value(start)) - below
+    found = program.branches(start, level)
+    assert found.values[0] == pytest.approx(below, rel=1e-9)
+    assert found.by_level[0] == -1.0
+    _slopes_are_differences(program, start, level)
+
+
+def test_a_loop_that_grows_keeps_an_allowed_gain_below_its_own() -> None:
+    asked: dict[str, Any] = {
+        "gravity": True, "objective": "allowance", "loop": {"kp": 1e6, "kv": 1e5, "rate": 200.0}, "starts": 3,
+    }  # fmt: skip
+    free = flexopt.select(EXCAVATOR, (0.22364, 1.53065), **asked)
+    found = flexopt.select(EXCAVATOR, (0.22364, 1.53065), **asked, constraints={"outcome": {"allowed_gain": 60.0}})
+    (lowest, _), *_ = free.best.evaluation.outcome.gain_intervals
+    assert lowest > 60.0
+    assert found.best.objective == pytest.approx(free.best.objective, rel=1e-6)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kp", [354.0, 2953.0])
+def test_an_optimum_is_verified_from_present_gains_far_below_it(kp: float) -> None:
+    """More than three decades, or less: beside it another border, a decade below, takes over."""
+    loop = {"kp": kp, "kv": kp * 0.032304028917348765, "dead_time": 0.005, "rate": 100.0}
+    found = flexopt.select(
+        EXCAVATOR, (0.0, 0.846580127037903), objective="allowed_gain", loop=loop, starts=8, base_range=(2.0, 2.5)
+    )
+    assert isinstance(found, OutcomeSelection)
+    assert found.unverified is None
+    # The value that both came to, one of them 3.4 decades above its gains; the border beside is at 5.8e4.
+    assert found.best.objective == pytest.approx(885952.0, rel=1e-6)
+
+
 @pytest.mark.parametrize("least", [60.0, 500.0])
 def test_a_loop_that_decays_keeps_an_allowed_gain_below_its_own(least: float) -> None:
     """Whatever it does there: under its weight it grows with gains below 120."""

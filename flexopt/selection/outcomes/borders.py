@@ -54,6 +54,7 @@ class Line:
     Attributes:
         loop: at a level;  rate: of its slowest motion there, 1/s.
         start: level at which the line begins;  own: whether that is the loop itself, which must decay, too.
+        below: whether the loop itself grows, at a level further on than those that are looked at.
         by: from a derivative there by a loop's numbers, those by y's, and by the level.
     """
 
@@ -62,6 +63,7 @@ class Line:
     start: float
     own: bool
     by: Callable[[LoopPoint, SlopesByInput], tuple[dict[str, Any], float]]
+    below: bool = False
 
     def border(self, level: float) -> float:
         """The first level, this one at most, at which the loop grows."""
@@ -79,11 +81,11 @@ class Line:
         """Levels before this one where the rate is least among its neighbours, the lowest of them.
 
         Where the line begins it may rise, too: of a loop that stands at a border of stability itself. On a line that
-        is not the loop's own what lies before a stretch of decays to the level is none, if that is `WIDE`: with lower
-        gains an arm may fall. A narrower one is an island, on which no gain is to end.
+        is `below` what lies before a stretch of decays to the level is none, if that is `WIDE`: with lower gains an arm
+        may fall. A narrower one is an island, on which no gain is to end.
         """
         looked, dips = self._looked(level) if level > self.start else ([], [])
-        if not self.own:
+        if self.below:
             grown = max((x for x, rate in looked if rate < 0 and x < level - NEAR), default=level)
             dips = [dip for dip in dips if dip[0] > min(grown, level - WIDE)]
         return [x for x, _ in sorted(dips, key=lambda dip: dip[1])[:PLACES]]
@@ -121,10 +123,17 @@ class Border(Measure):
     def lines(self, at: ProgramPoint, point: LoopPoint, level: float) -> list[Line]:
         """From a member, up to a level."""
 
+    def slack(self, point: LoopPoint, level: float) -> tuple[float, SlopesByInput] | None:  # noqa: ARG002
+        """By how much a member's own level is above this one, with slopes; None where that is told by its lines."""
+        return None
+
     def branches(self, at: ProgramPoint, level: float) -> Branches:
         """The slowest rates at the level, and where they come near to zero before."""
         found = list[tuple[float, Vector, float]]()
         for point in at.points:
+            if (slack := self.slack(point, level)) is not None:
+                found.append((slack[0], at.by_y(slack[1]), -1.0))
+                continue
             known = set[float]()
             for line in self.lines(at, point, level):
                 near = [x for x in line.nearest(level) if x not in known]
@@ -181,9 +190,20 @@ class AllowedGain(Border):
             return {**slopes, RATIO: {"kp": of["kp"] - total, "kv": of["kv"]}}, total
 
         # What lower gains than present ones that decay do is nothing to it: with those an arm may fall.
-        now, start = math.log(kp), level - DECADES * math.log(10)
-        own = point.loop.stable and start <= now
-        return [Line(loop, lambda x: -point.growth_at((x - now) / math.log(10)), now if own else start, own, by)]
+        now, start, stable = math.log(kp), level - DECADES * math.log(10), point.loop.stable
+        own = stable and start <= now
+        first = now if own else start
+        return [Line(loop, lambda x: -point.growth_at((x - now) / math.log(10)), first, own, by, below=not stable)]
+
+    def slack(self, point: LoopPoint, level: float) -> tuple[float, SlopesByInput] | None:
+        """Where the loop grows with its present gains: with lower ones than the largest that it bears it may, too."""
+        if point.loop.stable:
+            return None
+        most = point.allowed_gain()
+        above = math.log(most.value) - level if 0 < most.value < math.inf else 0.0
+        if above <= NEAR:
+            return None
+        return above, {name: slope / most.value for name, slope in point.gradient(most).items()}
 
 
 class DelayMargin(Border):
