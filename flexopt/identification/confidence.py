@@ -33,6 +33,9 @@ SAME = 1e-3
 # What a mode must take from the sum of squares, beyond what the strongest of N frequencies takes of mere noise, 2 ln N:
 # 3 standard deviations.
 SEEN = 9.0
+# By what the squares of one fit must be less than those of another, in those of the noise, and in standard deviations
+# of what they are less by: a chance of 0.001.
+BETTER_BY, BY_CHANCE = 10.8, 3.3
 # Steps of θ in differences of poles, which themselves are known to 1e-12; the least share that is no rounding.
 MOVED = 1e-5
 
@@ -139,11 +142,35 @@ def is_white(residual: Vector) -> bool:
     return bool(chi2.sf(statistic, lags) >= WHITE)
 
 
+def told_apart(least: Fit, other: Fit, values: Array) -> bool:
+    """Whether the samples `values` (N, c) say that one fit is better than another, whatever they have in common.
+
+    The squares of the other are by Σ_t d_t more: by more than `BETTER_BY`, and where residuals are not white than so
+    many standard deviations of that sum, the d_t of instants knowing of each other. So what no fit has, as a spring
+    that is not linear, decides nothing by itself.
+
+    Source: Vuong, Econometrica 57 (1989), with the sum of Newey and West for its variance.
+    """
+    residual = np.where(least.used, least.fitted - values, np.nan)
+    if all(is_white(column[np.isfinite(column)]) for column in residual.T):
+        return other.misfit - least.misfit > BETTER_BY
+    both = least.used & other.used
+    squares = [np.where(both, (each.fitted - values) / least.sigma, 0.0) ** 2 for each in (other, least)]
+    by_time = (squares[0] - squares[1]).sum(axis=1)
+    away = by_time - by_time.mean()
+    spread = math.sqrt(max(float(_with_lags(away[:, None])[0, 0]), 0.0))
+    return other.misfit - least.misfit > max(BETTER_BY, BY_CHANCE * spread)
+
+
 def _scores(p: Array, residual: Array, used: NDArray[np.bool_]) -> Array:
     """Ω, (n_θ, n_θ): the scores of each instant with those of the instants around it, weights falling to 0."""
     by_time = np.zeros((*used.shape, p.shape[1]))
     by_time[used] = p * residual[used][:, None]
-    scores = by_time.sum(axis=1)
+    return _with_lags(by_time.sum(axis=1))
+
+
+def _with_lags(scores: Array) -> Array:
+    """Σ_t Σ_k w_k s_t s_{t+k}ᵀ of scores (N, n), weights falling to 0."""
     reach = int(math.sqrt(len(scores)))
     found = scores.T @ scores
     for lag in range(1, reach + 1):

@@ -17,7 +17,7 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import Quantity, pair, vector
 from flexopt.foundation.stages import Stages
 from flexopt.identification.cleaning import after_stop, evened, held_posture, swinging, with_samples, without_spikes
-from flexopt.identification.confidence import Confidence, confidence, hidden, is_open_in_words
+from flexopt.identification.confidence import Confidence, confidence, hidden, is_open_in_words, told_apart
 from flexopt.identification.fitting import INTEGRATION, Fit, fit, longest_step
 from flexopt.identification.log import FrameLike, MeasuredLog, read_log, refused
 from flexopt.identification.modes import described_modes, swinging_joints
@@ -46,8 +46,6 @@ EXPLAINED, PERIODS = 0.2, 1.5
 DECAYS, SMALLEST = 9.0, 1e-12
 # The posture given and the joints measured may differ by, rad or m; a number is far from the file's by this factor.
 AWAY, FAR = 0.05, 10.0
-# Fits whose sums of squares, of the noise, differ by less are not told apart (99.9 %, one degree of freedom).
-ALIKE = 10.8
 ANOTHER = "(a column of another direction would tell them apart)"
 # First guess of the noise, of what a column moves.
 NOISE = 0.02
@@ -223,7 +221,7 @@ def _fits(
         fits.append(fit(swing, log, theta, deviation, noise, told))
     stages.reach(FITTED)
     least = min(fits, key=lambda each: each.misfit)
-    alike = [each for each in fits if each.misfit <= least.misfit + ALIKE]
+    alike = [each for each in fits if not told_apart(least, each, log.values)]
     best = min(alike, key=lambda each: float(each.theta @ each.theta))
     return best, [each.theta for each in alike if each is not best]
 
