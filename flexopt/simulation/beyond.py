@@ -10,6 +10,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from flexopt.compiled.threaded import Interpreter
 from flexopt.foundation.arrays import Vector
@@ -18,6 +19,17 @@ from flexopt.plant.hydraulics import build_hydraulics
 
 # Beyond is what is so by more than rounding, of the larger end of a range.
 ROUNDING = 1e-9
+
+
+def limit_below(machine: AnyMachine, weight: Vector, limit: ArrayLike, name: str) -> str:
+    """That a limit of drives (n,) is less than what holds the arm at rest (n,), in words; empty where none is."""
+    limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), weight.shape)
+    k = int(np.argmax(np.abs(weight) / np.maximum(limits, np.finfo(np.float64).tiny)))
+    if abs(weight[k]) <= limits[k]:
+        return ""
+    unit = "N m" if machine.joint_units[k] == "rad" else "N"
+    bears = f"{machine.joints[k]} bears {abs(weight[k]):.4g} {unit} at rest, and {name} gives it {limits[k]:.4g} {unit}"
+    return f"the arm is not held: {bears}"
 
 
 def beyond_the_machine(

@@ -30,7 +30,7 @@ from flexopt.model.simulation import SimulationKeywords, SimulationOptions
 from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import GROWN, STILL, Behaviour, behaviour
-from flexopt.simulation.beyond import beyond_the_machine
+from flexopt.simulation.beyond import beyond_the_machine, limit_below
 from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.real_loop import in_shorter_steps, note_loop, with_loop
 from flexopt.simulation.scenario import SIMULATED, Scenario, build_scenario, checked_options, note_options
@@ -255,6 +255,11 @@ def _trajectory(
     saturating = "actuator.torque_limit" if settings is None else "loop.torque_limit"
     joints, rates, torques = (outputs[name][-plant.n_actuated :] for name in ("q", "v", "torque"))
     saturating = "" if s.options.actuator.torque_limit is not None or s.loop.structure.served else saturating
+    limit = s.options.actuator.torque_limit
+    if limit is not None and s.options.gravity and not s.loop.structure.served:
+        weight = plant.gravity(s.q_design, s.base, s.p).full().ravel()[plant.n_passive :]
+        name = "actuator.torque_limit" if settings is None else "loop.torque_limit"
+        sentences += tuple(filter(None, [limit_below(s.machine, weight, limit, name)]))
     if of.finite_until[0] >= s.times[-1]:
         # What diverges has no extremes.
         sentences += beyond_the_machine(s.machine, joints, rates, torques, saturating)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from typing import Any
 
 import numpy as np
@@ -86,3 +87,26 @@ def test_cylinders_are_told_of_as_their_lengths_change() -> None:
             assert float(number[1]) == pytest.approx(np.abs(rates[past.argmax(), i]), rel=0.05)
         elif past.max() < -0.02:
             assert number is None
+
+
+def test_a_torque_limit_below_the_weight_is_told() -> None:
+    """Nothing holds the arm then, whatever the base does while it falls; a limit above it says nothing."""
+    machine, posture = flexopt.load("excavator"), (0.4, -1.4)
+    plant = flexopt.build_plant(machine)
+    q = plant.rest([0.0], posture, plant.parameter_values)
+    # To the sag, which turns the arm by some thousandths.
+    weight = float(np.abs(plant.gravity(q, [0.0], plant.parameter_values).full().ravel()[-2:]).max())
+    options: dict[str, Any] = {"kp": 1e4, "kv": 1e3, "gravity": True, "duration": 0.1}
+    for share, told in ((0.9, True), (1.1, False)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            flexopt.simulate(machine, posture, actuator=flexopt.Actuator(torque_limit=share * weight), **options)
+        assert any("the arm is not held: " in str(each.message) for each in caught) == told
+    # So no run of a verdict confirms.
+    loop = {"kp": 1e4, "kv": 1e3, "rate": 200.0, "torque_limit": 0.9 * weight}
+    end = flexopt.evaluate(machine, posture, base=0.0, gravity=True).end_point
+    found = flexopt.verdict(
+        machine, end, base=0.0, posture=posture, gravity=True, loop=loop, starts=1, members=2, runs=1, duration=1.0
+    )
+    assert all("the arm is not held: " in why for why in found.stay.runs.reasons)
+    assert found.word == "cannot tell" or found.place != "stay"

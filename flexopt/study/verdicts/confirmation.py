@@ -23,6 +23,7 @@ from flexopt.model.simulation import on_their_way
 from flexopt.plant import build_plant
 from flexopt.simulation import simulate_ensemble
 from flexopt.simulation.behaviour import FEWEST_WINDOWS
+from flexopt.simulation.beyond import limit_below
 from flexopt.simulation.ensemble import Ensemble, judged_beside
 from flexopt.simulation.real_loop import SHORTER, braked, braked_by, run_options
 from flexopt.simulation.run import OUTGREW
@@ -173,7 +174,9 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                     whys.append(f"{off}{sags if sags.startswith(',') else short + sags}")
                 elif confirms and (full := _full_levers(loop, members[row], posture)):
                     whys.append(f"{GIVES_WAY}{full.removeprefix(', and')}")
-                reasons[row] = "; ".join(whys)
+                # Without a rest nothing that a run shows is about one.
+                weak = too_weak(loop, members[row])
+                reasons[row] = weak or "; ".join(whys)
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
 
 
@@ -232,6 +235,17 @@ def _unknown_load(loop: UncertainLoop, u: Vector, posture: Vector) -> Vector:
 def tilts(loop: UncertainLoop, u: Vector, end: float) -> str:
     """That other springs alone draw the arm off by most of `end`, m, and what helps; else empty."""
     return TILTS if loop.off_target(loop.outcome(u)) > end / 2 else ""
+
+
+def too_weak(loop: UncertainLoop, u: Vector) -> str:
+    """Which joint's weight at rest, of a member, its drive's torque limit does not carry; empty where all do."""
+    limit, machine = loop.settings.torque_limit, loop.box.machine
+    point = loop.outcome(u)
+    if limit is None or loop.settings.drive == "velocity" or not (loop.gravity and point.rests):
+        return ""
+    plant = build_plant(machine)
+    weight = plant.gravity(point.configuration, loop.base, loop.box.numbers(u)[0]).full().ravel()[plant.n_passive :]
+    return limit_below(machine, weight, limit, "loop.torque_limit")
 
 
 def _full_levers(loop: UncertainLoop, u: Vector, posture: Vector) -> str:
