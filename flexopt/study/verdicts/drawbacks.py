@@ -43,7 +43,8 @@ def drawbacks_of(verdict: Verdict) -> str:
     if stay is None or verdict.word not in ("move", "change gains"):
         return no_better
     how, found = "with the new gains it" if verdict.with_gains else "it", _worse(verdict, there, stay)
-    told = f"in the worst case {how} {', '.join(found)} there" if found else ""
+    beside = ", beside the present ones where it stands" * (verdict.with_gains is not None and verdict.place != STAY)
+    told = f"in the worst case {how} {', '.join(found)} there{beside}" if found else ""
     few = verdict.with_gains is not None and stay.decay.least > 0 and there.better < MOST
     than = f"than where it stands with the present ones on {percent(there.better)} of the grounds only"
     return "; ".join(filter(None, (f"with the new gains it {BETTER} {than}" * few, told, no_better)))
