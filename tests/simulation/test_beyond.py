@@ -108,5 +108,7 @@ def test_a_torque_limit_below_the_weight_is_told() -> None:
     found = flexopt.verdict(
         machine, end, base=0.0, posture=posture, gravity=True, loop=loop, starts=1, members=2, runs=1, duration=1.0
     )
+    assert found.stay is not None
+    assert found.stay.runs is not None
     assert all("the arm is not held: " in why for why in found.stay.runs.reasons)
     assert found.word == "cannot tell" or found.place != "stay"
