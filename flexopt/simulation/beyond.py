@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from flexopt.compiled.threaded import Interpreter
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.control import limit_unit
 from flexopt.model import AnyMachine
 from flexopt.plant.hydraulics import build_hydraulics
 
@@ -27,7 +28,7 @@ def limit_below(machine: AnyMachine, weight: Vector, limit: ArrayLike, name: str
     k = int(np.argmax(np.abs(weight) / np.maximum(limits, np.finfo(np.float64).tiny)))
     if abs(weight[k]) <= limits[k]:
         return ""
-    unit = "N m" if machine.joint_units[k] == "rad" else "N"
+    unit = limit_unit([machine.joint_units[k]])
     bears = f"{machine.joints[k]} bears {abs(weight[k]):.4g} {unit} at rest, and {name} gives it {limits[k]:.4g} {unit}"
     return f"the arm is not held: {bears}"
 

@@ -252,16 +252,14 @@ def _trajectory(
     if settings is not None and settings.drive == "velocity":
         brake = ""
     sentences = _warnings(s, plant, outputs, of, brake, left)
-    saturating = "actuator.torque_limit" if settings is None else "loop.torque_limit"
+    name, limit = "actuator.torque_limit" if settings is None else "loop.torque_limit", s.options.actuator.torque_limit
     joints, rates, torques = (outputs[name][-plant.n_actuated :] for name in ("q", "v", "torque"))
-    saturating = "" if s.options.actuator.torque_limit is not None or s.loop.structure.served else saturating
-    limit = s.options.actuator.torque_limit
-    if limit is not None and s.options.gravity and not s.loop.structure.served:
+    if limit is not None and s.options.gravity:
         weight = plant.gravity(s.q_design, s.base, s.p).full().ravel()[plant.n_passive :]
-        name = "actuator.torque_limit" if settings is None else "loop.torque_limit"
         sentences += tuple(filter(None, [limit_below(s.machine, weight, limit, name)]))
     if of.finite_until[0] >= s.times[-1]:
         # What diverges has no extremes.
+        saturating = name if limit is None and not s.loop.structure.served else ""
         sentences += beyond_the_machine(s.machine, joints, rates, torques, saturating)
     for sentence in sentences:
         warn_user(sentence, FlexoptWarning)

@@ -175,8 +175,7 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                 elif confirms and (full := _full_levers(loop, members[row], posture)):
                     whys.append(f"{GIVES_WAY}{full.removeprefix(', and')}")
                 # Without a rest nothing that a run shows is about one.
-                weak = too_weak(loop, members[row])
-                reasons[row] = weak or "; ".join(whys)
+                reasons[row] = _too_weak(loop, members[row]) or "; ".join(whys)
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
 
 
@@ -237,11 +236,10 @@ def tilts(loop: UncertainLoop, u: Vector, end: float) -> str:
     return TILTS if loop.off_target(loop.outcome(u)) > end / 2 else ""
 
 
-def too_weak(loop: UncertainLoop, u: Vector) -> str:
+def _too_weak(loop: UncertainLoop, u: Vector) -> str:
     """Which joint's weight at rest, of a member, its drive's torque limit does not carry; empty where all do."""
     limit, machine = loop.settings.torque_limit, loop.box.machine
-    point = loop.outcome(u)
-    if limit is None or loop.settings.drive == "velocity" or not (loop.gravity and point.rests):
+    if limit is None or not loop.gravity or not (point := loop.outcome(u)).rests:
         return ""
     plant = build_plant(machine)
     weight = plant.gravity(point.configuration, loop.base, loop.box.numbers(u)[0]).full().ravel()[plant.n_passive :]

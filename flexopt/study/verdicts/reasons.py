@@ -52,7 +52,7 @@ def breaking_told(chosen: Chosen, breaks: Breaks, now: Sequence[tuple[Vector, Ve
     # With the file's numbers that is known.
     may = not breaks.now and not given and any(map(held_otherwise, (problem, *others)))
     others_may = "; held in another posture it may break none" * may
-    others_may += ", and constraints.within of these numbers has one chosen that breaks none there" * (
+    others_may += ", and constraints.within of these numbers has one looked for that breaks none there" * (
         may and bool(breaks.somewhere)
     )
     return f"the present place{held} {breaks.now or breaks.otherwise}{stay.grows_told}{others_may}"
