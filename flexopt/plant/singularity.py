@@ -32,12 +32,12 @@ def _largest_and_condition(plant: Plant, q: Vector, base: Vector) -> tuple[float
     values = np.linalg.svd(plant.rigid_jacobian(q, base, plant.parameter_values).full(), compute_uv=False)
     largest = values[0]
     if plant.n_task == 1:
-        largest = max(largest, np.linalg.norm(_position_jacobian(plant, q, base), 2))
+        largest = max(largest, np.linalg.norm(position_jacobian(plant, q, base), 2))
     return float(largest), float(largest / values[-1]) if values[-1] > 0 else math.inf
 
 
-def _position_jacobian(plant: Plant, q: Vector, base: Vector) -> Vector:
-    """Of the end-point's position by the actuated joints, whatever the task."""
+def position_jacobian(plant: Plant, q: Vector, base: Vector) -> Vector:
+    """Of the end-point's position by the actuated joints (3, n), whatever the task."""
     g = plant.graph
     jacobian = ca.jacobian(g.skeleton[:, -1], g.q)[:, plant.n_passive :]
     return ca.Function("position_jacobian", [g.q, g.base, g.p], [jacobian])(q, base, plant.parameter_values).full()

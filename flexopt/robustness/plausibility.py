@@ -21,10 +21,12 @@ from flexopt.model.file_model import quoted
 from flexopt.model.loop import Loop
 from flexopt.model.plausibility import BASE_MASS, ImplausibleNumber, distant_ranges, implausible_numbers
 from flexopt.plant import Plant, build_plant
-from flexopt.plant.singularity import movable_rows
+from flexopt.plant.singularity import movable_rows, position_jacobian
 
 FIRST_MODE = (0.1, 100.0)  # Hz
 POSTURES = 4
+# m per m, by which a placement leads out of the arm's plane; below, it is how a robot file rounds its angles.
+ASIDE = 1e-3
 
 
 @lru_cache(maxsize=64)
@@ -119,17 +121,39 @@ def _of_rows(machine: AnyMachine) -> Iterator[ImplausibleNumber]:
 
 
 def _of_placement(machine: AnyMachine) -> Iterator[ImplausibleNumber]:
-    """A placement that leads out of the plane in which the task is."""
+    """A placement that leads out of the plane in which the task or the arm is."""
     placed, aside = machine.base_coordinates, [row for row in ("x", "y") if row not in machine.task_rows]
+    if len(aside) != 1:
+        return
     leaving = [name for name in placed if name in (*aside, "yaw")]
-    if len(aside) == 1 and leaving:
+    row = f"{aside[0]} among end_point.rows"
+    if leaving:
         kept = [name for name in placed if name not in leaving]
-        row = f"{aside[0]} among end_point.rows"
         yield ImplausibleNumber(
             "placement", quoted(placed), f"the end-point's {aside[0]} is no task row, and changes with "
             f"{' and '.join(leaving)}: what is chosen may lie beside the target",
             f"placement = {quoted(kept)}, or {row}" if kept else row,
         )  # fmt: skip
+    elif placed:
+        along = placed[0]
+        normal = dict(zip("xyz", _normal(machine), strict=True))
+        if abs(normal[along]) > ASIDE * abs(normal[aside[0]]) > 0.0:
+            slope = abs(normal[along] / normal[aside[0]])
+            yield ImplausibleNumber(
+                "placement", quoted(placed), f"the arm moves in a plane {math.atan(slope):.3g} rad aside of {along}: "
+                f"for each m of {along} the end-point's {aside[0]}, which is no task row, changes by {slope:.3g} m: "
+                "what is chosen may lie beside the target",
+                f"a mount whose arm moves along {along}, or a joint about z among actuated and {row}",
+            )  # fmt: skip
+
+
+def _normal(machine: AnyMachine) -> Array:
+    """Unit normal (3,) of the plane in which the joints move the end-point; zeros where they keep to none."""
+    plant = build_plant(machine)
+    base, p = np.zeros(plant.n_base), plant.parameter_values
+    moved = [position_jacobian(plant, plant.rest(base, posture, p), base) for posture in _postures(machine)]
+    directions, sizes, _ = np.linalg.svd(np.hstack(moved))
+    return directions[:, 2] if sizes[2] < ASIDE * sizes[1] else np.zeros(3)
 
 
 def modes_at(plant: Plant, posture: Array, *, held: bool = False) -> tuple[Array, Array]:

@@ -232,7 +232,8 @@ def test_an_arm_in_a_plane_is_placed_in_it(
             ("shoulder", "revolute", "cart", "upper"), ("elbow", "revolute", "upper", "fore"), ("tool", "fixed", "fore", "tip"),
         )
     )  # fmt: skip
-    command.write("arm.urdf", f"<robot name='arm'>{links}{joints}</robot>")
+    robot = f"<robot name='arm'>{links}{joints}</robot>"
+    command.write("arm.urdf", robot)
     followed(command, "arm.toml", "--from", "arm.urdf")
     machine = flexopt.load("arm.toml")
     assert (machine.task_rows, machine.base_coordinates) == (rows, placement)
@@ -244,6 +245,14 @@ def test_an_arm_in_a_plane_is_placed_in_it(
     assert ("what is chosen may lie beside the target" in told) == (len(placement) == 1)
     if len(placement) == 1:
         assert f"placement = {list(placement)}, or " in told
+        for turn in (1e-5, 0.3):  # rad about z: how a file rounds its angles, and an arm aside of its vehicle
+            name = f"turned-{turn}.urdf"
+            command.write(
+                name, robot.replace("xyz='0.6 0.6 0.6'/><axis", f"xyz='0.6 0.6 0.6' rpy='0 0 {turn}'/><axis", 1)
+            )
+            command.write("turned.toml", text.replace("arm.urdf", name))
+            told = command("check", "turned.toml").stdout
+            assert ("may lie beside the target" in told) == ("changes by 0.309 m" in told) == (turn > 0.1)  # tan 0.3
 
 
 def test_what_the_springs_carry_is_all_that_does_not_move_on_them(command: Command) -> None:
