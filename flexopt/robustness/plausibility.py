@@ -151,7 +151,9 @@ def _normal(machine: AnyMachine) -> Array:
     """Unit normal (3,) of the plane in which the joints move the end-point; zeros where they keep to none."""
     plant = build_plant(machine)
     base, p = np.zeros(plant.n_base), plant.parameter_values
-    moved = [position_jacobian(plant, plant.rest(base, posture, p), base) for posture in _postures(machine)]
+    moved = [
+        position_jacobian(plant, plant.rest(base, posture, p).full().ravel(), base) for posture in _postures(machine)
+    ]
     directions, sizes, _ = np.linalg.svd(np.hstack(moved))
     return directions[:, 2] if sizes[2] < ASIDE * sizes[1] else np.zeros(3)
 
