@@ -1,7 +1,7 @@
 """What a run takes of the machine beyond what its file says it can: joint limits, efforts and speeds.
 
-In: a run's joints, their rates and torques. Out: a sentence. No end stop is modelled, and drives saturate only where
-the run's options say so.
+In: a run's joints, their rates and torques; its limits and the weight at rest. Out: a sentence. No end stop is
+modelled, and drives saturate only where the run's options say so.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -16,7 +17,9 @@ from flexopt.compiled.threaded import Interpreter
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import limit_unit
 from flexopt.model import AnyMachine
+from flexopt.plant import build_plant
 from flexopt.plant.hydraulics import build_hydraulics
+from flexopt.simulation.scenario import Scenario
 
 # Beyond is what is so by more than rounding, of the larger end of a range.
 ROUNDING = 1e-9
@@ -31,6 +34,15 @@ def limit_below(machine: AnyMachine, weight: Vector, limit: ArrayLike, name: str
     unit = limit_unit([machine.joint_units[k]])
     bears = f"{machine.joints[k]} bears {abs(weight[k]):.4g} {unit} at rest, and {name} gives it {limits[k]:.4g} {unit}"
     return f"the arm is not held: {bears}"
+
+
+def unheld(scenario: Scenario, p: Vector | ca.DM, of: str = "actuator") -> str:
+    """The like of a run of the machine with parameters p (n_par,), whose `torque_limit` is a key of the table `of`."""
+    s, plant, limit = scenario, build_plant(scenario.machine), scenario.options.actuator.torque_limit
+    if limit is None or not s.options.gravity:
+        return ""
+    weight: Vector = plant.gravity.call([s.q_design, s.base, p])[0].full().ravel()[plant.n_passive :]
+    return limit_below(s.machine, weight, limit, f"{of}.torque_limit")
 
 
 def beyond_the_machine(

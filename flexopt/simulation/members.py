@@ -20,6 +20,7 @@ from flexopt.loop.loop_motions import NOWHERE_HELD
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import taken_early
 from flexopt.plant.machine_motion import constant_names, constants
+from flexopt.simulation.beyond import unheld
 from flexopt.simulation.linear import SampledLoop, bare_scenario, where_held
 from flexopt.simulation.run import signals_at_end
 from flexopt.simulation.scenario import Scenario, start_states
@@ -162,6 +163,11 @@ class Member:
     def integrator(self) -> str:
         """Of the run."""
         return self.among.plan.scenario.options.integrator
+
+    @property
+    def unheld(self) -> str:
+        """See `verdict.Ran`."""
+        return unheld(self.among.plan.scenario, self.among.parameters[:, self.k])
 
     def integrated(self) -> float | None:
         """See `verdict.Ran`."""

@@ -30,7 +30,7 @@ from flexopt.model.simulation import SimulationKeywords, SimulationOptions
 from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import GROWN, STILL, Behaviour, behaviour
-from flexopt.simulation.beyond import beyond_the_machine, limit_below
+from flexopt.simulation.beyond import beyond_the_machine, unheld
 from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.real_loop import in_shorter_steps, note_loop, with_loop
 from flexopt.simulation.scenario import SIMULATED, Scenario, build_scenario, checked_options, note_options
@@ -119,7 +119,8 @@ def simulate_checked(scenario: Scenario, settings: LoopSettings | None = None) -
     records = runner(s.start, empty if folded else constants, steps=s.samples, e=signals)
     x = np.concatenate([s.start[:, None], records.x[:, :, 0].T], axis=1)
     outputs = shown_at(s, shown, x, signals)
-    ended, left = Ended(s.machine, s.options, x[:, -1].copy()), "left the finite numbers"
+    ended = Ended(s.machine, s.options, x[:, -1].copy(), unheld=unheld(s, s.p, _table(settings)))
+    left = "left the finite numbers"
     breaks = int(unfollowed(loop.structure, records.monitor)[0])
     if breaks < s.samples:
         if moves(s) or not grew(ended.linear(), np.sum(outputs["error"][:, : breaks + 1] ** 2, axis=0)):
@@ -252,14 +253,12 @@ def _trajectory(
     if settings is not None and settings.drive == "velocity":
         brake = ""
     sentences = _warnings(s, plant, outputs, of, brake, left)
-    name, limit = "actuator.torque_limit" if settings is None else "loop.torque_limit", s.options.actuator.torque_limit
     joints, rates, torques = (outputs[name][-plant.n_actuated :] for name in ("q", "v", "torque"))
-    if limit is not None and s.options.gravity:
-        weight = plant.gravity(s.q_design, s.base, s.p).full().ravel()[plant.n_passive :]
-        sentences += tuple(filter(None, [limit_below(s.machine, weight, limit, name)]))
+    sentences += (ended.unheld,) * bool(ended.unheld)
     if of.finite_until[0] >= s.times[-1]:
         # What diverges has no extremes.
-        saturating = name if limit is None and not s.loop.structure.served else ""
+        bears = s.options.actuator.torque_limit is not None or s.loop.structure.served
+        saturating = "" if bears else f"{_table(settings)}.torque_limit"
         sentences += beyond_the_machine(s.machine, joints, rates, torques, saturating)
     for sentence in sentences:
         warn_user(sentence, FlexoptWarning)
@@ -296,6 +295,11 @@ def _trajectory(
         model=s.machine,
         loop=settings,
     )
+
+
+def _table(settings: LoopSettings | None) -> str:
+    """Which table of a file the limits of a run's drives are in."""
+    return "actuator" if settings is None else "loop"
 
 
 def _self_motion_rate(plant: Plant, outputs: dict[str, Vector]) -> float | None:

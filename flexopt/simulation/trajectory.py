@@ -67,7 +67,8 @@ class Trajectory(Pictured, Result):
             decay.
         verdict: of the base's oscillation, `"converges"` or `"grows"` where the run and the eigenvalues of `linear` say
             the same, `"undecided"` where they do not, or the run is shorter than four periods of the slowest mode, or
-            the eigenvalues are 1 to rounding; where there is no `linear`, the run's own, if significant.
+            the eigenvalues are 1 to rounding, or nothing holds the arm, for a `torque_limit` is below the weight at
+            rest; where there is no `linear`, the run's own, if significant.
         verdict_reason: both, in a sentence.
         growth_rate, growth_rate_error: of the base's amplitude in the run and its standard error, 1/s: of the
             largest mode that grows, or else of the one that decays slowest; None where it never moved. See

@@ -69,6 +69,11 @@ class Ran(Protocol):
     """The loop that was run, of which a reason asks what sets run and eigenvalues apart."""
 
     @property
+    def unheld(self) -> str:
+        """See `Ended`."""
+        ...
+
+    @property
     def integrator(self) -> str:
         """Of the run."""
         ...
@@ -90,12 +95,14 @@ class Ended:
         machine, options: of the run, checked.
         x: states at its end.
         e: signals there where base or target were moved; else None: it goes on about its design.
+        unheld: which drive's limit is below the weight at rest, see `beyond.unheld`; empty where none is.
     """
 
     machine: AnyMachine
     options: SimulationOptions
     x: Vector | None = None
     e: Vector | None = None
+    unheld: str = ""
 
     @property
     def integrator(self) -> str:
@@ -228,6 +235,16 @@ def judge(
 
     `rests`: whether the loop is that about where the run comes to rest, which another load may draw away.
     """
+    found = _judged(run, linear, ended, rests, ran)
+    who = ended if ran is None else ran
+    if who is None or not who.unheld:
+        return found
+    # Nothing that the base does while the arm falls is about a rest.
+    word: LoopVerdict = "undecided" if found.verdict == "converges" else found.verdict
+    return Judgement(word, f"{found.reason}; {who.unheld}")
+
+
+def _judged(run: Shown, linear: SampledLoop | str, ended: Ended | None, rests: bool, ran: Ran | None) -> Judgement:
     run = replace(run, error=math.hypot(run.error, beating(linear, run.duration)))
     said = f"the run of {run.duration:g} s {_words(run)}"
     if isinstance(linear, str):
