@@ -2,8 +2,9 @@
 
 In: a `Fit`. Out: a `Confidence`. From the exact Jacobian P of the residuals by θ, with the first state and the offsets
 eliminated: the covariance of θ is (PᵀP)⁻¹ where residuals are white. Where they are not it is (PᵀP)⁻¹ Ω (PᵀP)⁻¹ with
-the sum Ω of the correlated scores (Newey and West 1987), and never the smaller of the two. What moves no other poles
-than those of modes that do not stand out of the noise is open.
+the sum Ω of the correlated scores (Newey and West 1987) over a tenth of the log, whatever its rate, and what so long a
+sum is off by (Kiefer and Vogelsang 2005); never the smaller of the two. What moves no other poles than those of modes
+that do not stand out of the noise is open.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,9 +35,12 @@ SAME = 1e-3
 # What a mode must take from the sum of squares, beyond what the strongest of N frequencies takes of mere noise, 2 ln N:
 # 3 standard deviations.
 SEEN = 9.0
-# By what the squares of one fit must be less than those of another, in those of the noise, and in standard deviations
-# of what they are less by: a chance of 0.001.
-BETTER_BY, BY_CHANCE = 10.8, 3.3
+# The chance that another fit than the best is as good, and by what its squares, in those of the noise, are then more.
+BY_CHANCE, BETTER_BY = 0.001, 10.8
+# Into how many stretches a log is cut, long enough to know little of each other.
+STRETCHES = 6
+# Of the log, over which residuals may know of each other; by what that widens an interval of 95 %.
+REACH, LONG = 0.1, 2.26 / 1.96
 # Steps of θ in differences of poles, which themselves are known to 1e-12; the least share that is no rounding.
 MOVED = 1e-5
 
@@ -52,7 +57,7 @@ class Confidence:
         identified: (n_θ,) whether it is within `FACTOR`.
         directions: (k, n_θ) unit vectors of θ that the log leaves open, the most open first.
         white: (c,) whether each column's residuals are.
-        others: θ of other fits that the log does not tell from this one.
+        others: other fits that the log does not tell from this one.
     """
 
     low: Vector
@@ -63,7 +68,7 @@ class Confidence:
     identified: NDArray[np.bool_]
     directions: Array
     white: NDArray[np.bool_]
-    others: tuple[Vector, ...]
+    others: tuple[Fit, ...]
 
     def apart(self, theta: Vector, other: Vector) -> NDArray[np.bool_]:
         """(n_θ,) in which parameters another fit lies outside the intervals of this one."""
@@ -95,7 +100,7 @@ def hidden(swing: HeldSwing, found: Fit, time: Vector) -> tuple[Vector, Array]:
     return hertz, np.asarray(free @ np.linalg.pinv(unseen @ free, rcond=MOVED), dtype=np.float64)
 
 
-def confidence(found: Fit, values: Array, unseen: Array, others: Sequence[Vector] = ()) -> Confidence:
+def confidence(found: Fit, values: Array, unseen: Array, others: Sequence[Fit] = ()) -> Confidence:
     """Of a fit to the samples `values` (N, c), beside others that fit as well; `unseen`: moves, as of `hidden`."""
     from scipy.stats import t  # noqa: PLC0415  (loads slowly)
 
@@ -111,7 +116,7 @@ def confidence(found: Fit, values: Array, unseen: Array, others: Sequence[Vector
     white = np.array([is_white(column[np.isfinite(column)]) for column in residual.T])
     if not white.all():
         correlated = covariance @ _scores(p, residual, found.used) @ covariance
-        wider = np.maximum(1.0, np.sqrt(np.diag(correlated) / np.diag(covariance)))
+        wider = np.maximum(1.0, LONG * np.sqrt(np.diag(correlated) / np.diag(covariance)))
         covariance = wider[:, None] * covariance * wider
     covariance = covariance + unseen @ unseen.T
     deviations = np.sqrt(np.diag(covariance))
@@ -121,7 +126,7 @@ def confidence(found: Fit, values: Array, unseen: Array, others: Sequence[Vector
     is_open = quantile * np.sqrt(np.maximum(squares, 0.0)) > 1 - 1 / FACTOR
     directions = ways.T[is_open][::-1]
     down = -np.log1p(-np.minimum(width, 1 - SMALLEST))
-    ends = [(center - down, center + width) for center in (found.theta, *others)]
+    ends = [(center - down, center + width) for center in (found.theta, *(each.theta for each in others))]
     low, high = (choose([end[k] for end in ends], axis=0) for k, choose in ((0, np.min), (1, np.max)))
     identified = np.maximum(found.theta - low, high - found.theta) <= math.log(FACTOR)
     return Confidence(low, high, deviations, covariance, quantile, identified, directions, white, tuple(others))
@@ -145,37 +150,43 @@ def is_white(residual: Vector) -> bool:
 def told_apart(least: Fit, other: Fit, values: Array) -> bool:
     """Whether the samples `values` (N, c) say that one fit is better than another, whatever they have in common.
 
-    The squares of the other are by Σ_t d_t more: by more than `BETTER_BY`, and where residuals are not white than so
-    many standard deviations of that sum, the d_t of instants knowing of each other. So what no fit has, as a spring
-    that is not linear, decides nothing by itself.
+    The other's −2 log of the likelihood is more by Σ_t d_t, d = Σ_c 2 ln(σ_o/σ_l) + r_o²/σ_o² − r_l²/σ_l²: by more than
+    `BETTER_BY`, and where residuals are not white in more stretches of the log than chance has it. So what no fit has,
+    as a spring that is not linear, decides nothing by itself.
 
-    Source: Vuong, Econometrica 57 (1989), with the sum of Newey and West for its variance.
+    Source: Vuong, Econometrica 57 (1989), for d; Ibragimov and Müller, J. Business and Economic Statistics 28 (2010),
+    for Student's t of a few stretches, however instants within them know of each other.
     """
+    from scipy.stats import t  # noqa: PLC0415  (loads slowly)
+
+    if other.misfit - least.misfit <= BETTER_BY:
+        return False
     residual = np.where(least.used, least.fitted - values, np.nan)
     if all(is_white(column[np.isfinite(column)]) for column in residual.T):
-        return other.misfit - least.misfit > BETTER_BY
+        return True
     both = least.used & other.used
-    squares = [np.where(both, (each.fitted - values) / least.sigma, 0.0) ** 2 for each in (other, least)]
-    by_time = (squares[0] - squares[1]).sum(axis=1)
-    away = by_time - by_time.mean()
-    spread = math.sqrt(max(float(_with_lags(away[:, None])[0, 0]), 0.0))
-    return other.misfit - least.misfit > max(BETTER_BY, BY_CHANCE * spread)
+    by_time = (_unlikely(other, values, both) - _unlikely(least, values, both)).sum(axis=1)
+    sums = np.array([stretch.sum() for stretch in np.array_split(by_time, STRETCHES)])
+    spread = float(sums.std(ddof=1)) / math.sqrt(STRETCHES)
+    return bool(sums.mean() > float(t.isf(BY_CHANCE, STRETCHES - 1)) * spread)
+
+
+def _unlikely(found: Fit, values: Array, used: NDArray[np.bool_]) -> Array:
+    """−2 log of the likelihood of each sample, and a constant, (N, c); 0 where it is not used."""
+    return np.where(used, 2 * np.log(found.sigma) + ((found.fitted - values) / found.sigma) ** 2, 0.0)
 
 
 def _scores(p: Array, residual: Array, used: NDArray[np.bool_]) -> Array:
     """Ω, (n_θ, n_θ): the scores of each instant with those of the instants around it, weights falling to 0."""
+    from scipy.signal import fftconvolve  # noqa: PLC0415  (loads slowly)
+
     by_time = np.zeros((*used.shape, p.shape[1]))
     by_time[used] = p * residual[used][:, None]
-    return _with_lags(by_time.sum(axis=1))
-
-
-def _with_lags(scores: Array) -> Array:
-    """Σ_t Σ_k w_k s_t s_{t+k}ᵀ of scores (N, n), weights falling to 0."""
-    reach = int(math.sqrt(len(scores)))
-    found = scores.T @ scores
-    for lag in range(1, reach + 1):
-        both = scores[lag:].T @ scores[:-lag]
-        found += (1 - lag / (reach + 1)) * (both + both.T)
+    scores = by_time.sum(axis=1)
+    reach = math.ceil(REACH * len(scores))
+    falling = 1.0 - np.abs(np.arange(-reach, reach + 1)) / (reach + 1)
+    around = cast(Any, fftconvolve)(scores, falling[:, None], axes=0)[reach : reach + len(scores)]
+    found: Array = scores.T @ around
     return found
 
 

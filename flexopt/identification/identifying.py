@@ -17,7 +17,14 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.quantities import Quantity, pair, vector
 from flexopt.foundation.stages import Stages
 from flexopt.identification.cleaning import after_stop, evened, held_posture, swinging, with_samples, without_spikes
-from flexopt.identification.confidence import Confidence, confidence, hidden, is_open_in_words, told_apart
+from flexopt.identification.confidence import (
+    BETTER_BY,
+    Confidence,
+    confidence,
+    hidden,
+    is_open_in_words,
+    told_apart,
+)
 from flexopt.identification.fitting import INTEGRATION, Fit, fit, longest_step
 from flexopt.identification.log import FrameLike, MeasuredLog, read_log, refused
 from flexopt.identification.modes import described_modes, swinging_joints
@@ -123,7 +130,8 @@ def identify(
 
     Source:
         Bates and Watts, Nonlinear Regression Analysis and Its Applications (Wiley, 1988), chapter 2, for the intervals;
-        Newey and West, Econometrica 55 (1987), for residuals that are not white.
+        Newey and West, Econometrica 55 (1987), with Kiefer and Vogelsang, Econometric Theory 21 (2005), for residuals
+        that are not white.
 
     Example:
         >>> t = np.arange(0, 5, 0.01)
@@ -201,8 +209,11 @@ def _fits(
     noise: Vector,
     mounted: Sequence[str],
     stages: Stages,
-) -> tuple[Fit, list[Vector]]:
-    """The best fit and θ of others that the log does not tell from it; of these the nearest to the file is the best.
+) -> tuple[Fit, list[Fit]]:
+    """The best fit and others that the log does not tell from it.
+
+    Of those that mere noise does not tell apart the nearest to the file is the best. What is told by no more than what
+    no fit has is no reason to leave the least residuals.
 
     `mounted`: what is said of the accelerometer's axes and place, which is why a log may have no fit.
     """
@@ -222,8 +233,9 @@ def _fits(
     stages.reach(FITTED)
     least = min(fits, key=lambda each: each.misfit)
     alike = [each for each in fits if not told_apart(least, each, log.values)]
-    best = min(alike, key=lambda each: float(each.theta @ each.theta))
-    return best, [each.theta for each in alike if each is not best]
+    as_well = [each for each in fits if each.misfit <= least.misfit + BETTER_BY]
+    best = min(as_well, key=lambda each: float(each.theta @ each.theta))
+    return best, [each for each in alike if each is not best]
 
 
 def _is_slow(swing: HeldSwing, theta: Vector, time: Vector) -> bool:
@@ -377,7 +389,7 @@ def _result(
         factors=factors,
         open_directions=(
             *(is_open_in_words(direction, names) for direction in known.directions),
-            *_either_or(swing, found.theta, known),
+            *_either_or(swing, found, known),
         ),
         modes=described_modes(swing, log.time, found),
         columns=columns,
@@ -392,13 +404,16 @@ def _result(
     )
 
 
-def _either_or(swing: HeldSwing, theta: Vector, known: Confidence) -> Iterator[str]:
+def _either_or(swing: HeldSwing, found: Fit, known: Confidence) -> Iterator[str]:
     """What fits the log as well, in words."""
     units = {parameter.name: parameter.unit for parameter in swing.machine.parameters}
     for other in known.others:
-        apart = np.flatnonzero(known.apart(theta, other))
-        one, two = (swing.reference * np.exp(each) for each in (theta, other))
+        apart = np.flatnonzero(known.apart(found.theta, other.theta))
+        one, two = (swing.reference * np.exp(each.theta) for each in (found, other))
         told = ", ".join(f"{swing.names[k]} {one[k]:.4g} or {two[k]:.4g} {units[swing.names[k]]}" for k in apart)
+        if told and other.misfit > found.misfit + BETTER_BY:
+            ratio = math.exp(np.average(np.log(other.sigma / found.sigma), weights=found.used.sum(axis=0)))
+            told += f", residuals of the second {ratio:.3g} times as large, which may be by what neither has"
         if told:
             yield f"two sets of numbers fit alike, {told} {ANOTHER}"
 
