@@ -23,26 +23,33 @@ from flexopt.simulation.scenario import Scenario
 
 # Beyond is what is so by more than rounding, of the larger end of a range.
 ROUNDING = 1e-9
+NOT_HELD = "the arm is not held"
 
 
-def limit_below(machine: AnyMachine, weight: Vector, limit: ArrayLike, name: str) -> str:
-    """That a limit of drives (n,) is less than what holds the arm at rest (n,), in words; empty where none is."""
-    limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), weight.shape)
-    k = int(np.argmax(np.abs(weight) / np.maximum(limits, np.finfo(np.float64).tiny)))
-    if abs(weight[k]) <= limits[k]:
+def limit_below(machine: AnyMachine, weight: Vector, limit: ArrayLike, name: str, band: ArrayLike | None = None) -> str:
+    """That drives (n,) give less than what holds the arm at rest (n,), in words; empty where none does.
+
+    `limit`: of the command, called `name`;  `band`: the dead band by which drives give less than that, if any.
+    """
+    most = np.broadcast_to(np.asarray(limit, dtype=np.float64), weight.shape)
+    gives = most if band is None else np.maximum(0.0, most - np.asarray(band, dtype=np.float64))
+    short = np.abs(weight) - gives
+    if short.max() <= 0:
         return ""
-    unit = limit_unit([machine.joint_units[k]])
-    bears = f"{machine.joints[k]} bears {abs(weight[k]):.4g} {unit} at rest, and {name} gives it {limits[k]:.4g} {unit}"
-    return f"the arm is not held: {bears}"
+    # That of which the least share is borne, and of alike ones that which lacks the most.
+    k = max(np.flatnonzero(short > 0).tolist(), key=lambda i: (-gives[i] / abs(weight[i]), short[i]))
+    unit, less = limit_unit([machine.joint_units[k]]), " less the dead band" * (band is not None)
+    bears = f"{machine.joints[k]} bears {abs(weight[k]):.4g} {unit} at rest, and {name}{less} gives it"
+    return f"{NOT_HELD}: {bears} {gives[k]:.4g} {unit}"
 
 
 def unheld(scenario: Scenario, p: Vector | ca.DM, of: str = "actuator") -> str:
     """The like of a run of the machine with parameters p (n_par,), whose `torque_limit` is a key of the table `of`."""
-    s, plant, limit = scenario, build_plant(scenario.machine), scenario.options.actuator.torque_limit
-    if limit is None or not s.options.gravity:
+    s, plant, actuator = scenario, build_plant(scenario.machine), scenario.options.actuator
+    if actuator.torque_limit is None or not s.options.gravity:
         return ""
     weight: Vector = plant.gravity.call([s.q_design, s.base, p])[0].full().ravel()[plant.n_passive :]
-    return limit_below(s.machine, weight, limit, f"{of}.torque_limit")
+    return limit_below(s.machine, weight, actuator.torque_limit, f"{of}.torque_limit", actuator.dead_band)
 
 
 def beyond_the_machine(

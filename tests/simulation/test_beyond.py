@@ -145,3 +145,36 @@ def test_no_run_of_a_verdict_confirms_an_arm_that_is_not_held() -> None:
     assert found.stay.runs is not None
     assert all("the arm is not held: " in why for why in found.stay.runs.reasons)
     assert found.word == "cannot tell" or found.place != "stay"
+    # Without runs, and of members that none is made of, it is told beside the word, of others below the table.
+    found = flexopt.verdict(
+        machine, end, base=0.0, posture=posture, gravity=True, loop=loop, starts=2, members=2, runs=0
+    )
+    assert found.word == "move"
+    for place in found.places:
+        told = f"in {'the present place' if place.name == 'stay' else place.name} the arm is not held: "
+        assert place.too_weak.startswith("the arm is not held: ")
+        assert (told in found.drawbacks) == (place.name == found.place)
+        assert repr(found).count(told) == 1
+    loop |= {"torque_limit": 1e6}
+    found = flexopt.verdict(
+        machine, end, base=0.0, posture=posture, gravity=True, loop=loop, starts=1, members=2, runs=0
+    )
+    assert "not held" not in repr(found)
+
+
+@pytest.mark.parametrize(
+    ("actuator", "gives"),
+    [({"torque_limit": 0.0}, "0 N m"), ({"torque_limit": 3000.0, "dead_band": 1000.0}, "2000 N m")],
+)
+def test_what_drives_give_at_most(actuator: dict[str, float], gives: str) -> None:
+    """The stick bears 2681 N m, the boom less: with nothing both lack all, and the stick more."""
+    machine = flexopt.load("excavator")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        flexopt.simulate(machine, (0.4, -1.4), actuator=flexopt.Actuator(**actuator), gravity=True, duration=0.1)
+    less = " less the dead band" * ("dead_band" in actuator)
+    told = [str(each.message) for each in caught if "not held" in str(each.message)]
+    assert told == [
+        f"the arm is not held: stick bears 2681 N m at rest, and actuator.torque_limit{less} gives it {gives}"
+    ]
+    assert not any(each.category is RuntimeWarning for each in caught)

@@ -394,6 +394,19 @@ def test_with_other_gains_what_staying_does_is_told() -> None:
     assert again.decay.least == pytest.approx(float(told[2]), rel=2e-3)
     assert found.with_gains is not None
     assert found.with_gains.decay.least > 1.1 * again.decay.least
+    # Where it stands is told where the machine may stay there, and beside what is compared alone.
+    new, stands = found.with_gains, ", beside the present ones where it stands"
+    for words, off, slow in (
+        (f" there{stands}", math.nan, 2.0),
+        (f" there{stands}, and comes to rest 0.9 m off the target", 0.9, 2.0),
+        ("it comes to rest 0.9 m off the target there", 0.9, 1.0),
+    ):
+        stay = replace(found.places[0], decay=replace(found.places[0].decay, least=slow * new.decay.least))
+        stay = replace(stay, rests_off=math.nan, settling=new.settling, swing=new.swing, delay_margin=new.delay_margin)
+        stay = replace(stay, allowed_gain=replace(new.allowed_gain, least=0.0))
+        told = replace(found, places=(stay, *found.places[1:]), with_gains=replace(new, rests_off=off)).drawbacks
+        assert told.split("; ")[0].endswith(words), (told, words)
+        assert stands not in replace(found, places=found.places[1:], with_gains=replace(new, rests_off=off)).drawbacks
 
 
 @pytest.mark.long
@@ -1421,7 +1434,8 @@ def test_of_many_intervals_each_constraint_is_looked_at_where_its_own_room_falls
     chosen = flexopt.select(machine, (8.0, 1.0), base=0.0, base_range=(-1.0, 0.0), constraints=asked, starts=4)
     uncertain = tuple(flexopt.Uncertainty(of=name, value=ends) for name, ends in (others | heavy).items())
     stand = [(each.base, each.posture) for each in configurations_of(chosen)["candidate 1"]]
-    told, _ = broken_within(chosen, stand, UncertaintyBox(machine, uncertain, 0.0))
+    told, _, not_sought = broken_within(chosen, stand, UncertaintyBox(machine, uncertain, 0.0))
+    assert not not_sought
     # As of a machine whose file has that number, by how much, is what `evaluate` says.
     data["links"][2]["mass"] = 905.0
     held = flexopt.evaluate(flexopt.machine_from_dict(data), stand[0][1], base=stand[0][0]).cylinders[1]

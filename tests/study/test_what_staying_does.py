@@ -216,6 +216,9 @@ def test_that_another_posture_may_break_none_is_said_where_there_is_one(
     assert "breaks boom_torque" in found.reason
     assert ("held in another posture it may break none" in found.reason) == others
     assert ("in one of the postures that reach the target" in found.reason) == others
+    # Which keeps constraints of the user's own with the file's numbers.
+    assert "constraints.within" not in found.reason
+    assert all(place.breaks == place.broken.removeprefix(f"{place.name} ") for place in found.places)
 
 
 @pytest.mark.parametrize(

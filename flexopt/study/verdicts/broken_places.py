@@ -20,7 +20,7 @@ from flexopt.model.uncertainty import Uncertainty, parameters_of, told_numbers
 from flexopt.selection import SelectionProblem
 from flexopt.selection.broken import broken, broken_held, broken_names, values_with
 from flexopt.selection.constraint_values import ConstraintValue
-from flexopt.selection.constraints.corners import WHERE
+from flexopt.selection.constraints.corners import WHERE, within_faults
 from flexopt.selection.held import held_with
 from flexopt.selection.outcomes.result import ChosenByLoop
 from flexopt.selection.problem import own_with, rows_with
@@ -46,6 +46,8 @@ class Breaks(NamedTuple):
         barring: by which of these it is none to go to or to stay at; see `with_barring`.
         hardly: which of `somewhere` and `at_rest` it breaks by `HARDLY` at most, all of it: that is told, and bars
             nothing.
+        not_sought: whether `constraints.within` seeks no place that keeps `somewhere`: constraints of the user's own,
+            and where numbers move the end-point.
     """
 
     standing: str = ""
@@ -54,6 +56,7 @@ class Breaks(NamedTuple):
     at_rest: str = ""
     barring: str = ""
     hardly: frozenset[str] = frozenset()
+    not_sought: bool = False
 
     @property
     def now(self) -> str:
@@ -78,7 +81,7 @@ class Breaks(NamedTuple):
 
 def breaks_of(chosen: Chosen, place: PlaceLoops, stand: Sequence[tuple[Vector, Vector]]) -> Breaks:
     """What a place breaks of what was asked for, (base, posture) at each target."""
-    somewhere, hardly_somewhere = broken_within(chosen, stand, place.box)
+    somewhere, hardly_somewhere, not_sought = broken_within(chosen, stand, place.box)
     at_rest, hardly_at_rest = broken_at_rest(chosen, place)
     hardly = {"somewhere": hardly_somewhere, "at_rest": hardly_at_rest}
     return Breaks(
@@ -87,6 +90,7 @@ def breaks_of(chosen: Chosen, place: PlaceLoops, stand: Sequence[tuple[Vector, V
         somewhere,
         at_rest,
         hardly=frozenset(kind for kind, is_so in hardly.items() if is_so),
+        not_sought=not_sought,
     )
 
 
@@ -136,14 +140,16 @@ def _at_targets(each: Sequence[str]) -> str:
     return "; ".join(f"at target {k} {sentence}" for k, sentence in enumerate(each, start=1) if sentence)
 
 
-def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: UncertaintyBox) -> tuple[str, bool]:
-    """Which constraints a place keeps with the file's numbers and breaks at a corner of the box; whether `hardly`.
+def broken_within(
+    chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: UncertaintyBox
+) -> tuple[str, bool, bool]:
+    """Which constraints a place keeps with the file's numbers and breaks at a corner; whether `hardly`, `not_sought`.
 
     Those that were asked for, and those that are assumed.
     Each at the corner, of those looked at, at which it is broken most. Choices keep those of statics, as of what joints
     hold, and the user's own, with the file's payload.
     """
-    found, hardly = dict[str, dict[str, dict[int, ConstraintValue | None]]](), True
+    found, hardly, sought = dict[str, dict[str, dict[int, ConstraintValue | None]]](), True, True
     for k, (problem, at) in enumerate(zip(problems_of(chosen), stand, strict=True), start=1):
         z, worst = np.concatenate(at), dict[str, _Broken]()
         if broken_names(problem, z, asked=True):
@@ -155,6 +161,7 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
         hardly &= all(most.hardly for most in worst.values())
         for name, most in worst.items():
             plain = _plainest(problem, z, whole, most)
+            sought &= _is_sought(problem, whole, plain)
             where = told_numbers(box.machine, whole.numbers_at(plain.theta)[0].tolist())
             found.setdefault(where, {}).setdefault(name, {})[k] = plain.value
     told = list[str]()
@@ -166,7 +173,14 @@ def broken_within(chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: U
             for name, at in names.items()
         ]
         told.append(f"breaks {'; '.join(each)},{WHERE}{where}")
-    return "; ".join(told), bool(told) and hardly
+    return "; ".join(told), bool(told) and hardly, not sought
+
+
+def _is_sought(problem: SelectionProblem, box: UncertaintyBox, most: _Broken) -> bool:
+    """Whether `constraints.within` of the numbers with which something is broken has it kept."""
+    own = {row.name for row in problem.own_constraints}
+    of = [each for each, other in zip(box.uncertainty, most.theta != _nearest(box), strict=True) if other]
+    return most.name not in own and not within_faults(problem.measures.plant, of)
 
 
 def _and_within(problem: SelectionProblem, box: UncertaintyBox) -> UncertaintyBox:

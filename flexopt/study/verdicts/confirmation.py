@@ -175,7 +175,7 @@ def nonlinear_runs(loop: UncertainLoop, members: Vector, decays: Vector, duratio
                 elif confirms and (full := _full_levers(loop, members[row], posture)):
                     whys.append(f"{GIVES_WAY}{full.removeprefix(', and')}")
                 # Without a rest nothing that a run shows is about one.
-                reasons[row] = _too_weak(loop, members[row]) or "; ".join(whys)
+                reasons[row] = too_weak(loop, members[row]) or "; ".join(whys)
     return Runs(tuple(verdicts), *found, nearer=tuple(nearer), reasons=tuple(reasons), duration=duration)
 
 
@@ -236,13 +236,13 @@ def tilts(loop: UncertainLoop, u: Vector, end: float) -> str:
     return TILTS if loop.off_target(loop.outcome(u)) > end / 2 else ""
 
 
-def _too_weak(loop: UncertainLoop, u: Vector) -> str:
-    """Which joint's weight at rest, of a member, its drive's torque limit does not carry; empty where all do."""
+def too_weak(loop: UncertainLoop, u: Vector | None) -> str:
+    """Which joint's weight at rest its drive's torque limit does not carry, of a member as of `outcome`; else empty."""
     limit, machine = loop.settings.torque_limit, loop.box.machine
     if limit is None or not loop.gravity or not (point := loop.outcome(u)).rests:
         return ""
-    plant = build_plant(machine)
-    weight = plant.gravity(point.configuration, loop.base, loop.box.numbers(u)[0]).full().ravel()[plant.n_passive :]
+    plant, p = build_plant(machine), loop.box.nominal if u is None else loop.box.numbers(u)[0]
+    weight = plant.gravity(point.configuration, loop.base, p).full().ravel()[plant.n_passive :]
     return limit_below(machine, weight, limit, "loop.torque_limit")
 
 

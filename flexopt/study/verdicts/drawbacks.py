@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from flexopt.loop.standard_move import MOVE, UNSETTLED
 from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.several import BasePlan
+from flexopt.simulation.beyond import NOT_HELD
 from flexopt.study.verdicts.decision import BETTER, FASTER, MOST, percent, spoken
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import FIRST, STAY
@@ -38,16 +39,26 @@ def drawbacks_of(verdict: Verdict) -> str:
     way = verdict.selection.broken_between if isinstance(verdict.selection, BasePlan) and verdict.place == FIRST else ()
     rest = f"at rest beside its target {spoken(there.name)} {there.breaks_at_rest}" if there.breaks_at_rest else ""
     rest += f", {SO_LITTLE}" * ("at_rest" in there.breaking.hardly)
-    no_better = "; ".join(filter(None, (no_better, rest, *way)))
+    no_better = "; ".join(filter(None, (no_better, rest, unheld_told(there), *way)))
     stay = now if verdict.with_gains and stay is None else stay
     if stay is None or verdict.word not in ("move", "change gains"):
         return no_better
     how, found = "with the new gains it" if verdict.with_gains else "it", _worse(verdict, there, stay)
     beside = ", beside the present ones where it stands" * (verdict.with_gains is not None and verdict.place != STAY)
-    told = f"in the worst case {how} {', '.join(found)} there{beside}" if found else ""
+    parts = [f"{', '.join(found)} there{beside * (verdict.stay is not None)}"] if found else []
+    # Where it grows on all grounds there is no less to compare with.
+    if math.isnan(stay.rests_off) and there.rests_off >= FAR_OFF:
+        parts.append(f"comes to rest {there.rests_off:.3g} m off the target{' there' * (not found)}")
+    told = f"in the worst case {how} {', and '.join(parts)}" if parts else ""
     few = verdict.with_gains is not None and stay.decay.least > 0 and there.better < MOST
     than = f"than where it stands with the present ones on {percent(there.better)} of the grounds only"
     return "; ".join(filter(None, (f"with the new gains it {BETTER} {than}" * few, told, no_better)))
+
+
+def unheld_told(place: PlaceVerdict) -> str:
+    """That no drive holds the arm in a place, within a sentence; empty where one does, and where runs tell it."""
+    of_runs = place.runs is not None and any(NOT_HELD in why for why in place.runs.reasons)
+    return f"in {spoken(place.name)} {place.too_weak}" if place.too_weak and not of_runs else ""
 
 
 def _worse(verdict: Verdict, there: PlaceVerdict, stay: PlaceVerdict) -> list[str]:
@@ -76,9 +87,6 @@ def _worse(verdict: Verdict, there: PlaceVerdict, stay: PlaceVerdict) -> list[st
             found.append(words.format(f"{factor * value:.4g} instead of {instead} {unit}"))
         elif measure == "settling" and math.isnan(value) and not math.isnan(before):
             found.append(f"does not settle in a minute instead of in {before:.4g} s")
-    # Where it grows on all grounds there is no less to compare with.
-    if math.isnan(stay.rests_off) and there.rests_off >= FAR_OFF:
-        found.append(f"comes to rest {there.rests_off:.3g} m off the target")
     if there.rests_off >= UNSETTLED and there.rests_off >= (1 + FASTER) * stay.rests_off:
         stands = "where it stands" if verdict.stay else "with the present ones"
         grows = f" ({stands}, {NOT_WHERE_IT_GROWS})" if stay.decay.least <= 0 else ""

@@ -15,12 +15,13 @@ from flexopt.loop.evaluation import swing_unit
 from flexopt.loop.lag import lagged_modes
 from flexopt.loop.standard_move import MOVE
 from flexopt.loop.uncertain import FEW, SENSES, UncertainLoop
+from flexopt.loop.uncertainty_box import member_in_words
 from flexopt.model.beyond_limits import beyond_limits_told
 from flexopt.model.choices import ALLOWED_GAIN, DELAY_MARGIN, SETTLING, SWING
 from flexopt.selection.broken import cornerless
 from flexopt.study.verdicts.broken_places import Breaks, breaks_of
 from flexopt.study.verdicts.changed_gains import ChangedGains
-from flexopt.study.verdicts.confirmation import Runs
+from flexopt.study.verdicts.confirmation import Runs, too_weak
 from flexopt.study.verdicts.decision import faster, spoken
 from flexopt.study.verdicts.place_loops import (
     MEMBERS,
@@ -98,6 +99,7 @@ def judged_place(
         breaking=breaks,
         beyond_limits=beyond_limits_told(place.box.machine, spoken(name), [posture for _, posture in held]),
         cornerless=cornerless(problems_of(chosen)[0]),
+        too_weak=_too_weak(place, members),
     )
 
 
@@ -122,6 +124,16 @@ def judged_with_gains(
     return judged_place(
         name, stands[name], loop, points, worst, better, slowest, drives[name], changed.runs, chosen, breaks
     )
+
+
+def _too_weak(place: PlaceLoops, members: Sequence[Vector | None]) -> str:
+    """At which target and of which of these members a torque limit does not carry the weight; empty where of none."""
+    for k, loop in enumerate(place.loops, start=1):
+        for u in members:
+            if told := too_weak(loop, u):
+                at = f", at target {k}" * (len(place.loops) > 1)
+                return f"{told}{at}" + ("" if u is None else f", at {member_in_words(place.box.told(u))}")
+    return ""
 
 
 def _is_unseen(loop: UncertainLoop, slowest: Slowest) -> bool:

@@ -70,6 +70,8 @@ class PlaceVerdict(Result):
         beyond_limits: which joints it holds beyond the limits of the machine's file, a sentence, of a choice that left
             these out; empty where none.
         cornerless: of names in `rests_on` that end with a corner of `constraints.within`, those without it.
+        too_weak: which joint's weight at rest is above `loop.torque_limit`, with the file's numbers, at a corner of
+            what is uncertain or in the slowest member, in words; empty where none is.
     """
 
     name: str
@@ -102,12 +104,13 @@ class PlaceVerdict(Result):
     breaking: Breaks = field(repr=False)
     beyond_limits: str = ""
     cornerless: Mapping[str, str] = field(default_factory=dict[str, str], repr=False)
+    too_weak: str = ""
 
     DOCUMENT = """
     name base posture w drive[m] turn[rad] decay[1/s] stable_share slowest_at slowest_hz[Hz] slowest_target unseen
     self_motion drift[1/s] drift_at unheld unheld_at rests_off[m] rests_off_at better allowed_gain delay_margin[s]
     settling[s] swing swing_unit runs rests_on breaks breaks_at_rest
-    beyond_limits
+    beyond_limits too_weak
     """
 
     @property
@@ -148,7 +151,9 @@ class PlaceVerdict(Result):
         """What it breaks where other numbers than the file's hold, a sentence; empty where nothing."""
         told = "; constraints.within of these numbers keeps constraints there, too"
         # What its loop does not do is nothing of statics.
-        return self.breaks and f"{self.name} {self.breaks}{told * (WHERE in self.breaks)}"
+        return (
+            self.breaks and f"{self.name} {self.breaks}{told * (WHERE in self.breaks and not self.breaking.not_sought)}"
+        )
 
     @property
     def broken_at_rest(self) -> str:
