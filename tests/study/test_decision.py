@@ -484,7 +484,7 @@ def test_a_better_place_that_breaks_constraints_somewhere_is_told(
     share = 100 * max(shares.values(), default=0.0)
     better = f"; {told} decays at least 10 % faster on {share:.0f} % of the grounds, but breaks constraints on some: "
     assert found == "because" + f"{better}constraints.within seeks places that keep them there" * bool(told)
-    unsought = {name: somewhere._replace(not_sought=True) for name in shares}
+    unsought = {name: somewhere._replace(sought="none") for name in shares}
     found = with_barred(Decision(word, "stay", "because"), best_barred(shares, unsought), unsought).reason
     assert found == "because" + better.removesuffix(": ") * bool(told)
     at_rest = "breaks tool angle, 0.3 rad, where payload.mass is 3000 kg"

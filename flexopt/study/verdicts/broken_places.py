@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from itertools import product
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -46,8 +46,8 @@ class Breaks(NamedTuple):
         barring: by which of these it is none to go to or to stay at; see `with_barring`.
         hardly: which of `somewhere` and `at_rest` it breaks by `HARDLY` at most, all of it: that is told, and bars
             nothing.
-        not_sought: whether `constraints.within` seeks no place that keeps `somewhere`: constraints of the user's own,
-            and where numbers move the end-point.
+        sought: whether `constraints.within` seeks places that keep `somewhere`: not so constraints of the user's own,
+            nor what is broken by numbers that move the end-point.
     """
 
     standing: str = ""
@@ -56,7 +56,7 @@ class Breaks(NamedTuple):
     at_rest: str = ""
     barring: str = ""
     hardly: frozenset[str] = frozenset()
-    not_sought: bool = False
+    sought: Literal["all", "some", "none"] = "all"
 
     @property
     def now(self) -> str:
@@ -81,7 +81,7 @@ class Breaks(NamedTuple):
 
 def breaks_of(chosen: Chosen, place: PlaceLoops, stand: Sequence[tuple[Vector, Vector]]) -> Breaks:
     """What a place breaks of what was asked for, (base, posture) at each target."""
-    somewhere, hardly_somewhere, not_sought = broken_within(chosen, stand, place.box)
+    somewhere, hardly_somewhere, sought = broken_within(chosen, stand, place.box)
     at_rest, hardly_at_rest = broken_at_rest(chosen, place)
     hardly = {"somewhere": hardly_somewhere, "at_rest": hardly_at_rest}
     return Breaks(
@@ -90,7 +90,7 @@ def breaks_of(chosen: Chosen, place: PlaceLoops, stand: Sequence[tuple[Vector, V
         somewhere,
         at_rest,
         hardly=frozenset(kind for kind, is_so in hardly.items() if is_so),
-        not_sought=not_sought,
+        sought=sought,
     )
 
 
@@ -142,14 +142,14 @@ def _at_targets(each: Sequence[str]) -> str:
 
 def broken_within(
     chosen: Chosen, stand: Sequence[tuple[Vector, Vector]], box: UncertaintyBox
-) -> tuple[str, bool, bool]:
-    """Which constraints a place keeps with the file's numbers and breaks at a corner; whether `hardly`, `not_sought`.
+) -> tuple[str, bool, Literal["all", "some", "none"]]:
+    """Which constraints a place keeps with the file's numbers and breaks at a corner; whether `hardly`, `sought`.
 
     Those that were asked for, and those that are assumed.
     Each at the corner, of those looked at, at which it is broken most. Choices keep those of statics, as of what joints
     hold, and the user's own, with the file's payload.
     """
-    found, hardly, sought = dict[str, dict[str, dict[int, ConstraintValue | None]]](), True, True
+    found, hardly, sought = dict[str, dict[str, dict[int, ConstraintValue | None]]](), True, set[bool]()
     for k, (problem, at) in enumerate(zip(problems_of(chosen), stand, strict=True), start=1):
         z, worst = np.concatenate(at), dict[str, _Broken]()
         if broken_names(problem, z, asked=True):
@@ -161,7 +161,7 @@ def broken_within(
         hardly &= all(most.hardly for most in worst.values())
         for name, most in worst.items():
             plain = _plainest(problem, z, whole, most)
-            sought &= _is_sought(problem, whole, plain)
+            sought.add(_is_sought(problem, whole, plain))
             where = told_numbers(box.machine, whole.numbers_at(plain.theta)[0].tolist())
             found.setdefault(where, {}).setdefault(name, {})[k] = plain.value
     told = list[str]()
@@ -173,7 +173,7 @@ def broken_within(
             for name, at in names.items()
         ]
         told.append(f"breaks {'; '.join(each)},{WHERE}{where}")
-    return "; ".join(told), bool(told) and hardly, not sought
+    return "; ".join(told), bool(told) and hardly, "some" if len(sought) > 1 else "all" if all(sought) else "none"
 
 
 def _is_sought(problem: SelectionProblem, box: UncertaintyBox, most: _Broken) -> bool:

@@ -152,7 +152,8 @@ class PlaceVerdict(Result):
         told = "; constraints.within of these numbers keeps constraints there, too"
         # What its loop does not do is nothing of statics.
         return (
-            self.breaks and f"{self.name} {self.breaks}{told * (WHERE in self.breaks and not self.breaking.not_sought)}"
+            self.breaks
+            and f"{self.name} {self.breaks}{told * (WHERE in self.breaks and self.breaking.sought != 'none')}"
         )
 
     @property

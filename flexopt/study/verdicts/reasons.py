@@ -53,7 +53,7 @@ def breaking_told(chosen: Chosen, breaks: Breaks, now: Sequence[tuple[Vector, Ve
     may = not breaks.now and not given and any(map(held_otherwise, (problem, *others)))
     others_may = "; held in another posture it may break none" * may
     others_may += ", and constraints.within of these numbers has one looked for that breaks none there" * (
-        may and bool(breaks.somewhere) and not breaks.not_sought
+        may and bool(breaks.somewhere) and breaks.sought == "all"
     )
     return f"the present place{held} {breaks.now or breaks.otherwise}{stay.grows_told}{others_may}"
 
@@ -113,7 +113,7 @@ def with_barred(decision: Decision, barred: Sequence[tuple[str, str, float]], br
     for kind, name, share in barred if decision.word in KEPT else ():
         better, broken = f"{name} {BETTER} on {percent(share)} of the grounds, but", breaks[name].at_rest
         if kind == "somewhere":
-            seeks = ": constraints.within seeks places that keep them there" * (not breaks[name].not_sought)
+            seeks = ": constraints.within seeks places that keep them there" * (breaks[name].sought == "all")
             told = f"{better} breaks constraints on some{seeks}"
         else:
             told = f"{better} at rest beside its target {broken}: {INTEGRAL}, a higher Kp brings it nearer"

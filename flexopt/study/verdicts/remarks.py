@@ -47,7 +47,7 @@ def on_places(verdict: Verdict) -> list[str]:
     unconfirmed, found = doubts(verdict), list[str]()
     own = ", all but Functions of one's own" * any(problem.own_constraints for problem in verdict.problems)
     for place in verdict.places:
-        broken = place.broken + own * (WHERE in place.breaks)
+        broken = place.broken + own * (WHERE in place.breaks and place.breaking.sought != "none")
         found += [place.rest, place.beyond_limits, broken, place.broken_at_rest]
         if place.name in verdict.exclusions:
             none = "none to stay at" if place.name == STAY else "none to go to"
