@@ -37,6 +37,7 @@ from flexopt.model.simulation import SimulationKeywords, SimulationOptions, on_t
 from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Behaviour, behaviour
+from flexopt.simulation.beyond import unheld
 from flexopt.simulation.linear import SampledLoop, coordinates
 from flexopt.simulation.members import (
     Keep,
@@ -311,6 +312,7 @@ def simulate_ensemble(
         _check_room(plan)
         shares = _run(plan, threads or available_cores(), progress)
         _warn_of_outgrown(shares)
+        _warn_of_unheld(plan, "actuator" if settings is None else "loop")
         shapes = {name: list(np.shape(value)) for name, value in asked.items()}
         return Ensemble(
             _dataset(plan, asked, shares),
@@ -368,6 +370,18 @@ def _warn_of_outgrown(shares: list[_Share]) -> None:
     who = f"member {first}" if outgrown.size == 1 else f"{outgrown.size} members"
     at = f"at {until[first]:.4g} s" + ("" if outgrown.size == 1 else f" and later, member {first} first")
     warn_user(f"{who} {OUTGREW} {at}; what follows is not a number", FlexoptWarning)
+
+
+def _warn_of_unheld(plan: Plan, table: str) -> None:
+    """Tell how many members are too heavy for a `torque_limit` of a table, and why the first of them is."""
+    if plan.scenario.options.actuator.torque_limit is None:
+        return
+    weights = parameters_of_members(plan.scenario.machine, plan.varied, plan.n).T
+    told = {k: why for k, p in enumerate(weights) if (why := unheld(plan.scenario, p, table))}
+    if told:
+        first = next(iter(told))
+        who = f"member {first}" if len(told) == 1 else f"{len(told)} of {plan.n} members, member {first} first"
+        warn_user(f"{who}: {told[first]}", FlexoptWarning)
 
 
 def _run(plan: Plan, threads: int, progress: Progress | None) -> list[_Share]:

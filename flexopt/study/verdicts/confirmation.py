@@ -23,7 +23,7 @@ from flexopt.model.simulation import on_their_way
 from flexopt.plant import build_plant
 from flexopt.simulation import simulate_ensemble
 from flexopt.simulation.behaviour import FEWEST_WINDOWS
-from flexopt.simulation.beyond import limit_below
+from flexopt.simulation.beyond import NOT_HELD, limit_below
 from flexopt.simulation.ensemble import Ensemble, judged_beside
 from flexopt.simulation.real_loop import SHORTER, braked, braked_by, run_options
 from flexopt.simulation.run import OUTGREW
@@ -314,7 +314,7 @@ def _ensemble(loop: UncertainLoop, members: Vector, duration: float, substeps: i
     vary = {machine.parameters[k].name: varied[:, k] for k in moved} | {"delay": [late for _, late in each]}
     with warnings.catch_warnings():
         # Here that is a verdict as others are.
-        warnings.filterwarnings("ignore", f".*{OUTGREW}", FlexoptWarning)
+        warnings.filterwarnings("ignore", f".*({OUTGREW}|{NOT_HELD})", FlexoptWarning)
         return simulate_ensemble(
             braked(holding(machine, loop.posture), brakes), loop.posture, base=loop.base, vary=vary,
             gravity=loop.gravity, substeps=substeps, duration=duration, **run_options(machine, s),
