@@ -20,7 +20,7 @@ LONG_KEY = re.compile(rf"(?<![^\s.=\[\]{{}},#])(?:[^\s.=\[\]{{}},#]++[ \t]*+\.[ 
 # Longer words are no file names to any system.
 NAME_MAX = 200
 # Robot files: a machine file names them.
-ROBOT_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro")
+ROBOT_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf")
 
 ShippedKind = Literal["models", "problems"]
 WORDS: dict[ShippedKind, str] = {"models": "machine", "problems": "problem"}

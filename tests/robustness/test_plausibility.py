@@ -498,6 +498,8 @@ def test_what_cannot_be_checked(value: Any) -> None:
 def test_faults_of_files_are_part_of_the_result(tmp_path: Path) -> None:
     assert flexopt.check("excavtor").faults[0].sentence.count("did you mean 'excavator'?") == 1
     (tmp_path / "arm.urdf").write_text(changed_text(URDF, 'lower="-0.5"', 'lover="-0.5"'))
+    (tmp_path / "arm.sdf").write_text("<sdf version='1.7'/>")
+    assert "convert SDF to URDF first" in repr(flexopt.check(tmp_path / "arm.sdf"))
     robot = flexopt.check(tmp_path / "arm.urdf")
     assert (robot.kind, robot.status) == ("robot", "faults")
     assert "did you mean 'lower'?" in robot.faults[0].sentence
