@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
@@ -180,10 +180,11 @@ def select_command(
     # Before the verdict, whose runs take minutes where an arm has many joints.
     if not as_json:
         _tell_choice(result, identified, certificate, judged=judged_too)
+    said = _unchanged if identified is None else of_the_log
     more = {} if certificate is None else {"certificate": certificate}
     more |= {} if identified is None else {"identification": identified.to_dict()}
     judge = partial(_judgement, result, own, **judged) if judged_too else None
-    place = _hand_out(result.to_dict() | more, judge, judged, out, as_json=as_json)
+    place = _hand_out(said(result.to_dict()) | more, judge, judged, out, said, as_json=as_json)
     # Last: what cannot be drawn is no reason to lose a verdict.
     if drawn and place:
         from flexopt.study.reports.surroundings import spoken_of  # noqa: PLC0415  (what only verdicts need)
@@ -196,11 +197,12 @@ def select_command(
 
 
 def _hand_out(
-    chosen: Document, judge: Callable[..., Verdict] | None, judged: dict[str, Any], out: str | None, *, as_json: bool
-) -> str:
+    chosen: Document, judge: Callable[..., Verdict] | None, judged: dict[str, Any], out: str | None,
+    said: Callable[[Any], Any], *, as_json: bool,
+) -> str:  # fmt: skip
     """Write the choice, judge it where that is asked, and write both; it stands where no verdict is to be had.
 
-    Of which place the verdict speaks; empty without one.
+    Of which place the verdict speaks; empty without one. `said`: what it says, in the words to say it in.
     """
 
     def write() -> None:
@@ -220,9 +222,9 @@ def _hand_out(
             refused = error
             chosen = chosen | {"verdict": {"status": "failed", "error": json_ready(error.to_dict())}}
         else:
-            chosen, place = chosen | {"verdict": judgement.to_dict()}, judgement.place
+            chosen, place = chosen | {"verdict": said(judgement.to_dict())}, judgement.place
             if not as_json:
-                say(f"\n{judgement!r}")
+                say(f"\n{said(repr(judgement))}")
         write()
     if as_json:
         print_json(chosen)
@@ -240,11 +242,40 @@ def _tell_choice(
 ) -> None:
     from flexopt.selection import Selection  # noqa: PLC0415  (`evaluate` does not need it)
 
+    text = _selection_text(result, judged=judged) if isinstance(result, Selection) else repr(result)
     if identified is not None:
         say(f"{identified!r}\n")
-    say(_selection_text(result, judged=judged) if isinstance(result, Selection) else repr(result))
+        say("the machine has these numbers now, which factors of ranges multiply: the log's, in what follows\n")
+        text = of_the_log(text)
+    say(text)
     if certificate is not None:
         say(f"\n{certificate['status']}")
+
+
+# What results call the file's, of a machine whose numbers a log has told.
+_OF_THE_LOG = {
+    "of the file's": "of the log's",
+    "than the file's": "than the log's",
+    "with the file's numbers": "with the log's numbers",
+    "with the numbers of the file": "with the numbers of the log",
+    "than the machine's file has": "than the log or the machine's file has",
+    "is as the machine's file has it": "is as the log and the machine's file have it",
+}
+
+
+def of_the_log(told: Any) -> Any:
+    """Texts of an identified machine's result and document: its numbers are the log's, and not the file's."""
+    if isinstance(told, str):
+        for of_file, of_log in _OF_THE_LOG.items():
+            told = told.replace(of_file, of_log)
+        return told
+    if isinstance(told, Mapping):
+        return {name: of_the_log(each) for name, each in cast(Mapping[str, Any], told).items()}
+    return [of_the_log(each) for each in cast("list[Any]", told)] if isinstance(told, list) else told
+
+
+def _unchanged(told: Any) -> Any:
+    return told
 
 
 def _identified(swing: str, imu: Any, settings: dict[str, Any], as_json: bool) -> Identification:

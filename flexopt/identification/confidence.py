@@ -37,8 +37,11 @@ SAME = 1e-3
 SEEN = 9.0
 # The chance that another fit than the best is as good, and by what its squares, in those of the noise, are then more.
 BY_CHANCE, BETTER_BY = 0.001, 10.8
-# Into how many stretches a log is cut, long enough to know little of each other.
+# Into how many stretches a log is cut, which are to know little of each other.
 STRETCHES = 6
+# A fit that leaves residuals so many times as large is no other that fits: of squares in as many stretches that know
+# nothing of each other fewer than 1 in 100 are by chance (Fisher's F).
+FAR = 3.0
 # Of the log, over which residuals may know of each other; by what that widens an interval of 95 %.
 REACH, LONG = 0.1, 2.26 / 1.96
 # Steps of θ in differences of poles, which themselves are known to 1e-12; the least share that is no rounding.
@@ -150,12 +153,14 @@ def is_white(residual: Vector) -> bool:
 def told_apart(least: Fit, other: Fit, values: Array) -> bool:
     """Whether the samples `values` (N, c) say that one fit is better than another, whatever they have in common.
 
-    The other's −2 log of the likelihood is more by Σ_t d_t, d = Σ_c 2 ln(σ_o/σ_l) + r_o²/σ_o² − r_l²/σ_l²: by more than
-    `BETTER_BY`, and where residuals are not white in more stretches of the log than chance has it. So what no fit has,
-    as a spring that is not linear, decides nothing by itself.
+    The other's −2 log of the likelihood is more by more than `BETTER_BY`, and where residuals are not white its squares
+    are more by Σ_t d_t, d = Σ_c (r_o² − r_l²)/σ_l², in more stretches of the log than chance has it, or its residuals
+    are `FAR` times as large. So what no fit has, as a spring that is not linear, decides nothing by itself. Each
+    stretch has the same share of the squares by which the fits differ, for a swing dies away.
 
-    Source: Vuong, Econometrica 57 (1989), for d; Ibragimov and Müller, J. Business and Economic Statistics 28 (2010),
-    for Student's t of a few stretches, however instants within them know of each other.
+    Source: Vuong, Econometrica 57 (1989), for two fits of which none need be true; Ibragimov and Müller, J. Business
+    and Economic Statistics 28 (2010), for Student's t of a few stretches, however instants within them know of each
+    other.
     """
     from scipy.stats import t  # noqa: PLC0415  (loads slowly)
 
@@ -164,16 +169,15 @@ def told_apart(least: Fit, other: Fit, values: Array) -> bool:
     residual = np.where(least.used, least.fitted - values, np.nan)
     if all(is_white(column[np.isfinite(column)]) for column in residual.T):
         return True
-    both = least.used & other.used
-    by_time = (_unlikely(other, values, both) - _unlikely(least, values, both)).sum(axis=1)
-    sums = np.array([stretch.sum() for stretch in np.array_split(by_time, STRETCHES)])
+    both, scale = least.used & other.used, least.sigma**2
+    if math.exp(np.average(np.log(other.sigma / least.sigma), weights=both.sum(axis=0))) > FAR:
+        return True
+    squares = [np.where(both, (each.fitted - values) ** 2 / scale, 0.0) for each in (other, least)]
+    apart = np.where(both, (other.fitted - least.fitted) ** 2 / scale, 0.0).sum(axis=1).cumsum()
+    stretch = np.minimum(STRETCHES * apart / max(apart[-1], SMALLEST), STRETCHES - 1).astype(int)
+    sums = np.bincount(stretch, weights=(squares[0] - squares[1]).sum(axis=1), minlength=STRETCHES)
     spread = float(sums.std(ddof=1)) / math.sqrt(STRETCHES)
     return bool(sums.mean() > float(t.isf(BY_CHANCE, STRETCHES - 1)) * spread)
-
-
-def _unlikely(found: Fit, values: Array, used: NDArray[np.bool_]) -> Array:
-    """−2 log of the likelihood of each sample, and a constant, (N, c); 0 where it is not used."""
-    return np.where(used, 2 * np.log(found.sigma) + ((found.fitted - values) / found.sigma) ** 2, 0.0)
 
 
 def _scores(p: Array, residual: Array, used: NDArray[np.bool_]) -> Array:

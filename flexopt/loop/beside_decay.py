@@ -15,6 +15,9 @@ from flexopt.foundation.arrays import Vector
 from flexopt.loop.outcome import LoopPoint
 from flexopt.loop.uncertain import UncertainLoop
 
+# Share of the most that a joint carries below which friction holds what drives a self-motion.
+FELT = 0.01
+
 
 class BesideDecay(NamedTuple):
     """The worst of members, and where: factors and values by name, empty where there is none.
@@ -40,8 +43,9 @@ class BesideDecay(NamedTuple):
             return cls(math.nan, {}, {}, {}, 0.0, {})
         points = points or [loop.outcome(u) for u in members]
         drift, drifting = loop.fastest_drift(members, points)
-        # Of joints that it moves on some ground: the most may be where they carry so much that friction holds them.
-        unheld = np.array([point.unheld for point in points]) * np.any([point.felt for point in points], axis=0)
+        # Friction holds less than `FELT` of the most that a joint carries on any ground.
+        unheld = np.array([point.unheld for point in points])
+        unheld *= np.abs(unheld).max(axis=0) > FELT * np.max([point.carried for point in points], axis=0)
         driven = int(np.argmax(np.abs(unheld).max(axis=1)))
         by_joint = dict(zip(loop.box.machine.joints, unheld[driven].tolist(), strict=True))
         # Of what grows there is a rest that it does not come to.

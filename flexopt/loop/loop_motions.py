@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from flexopt.foundation.arrays import ComplexArray, Mask, Vector
+from flexopt.foundation.arrays import ComplexArray, Vector
 from flexopt.loop.assembly import OneSample, Slopes
 from flexopt.loop.small_motions import AT_REST, BY, DEAD_TIME, Parts, SmallMotions
 from flexopt.loop.spectrum import (
@@ -69,8 +69,6 @@ UNDEFINED = Measured(math.nan)
 FALLS = np.array([complex(np.finfo(np.float64).max)])
 # And what that says.
 NOWHERE_HELD = "the feedback is not found to hold the weight, which the controller does not know, anywhere near"
-# Share of what a joint carries below which friction holds what drives a self-motion.
-FELT = 0.01
 # Share of what a joint can carry at most below which that is rounding, of a slew that carries nothing, too: that leaves
 # some 1e-15, times the condition of Jv squared.
 CANCELLED = 1e-6
@@ -153,16 +151,19 @@ class LoopMotions:
 
         No feedback of the end-point holds it. 0 of joints at which it is below `CANCELLED` of what they can carry.
         """
-        if not (self._excess and self.motions.own_model and self.rests):
+        if not self._may_be_driven:
             return np.zeros(self.motions.plant.n_actuated)
         _, unheld, _, most = self._at_rest
         return np.where(np.abs(unheld) > CANCELLED * most, unheld, 0.0)
 
     @property
-    def felt(self) -> Mask:
-        """Which joints `unheld` moves, (n,): not below `FELT` of what they carry, which friction holds."""
-        unheld = np.abs(self.unheld)
-        return unheld > FELT * np.abs(self._at_rest[2]) if unheld.any() else unheld > 0
+    def carried(self) -> Vector:
+        """What the joints carry at rest (n,), N m or N; zeros where nothing can be `unheld`."""
+        return np.abs(self._at_rest[2]) if self._may_be_driven else np.zeros(self.motions.plant.n_actuated)
+
+    @property
+    def _may_be_driven(self) -> bool:
+        return bool(self._excess and self.motions.own_model and self.rests)
 
     @cached_property
     def _own(self) -> OwnMotion:

@@ -88,8 +88,10 @@ def from_sample_to_sample(names: Sequence[str], rate: float) -> str:
 
 
 def drifting_self_motion(drift: Sequence[float]) -> list[str]:
-    """A sentence for each growth rate above zero of a redundant arm's self-motion, 1/s."""
-    return [f"the arm's self-motion drifts, e-fold in {1 / rate:.3g} s" for rate in drift if rate > 0]
+    """A sentence where a redundant arm's self-motion, of growth rates `drift`, 1/s, has some above zero."""
+    each = [f"{1 / rate:.3g} s" for rate in sorted(drift, reverse=True) if rate > 0]
+    others = f", other ways of it in {listed(each[1:])}" * (len(each) > 1)
+    return [f"the arm's self-motion drifts, e-fold in {each[0]}{others}"] if each else []
 
 
 def slow_self_motion(drift: Sequence[float], decay: float) -> list[str]:

@@ -135,10 +135,8 @@ def _of_placement(machine: AnyMachine) -> Iterator[ImplausibleNumber]:
             f"placement = {quoted(kept)}, or {row}" if kept else row,
         )  # fmt: skip
     elif placed:
-        along = placed[0]
-        normal = dict(zip("xyz", _normal(machine), strict=True))
-        if abs(normal[along]) > ASIDE * abs(normal[aside[0]]) > 0.0:
-            slope = abs(normal[along] / normal[aside[0]])
+        along, slope = placed[0], _aside(machine, placed[0], aside[0])
+        if ASIDE < slope < 1 / ASIDE:
             yield ImplausibleNumber(
                 "placement", quoted(placed), f"the arm moves in a plane {math.atan(slope):.3g} rad aside of {along}: "
                 f"for each m of {along} the end-point's {aside[0]}, which is no task row, changes by {slope:.3g} m: "
@@ -147,15 +145,28 @@ def _of_placement(machine: AnyMachine) -> Iterator[ImplausibleNumber]:
             )  # fmt: skip
 
 
-def _normal(machine: AnyMachine) -> Array:
-    """Unit normal (3,) of the plane in which the joints move the end-point; zeros where they keep to none."""
+def _aside(machine: AnyMachine, along: str, aside: str) -> float:
+    """By how much the end-point's one coordinate changes with the other as the joints move it in one plane or line.
+
+    0 where they keep to none, or to one of which neither is a part.
+    """
     plant = build_plant(machine)
     base, p = np.zeros(plant.n_base), plant.parameter_values
     moved = [
         position_jacobian(plant, plant.rest(base, posture, p).full().ravel(), base) for posture in _postures(machine)
     ]
     directions, sizes, _ = np.linalg.svd(np.hstack(moved))
-    return directions[:, 2] if sizes[2] < ASIDE * sizes[1] else np.zeros(3)
+    i, j = "xyz".index(along), "xyz".index(aside)
+    # Of a line its direction says it, of a plane its normal.
+    if sizes[1] < ASIDE * sizes[0]:
+        i, j, way = j, i, directions[:, 0]
+    elif sizes[2] < ASIDE * sizes[1]:
+        way = directions[:, 2]
+    else:
+        return 0.0
+    if math.hypot(way[i], way[j]) < ASIDE:
+        return 0.0
+    return abs(float(way[i] / way[j])) if way[j] else math.inf
 
 
 def modes_at(plant: Plant, posture: Array, *, held: bool = False) -> tuple[Array, Array]:

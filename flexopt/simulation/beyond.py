@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -17,9 +16,7 @@ from flexopt.compiled.threaded import Interpreter
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import limit_unit
 from flexopt.model import AnyMachine
-from flexopt.plant import build_plant
 from flexopt.plant.hydraulics import build_hydraulics
-from flexopt.simulation.scenario import Scenario
 
 # Beyond is what is so by more than rounding, of the larger end of a range.
 ROUNDING = 1e-9
@@ -41,15 +38,6 @@ def limit_below(machine: AnyMachine, weight: Vector, limit: ArrayLike, name: str
     unit, less = limit_unit([machine.joint_units[k]]), " less the dead band" * (band is not None)
     bears = f"{machine.joints[k]} bears {abs(weight[k]):.4g} {unit} at rest, and {name}{less} gives it"
     return f"{NOT_HELD}: {bears} {gives[k]:.4g} {unit}"
-
-
-def unheld(scenario: Scenario, p: Vector | ca.DM, of: str = "actuator") -> str:
-    """The like of a run of the machine with parameters p (n_par,), whose `torque_limit` is a key of the table `of`."""
-    s, plant, actuator = scenario, build_plant(scenario.machine), scenario.options.actuator
-    if actuator.torque_limit is None or not s.options.gravity:
-        return ""
-    weight: Vector = plant.gravity.call([s.q_design, s.base, p])[0].full().ravel()[plant.n_passive :]
-    return limit_below(s.machine, weight, actuator.torque_limit, f"{of}.torque_limit", actuator.dead_band)
 
 
 def beyond_the_machine(

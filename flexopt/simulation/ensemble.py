@@ -37,7 +37,6 @@ from flexopt.model.simulation import SimulationKeywords, SimulationOptions, on_t
 from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import Behaviour, behaviour
-from flexopt.simulation.beyond import unheld
 from flexopt.simulation.linear import SampledLoop, coordinates
 from flexopt.simulation.members import (
     Keep,
@@ -48,7 +47,17 @@ from flexopt.simulation.members import (
     parameters_of_members,
 )
 from flexopt.simulation.real_loop import in_shorter_steps, with_loop
-from flexopt.simulation.run import OUTGREW, check_residual, grew, moves, note_run, runners, signals_at_end, unfollowed
+from flexopt.simulation.run import (
+    OUTGREW,
+    check_residual,
+    grew,
+    moves,
+    note_run,
+    runners,
+    signals_at_end,
+    table_of_limits,
+    unfollowed,
+)
 from flexopt.simulation.scenario import SIMULATED, build_scenario, checked_options
 from flexopt.simulation.verdict import Judgement, LoopVerdict, grounds_of, judge
 
@@ -312,14 +321,15 @@ def simulate_ensemble(
         _check_room(plan)
         shares = _run(plan, threads or available_cores(), progress)
         _warn_of_outgrown(shares)
-        _warn_of_unheld(plan, "actuator" if settings is None else "loop")
+        ends = np.concatenate([share.last for share in shares], axis=1) if moves(s) or redundant else None
+        _warn_of_unheld(Members(plan, ends, moves(s), table_of_limits(settings)))
         shapes = {name: list(np.shape(value)) for name, value in asked.items()}
         return Ensemble(
             _dataset(plan, asked, shares),
             provenance(own, vary=shapes, keep=keep, **asked_for.model_dump(exclude_unset=True)),
             plan,
             tuple(share.measures for share in shares),
-            np.concatenate([share.last for share in shares], axis=1) if moves(s) or redundant else None,
+            ends,
         )
 
     return in_shorter_steps(run, given, real)
@@ -372,15 +382,13 @@ def _warn_of_outgrown(shares: list[_Share]) -> None:
     warn_user(f"{who} {OUTGREW} {at}; what follows is not a number", FlexoptWarning)
 
 
-def _warn_of_unheld(plan: Plan, table: str) -> None:
-    """Tell how many members are too heavy for a `torque_limit` of a table, and why the first of them is."""
-    if plan.scenario.options.actuator.torque_limit is None:
-        return
-    weights = parameters_of_members(plan.scenario.machine, plan.varied, plan.n).T
-    told = {k: why for k, p in enumerate(weights) if (why := unheld(plan.scenario, p, table))}
+def _warn_of_unheld(members: Members) -> None:
+    """Tell how many members are too heavy for their drives, and why the first of them is."""
+    n = members.plan.n
+    told = {k: why for k in range(n) if (why := members.of(k).unheld)}
     if told:
         first = next(iter(told))
-        who = f"member {first}" if len(told) == 1 else f"{len(told)} of {plan.n} members, member {first} first"
+        who = f"member {first}" if len(told) == 1 else f"{len(told)} of {n} members, member {first} first"
         warn_user(f"{who}: {told[first]}", FlexoptWarning)
 
 

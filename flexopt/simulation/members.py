@@ -20,11 +20,10 @@ from flexopt.loop.loop_motions import NOWHERE_HELD
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import taken_early
 from flexopt.plant.machine_motion import constant_names, constants
-from flexopt.simulation.beyond import unheld
 from flexopt.simulation.linear import SampledLoop, bare_scenario, where_held
 from flexopt.simulation.run import signals_at_end
 from flexopt.simulation.scenario import Scenario, start_states
-from flexopt.simulation.verdict import Arrived, about, arrived_at, growth_about
+from flexopt.simulation.verdict import Arrived, about, arrived_at, growth_about, may_be_unheld, unheld
 
 Keep = Literal["measures", "trajectories"]
 
@@ -119,11 +118,13 @@ class Members:
         plan: of the ensemble.
         last: states of all members at the end (n_x, N), where their arms have a self-motion or `moved`; else None.
         moved: whether base or target were.
+        table: of a file, in which the limits of its drives are.
     """
 
     plan: Plan
     last: Vector | None
     moved: bool
+    table: str = "actuator"
 
     def of(self, k: int) -> Member:
         """Of one member."""
@@ -167,7 +168,11 @@ class Member:
     @property
     def unheld(self) -> str:
         """See `verdict.Ran`."""
-        return unheld(self.among.plan.scenario, self.among.parameters[:, self.k])
+        here, options = self._own(self.among.exact), self.among.plan.scenario.options
+        if here is None or not may_be_unheld(options):
+            return ""
+        x = self._last if self.among.moved else where_held(here)
+        return "" if x is None else unheld(here, x, self._signals(here), options.actuator, self.among.table)
 
     def integrated(self) -> float | None:
         """See `verdict.Ran`."""

@@ -30,7 +30,7 @@ from flexopt.model.simulation import SimulationKeywords, SimulationOptions
 from flexopt.model.simulation_faults import own_loop
 from flexopt.plant import Plant, build_plant
 from flexopt.simulation.behaviour import GROWN, STILL, Behaviour, behaviour
-from flexopt.simulation.beyond import beyond_the_machine, unheld
+from flexopt.simulation.beyond import beyond_the_machine
 from flexopt.simulation.linear import SampledLoop
 from flexopt.simulation.real_loop import in_shorter_steps, note_loop, with_loop
 from flexopt.simulation.scenario import SIMULATED, Scenario, build_scenario, checked_options, note_options
@@ -119,7 +119,7 @@ def simulate_checked(scenario: Scenario, settings: LoopSettings | None = None) -
     records = runner(s.start, empty if folded else constants, steps=s.samples, e=signals)
     x = np.concatenate([s.start[:, None], records.x[:, :, 0].T], axis=1)
     outputs = shown_at(s, shown, x, signals)
-    ended = Ended(s.machine, s.options, x[:, -1].copy(), unheld=unheld(s, s.p, _table(settings)))
+    ended = Ended(s.machine, s.options, x[:, -1].copy(), table=table_of_limits(settings))
     left = "left the finite numbers"
     breaks = int(unfollowed(loop.structure, records.monitor)[0])
     if breaks < s.samples:
@@ -254,11 +254,11 @@ def _trajectory(
         brake = ""
     sentences = _warnings(s, plant, outputs, of, brake, left)
     joints, rates, torques = (outputs[name][-plant.n_actuated :] for name in ("q", "v", "torque"))
-    sentences += (ended.unheld,) * bool(ended.unheld)
+    sentences += tuple(filter(None, [ended.unheld]))
     if of.finite_until[0] >= s.times[-1]:
         # What diverges has no extremes.
         bears = s.options.actuator.torque_limit is not None or s.loop.structure.served
-        saturating = "" if bears else f"{_table(settings)}.torque_limit"
+        saturating = "" if bears else f"{ended.table}.torque_limit"
         sentences += beyond_the_machine(s.machine, joints, rates, torques, saturating)
     for sentence in sentences:
         warn_user(sentence, FlexoptWarning)
@@ -297,7 +297,7 @@ def _trajectory(
     )
 
 
-def _table(settings: LoopSettings | None) -> str:
+def table_of_limits(settings: LoopSettings | None) -> str:
     """Which table of a file the limits of a run's drives are in."""
     return "actuator" if settings is None else "loop"
 

@@ -20,8 +20,10 @@ from flexopt.loop.loop_motions import NOWHERE_HELD, falling
 from flexopt.loop.spectrum import CAUSES, from_sample_to_sample, too_much
 from flexopt.loop.tangent import Tangent, at_rest
 from flexopt.model import AnyMachine
-from flexopt.model.simulation import SimulationOptions
+from flexopt.model.simulation import Actuator, SimulationOptions
+from flexopt.plant import build_plant
 from flexopt.simulation.behaviour import ROUNDING, Grounds, Shown
+from flexopt.simulation.beyond import limit_below
 from flexopt.simulation.linear import SampledLoop, bare_scenario, coordinates, loop_about, self_motion, where_held
 from flexopt.simulation.scenario import Scenario
 
@@ -70,7 +72,7 @@ class Ran(Protocol):
 
     @property
     def unheld(self) -> str:
-        """See `Ended`."""
+        """Which drive's `torque_limit` is below the weight where the loop rests without it; empty where none is."""
         ...
 
     @property
@@ -95,14 +97,27 @@ class Ended:
         machine, options: of the run, checked.
         x: states at its end.
         e: signals there where base or target were moved; else None: it goes on about its design.
-        unheld: which drive's limit is below the weight at rest, see `beyond.unheld`; empty where none is.
+        table: of a file, in which the limits of its drives are.
     """
 
     machine: AnyMachine
     options: SimulationOptions
     x: Vector | None = None
     e: Vector | None = None
-    unheld: str = ""
+    table: str = "actuator"
+
+    @property
+    def unheld(self) -> str:
+        """See `Ran`."""
+        if not may_be_unheld(self.options):
+            return ""
+        try:
+            bare = bare_scenario(self.machine, self.options, paths=self.e is not None)
+        except FlexoptError:
+            return ""
+        total = bare.loop.signals.total
+        x, e = (bare.resting, np.zeros(total)) if self.e is None else (self.x, self.e[:total])
+        return "" if x is None else unheld(bare, x, e, self.options.actuator, self.table)
 
     @property
     def integrator(self) -> str:
@@ -187,6 +202,21 @@ def about(scenario: Scenario, x: Vector, e: Vector) -> SampledLoop | str:
         return NO_REST if found is None else loop_about(scenario, found[0], e, found[1])
     except FlexoptError as error:
         return str(error)
+
+
+def may_be_unheld(options: SimulationOptions) -> bool:
+    """Whether drives are limited that bear a weight."""
+    return options.gravity and options.actuator.torque_limit is not None
+
+
+def unheld(scenario: Scenario, x: Vector, e: Vector, actuator: Actuator, table: str) -> str:
+    """Which drive gives less than the weight in the rest that is found from a state; empty where none does."""
+    found, s = _rest(scenario, x, e), scenario
+    if found is None or actuator.torque_limit is None:
+        return ""
+    plant = build_plant(s.machine)
+    weight: Vector = plant.gravity.call([coordinates(s, found[0]), s.base, s.p])[0].full().ravel()[plant.n_passive :]
+    return limit_below(s.machine, weight, actuator.torque_limit, f"{table}.torque_limit", actuator.dead_band)
 
 
 def growth_about(scenario: Scenario, x: Vector, e: Vector) -> float | None:

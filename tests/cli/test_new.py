@@ -255,6 +255,37 @@ def test_an_arm_in_a_plane_is_placed_in_it(
             assert ("may lie beside the target" in told) == ("changes by 0.309 m" in told) == (turn > 0.1)  # tan 0.3
 
 
+@pytest.mark.parametrize(
+    ("kind", "axis", "turn", "rows", "told"),
+    [
+        ("prismatic", "1 0 0", 0.3, ["x"], "0.309"),  # a line
+        ("prismatic", "1 0 0", 0.0, ["x"], ""),
+        ("prismatic", "0 0 1", 0.3, ["z"], ""),
+        ("revolute", "0 1 0", 0.3, ["x"], "0.309"),
+        ("revolute", "0 0 1", 0.3, ["x"], ""),  # a plane of which both are a part
+    ],
+)
+def test_a_single_joint_aside_of_its_placement(
+    command: Command, kind: str, axis: str, turn: float, rows: list[str], told: str
+) -> None:
+    inertial = "<inertial><mass value='9'/><inertia ixx='1' ixy='0' ixz='0' iyy='1' iyz='0' izz='1'/></inertial>"
+    links = "".join(f"<link name='{name}'>{inertial}</link>" for name in ("cart", "arm")) + "<link name='tip'/>"
+    joint = f"<joint name='a' type='{kind}'><parent link='cart'/><child link='arm'/><origin rpy='0 0 {turn}'/><axis xyz='{axis}'/>"
+    joint += (
+        "<limit lower='-1' upper='1' effort='9' velocity='1'/></joint><joint name='b' type='fixed'><parent link='arm'/>"
+    )
+    joint += "<child link='tip'/><origin xyz='0.6 0 0.4'/></joint>"
+    command.write("arm.urdf", f"<robot name='arm'>{links}{joint}</robot>")
+    command.write(
+        "arm.toml",
+        f"schema = 1\nname = 'arm'\nrobot = 'arm.urdf'\nactuated = ['a']\nplacement = ['x']\n[base]\nstiffness = "
+        f"{{ z = 2e4, pitch = 9e3 }}\n[end_point]\nlink = 'tip'\nrows = {rows}\n",
+    )
+    found = command("check", "arm.toml").stdout
+    assert (f"the end-point's y, which is no task row, changes by {told} m" in found) == bool(told), found
+    assert ("may lie beside the target" in found) == bool(told)
+
+
 def test_what_the_springs_carry_is_all_that_does_not_move_on_them(command: Command) -> None:
     """By Pinocchio, which holds the joints that are not driven."""
     inertial = "<inertial><mass value='{}'/><inertia ixx='9' ixy='0' ixz='0' iyy='9' iyz='0' izz='9'/></inertial>"

@@ -402,8 +402,8 @@ def test_what_drives_a_self_motion_under_an_unknown_weight() -> None:
     driven = more - np.linalg.pinv(jacobian) @ jacobian @ more
     np.testing.assert_allclose(point.unheld, driven, rtol=1e-6)
     # Less than a hundredth of what a joint carries is left out.
-    assert point.felt.tolist() == (np.abs(driven) > 0.01 * np.abs(heavy)).tolist()
-    driven = np.where(point.felt, driven, 0.0)
+    np.testing.assert_allclose(point.carried, np.abs(heavy), rtol=1e-6)
+    driven = np.where(np.abs(driven) > 0.01 * np.abs(heavy), driven, 0.0)
     assert np.flatnonzero(driven).tolist() == [2]
     # A region tells the end of the interval where that is, and nothing of a load at the teeth, which moves them alone.
     asked: dict[str, Any] = {"gravity": True, "loop": loop, "points": 4, "boxes": 0}

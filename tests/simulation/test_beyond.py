@@ -133,6 +133,34 @@ def test_members_too_heavy_for_a_torque_limit_do_not_converge() -> None:
     assert "converges" not in ensemble.verdict[2:]
 
 
+@pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
+def test_members_on_softer_springs_are_weighed_where_they_rest() -> None:
+    """Farther down than the nominal machine: as runs without a limit end."""
+    machine, posture = flexopt.load("excavator"), (0.4, -1.4)
+    vary = {"base.stiffness.rotation": 1.112e6 * np.array([1.0, 0.3, 0.2, 0.1])}
+    asked: dict[str, Any] = {"kp": 1e4, "kv": 1e3, "gravity": True, "duration": 20.0, "offset": [1e-4] * 2}
+    free = flexopt.simulate_ensemble(machine, posture, vary=vary, keep="trajectories", **asked)
+    bears = np.abs(free.dataset["torque"].isel(time=slice(-400, None)).mean("time").to_numpy()).max(axis=-1)
+    limit = float(bears[:2].mean())
+    limited = flexopt.simulate_ensemble(machine, posture, vary=vary, actuator={"torque_limit": limit}, **asked)
+    assert (bears > limit).tolist() == [False, True, True, True]
+    assert limited.verdict[0] == "converges"
+    assert "converges" not in limited.verdict[1:]
+
+
+@pytest.mark.filterwarnings("ignore::flexopt.errors.FlexoptWarning")
+def test_a_target_that_moves_to_where_the_arm_is_heavier() -> None:
+    """It bears 2754 N m there, and 2673 N m where it begins."""
+    machine, posture = flexopt.load("excavator"), (0.4, -1.4)
+    ends = [flexopt.evaluate(machine, each, base=0.0, gravity=True).end_point for each in (posture, (0.4, -1.6))]
+    path = {"times": [0.0, 4.0], "points": [each.tolist() for each in ends]}
+    asked: dict[str, Any] = {"kp": 1e4, "kv": 1e3, "gravity": True, "duration": 40.0, "target_path": path}
+    for limit, told in ((2720.0, True), (2900.0, False)):
+        run = flexopt.simulate(machine, posture, actuator={"torque_limit": limit}, **asked)
+        assert any("the arm is not held: stick bears 2754 N m" in each for each in run.warnings) == told
+        assert run.verdict == ("undecided" if told else "converges")
+
+
 def test_no_run_of_a_verdict_confirms_an_arm_that_is_not_held() -> None:
     machine, posture = flexopt.load("excavator"), (0.4, -1.4)
     plant = flexopt.build_plant(machine)

@@ -112,6 +112,8 @@ def broken_at_rest(chosen: Chosen, place: PlaceLoops) -> tuple[str, bool]:
     load or springs that the controller does not know draw it there, of a loop without an integral part.
     """
     worst = dict[str, tuple[float, ConstraintValue, str]]()
+    # What dampers do is nothing of a rest.
+    damps = np.array(["damping" in each.name for each in place.box.machine.parameters])
     for problem, loop in zip(problems_of(chosen), place.loops, strict=True):
         # An integral part takes it to the target.
         if not loop.gravity or loop.settings.ki.all():
@@ -125,7 +127,11 @@ def broken_at_rest(chosen: Chosen, place: PlaceLoops) -> tuple[str, bool]:
             posture, p = point.configuration[problem.measures.plant.n_passive :], loop.box.numbers(u)[0]
             for name, (off, value) in broken_held(problem, loop.base, posture, p).items():
                 if name not in standing and off > worst.get(name, (0.0,))[0]:
-                    worst[name] = off, value, told_numbers(loop.box.machine, p.tolist())
+                    worst[name] = (
+                        off,
+                        value,
+                        told_numbers(loop.box.machine, np.where(damps, loop.box.nominal, p).tolist()),
+                    )
     if not worst:
         return "", False
     name, (_, value, where) = max(worst.items(), key=lambda each: each[1][0])

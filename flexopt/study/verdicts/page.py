@@ -235,12 +235,17 @@ def _places(verdict: Verdict) -> PageTable:
     rows = [
         [
             place.name, "" if place.name == STAY else told(way(place.drive), 1.0, " m"),
-            *(_worst(place, m).text for m in shown), percent(place.stable_share),
+            *(_worst(place, m).text for m in shown), stable_told(place.stable_share, place.decay.least),
             "" if place.name == STAY or math.isnan(place.better) else percent(place.better), place.shown_runs,
         ]
         for place in verdict.rows
     ]  # fmt: skip
     return header, rows
+
+
+def stable_told(share: float, least: float) -> str:
+    """Share of the members that are stable; where a search found a ground between them that grows, of these alone."""
+    return f"{percent(share)} of the members" if share == 1 and least <= 0 else percent(share)
 
 
 def _where(verdict: Verdict) -> PageTable:
