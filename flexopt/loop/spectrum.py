@@ -90,7 +90,7 @@ def from_sample_to_sample(names: Sequence[str], rate: float) -> str:
 def drifting_self_motion(drift: Sequence[float]) -> list[str]:
     """A sentence where a redundant arm's self-motion, of growth rates `drift`, 1/s, has some above zero."""
     each = [f"{1 / rate:.3g} s" for rate in sorted(drift, reverse=True) if rate > 0]
-    others = f", other ways of it in {listed(each[1:])}" * (len(each) > 1)
+    others = f", other ways of it in {listed(each[1:])}" if each[1:] else ""
     return [f"the arm's self-motion drifts, e-fold in {each[0]}{others}"] if each else []
 
 

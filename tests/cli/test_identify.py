@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
 import numpy as np
 import pytest
 
 import flexopt
+from flexopt.cli.analysis import of_the_log
 from tests.cli.command import Command
 
 # How the excavator of the article swings where its ground is 1.5 times as stiff as its file says, in one mode.
@@ -45,6 +49,23 @@ def test_a_selection_with_a_log_is_one_of_the_identified_machine(command: Comman
     assert found["posture"] == [0.5, -1.2]
     # It knows where the log's accelerometer sits.
     assert found["provenance"]["options"]["imu"] == [0.3, 0.1]
+
+
+def test_what_a_log_told_is_called_the_logs(command: Command) -> None:
+    """No number of an identified machine is the file's, in text and document."""
+    uncertain = {"stiffness": (0.5, 2.2)}
+    machine = flexopt.load("excavator")
+    judged: dict[str, Any] = {"loop": {"kp": 1e4, "kv": 1e3}, "members": 2, "runs": 0, "starts": 1}
+    for ranges in (uncertain, None):
+        found = flexopt.verdict(machine, (0.0, 1.6), base=0.0, ranges=ranges, **judged)
+        text, document = of_the_log(repr(found)), json.dumps(of_the_log(found.to_dict()))
+        assert "decay with the log's numbers" in text
+        assert ("is as the log and the machine's file have it" in text) == (ranges is None)
+        assert not any(told in each for each in (text, document) for told in ("the file's", "numbers of the file"))
+    write_log(command)
+    words = ("--end-point", "0,1.6", "--base", "0", "--posture", POSTURE, "--starts", "1")
+    told = command("select", "excavator", *words, "--log", "swing.csv").stdout
+    assert "the machine has these numbers now, which factors of ranges multiply: the log's, in what follows" in told
 
 
 def test_the_command_refuses(command: Command) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from flexopt.loop.certified.characteristic import Characteristic
 from flexopt.loop.certified.characteristic_cells import cells_of
 from flexopt.loop.evaluation import outcome, settings_at
 from flexopt.loop.gains import rigid_gains
+from flexopt.loop.spectrum import drifting_self_motion
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.loop.uncertainty_box import UncertaintyBox
 from flexopt.model.loop import Loop
@@ -365,6 +368,30 @@ def eigenvalues(loop: UncertainLoop, factor: float) -> Any:
     at = loop.outcome(np.array([np.log(factor / 0.5) / np.log(4.0)]))
     found = np.log(np.linalg.eigvals(at.sample.matrix).astype(complex)) / at.period
     return found[np.argsort(-found.real)]
+
+
+def test_friction_is_of_the_most_that_a_joint_carries_anywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A joint that carries next to nothing on one of more grounds does not move off for that."""
+    monkeypatch.setattr(UncertainLoop, "off_target", lambda *_: 0.0)
+    monkeypatch.setattr(UncertainLoop, "fastest_drift", lambda *_: (math.nan, None))
+    loop, still = carried(np.array([0.5, -1.2, 0.3])), SimpleNamespace(growth_rate=-1.0, rounding=0.0)
+
+    def point(driven: float, carries: float) -> Any:
+        return SimpleNamespace(unheld=np.array([0.0, 0.0, driven]), carried=np.array([9.0, 9.0, carries]), loop=still)
+
+    corners, between = [point(0.05, 8.0), point(0.0, 7.0)], point(0.04, 0.6)
+    for points in (corners, [*corners, between]):
+        assert BesideDecay.of(loop, np.zeros((len(points), 1)), points).unheld == {}
+    moved = BesideDecay.of(loop, np.zeros((3, 1)), [*corners, point(0.09, 8.0)])
+    assert moved.unheld == dict(zip(loop.box.machine.joints, (0.0, 0.0, 0.09), strict=True))
+
+
+def test_several_ways_of_a_self_motion_are_told_in_one_sentence() -> None:
+    assert drifting_self_motion([-0.1, 0.002, 0.0026]) == [
+        "the arm's self-motion drifts, e-fold in 385 s, other ways of it in 500 s"
+    ]
+    assert drifting_self_motion([0.0026]) == ["the arm's self-motion drifts, e-fold in 385 s"]
+    assert drifting_self_motion([-0.1]) == []
 
 
 # The drift grows faster on softer springs in the one posture, on stiffer ones in the other.

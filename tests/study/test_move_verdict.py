@@ -37,6 +37,7 @@ from flexopt.study.verdicts.broken_places import Breaks, broken_standing, broken
 from flexopt.study.verdicts.confirmation import GIVES_WAY, Runs, nonlinear_runs, tilts
 from flexopt.study.verdicts.decision import spoken
 from flexopt.study.verdicts.drawbacks import SO_LITTLE
+from flexopt.study.verdicts.page import stable_told
 from flexopt.study.verdicts.place_loops import besides_driving, configurations_of, held_at, unreached
 from flexopt.study.verdicts.place_verdict import PlaceVerdict
 from flexopt.study.verdicts.places import allowed, told
@@ -1426,6 +1427,13 @@ def test_names_of_obstacles_are_no_corners() -> None:
     assert broken(problem, z, asked=True).endswith(f" and {len(names) - 3} more")
 
 
+def test_what_grows_between_the_members_is_not_stable_everywhere() -> None:
+    """A search from the members finds it: then the share is of these alone."""
+    assert stable_told(1.0, -0.2) == "100 % of the members"
+    assert stable_told(1.0, 0.2) == "100 %"
+    assert stable_told(0.5, -0.2) == "50 %"
+
+
 def test_of_many_intervals_each_constraint_is_looked_at_where_its_own_room_falls() -> None:
     """Six move the tip-over margin more than the seventh, which alone breaks what a joint holds."""
     data = flexopt.load("boom-stick-bucket").to_dict()
@@ -1792,6 +1800,9 @@ def test_what_a_place_breaks_where_feedback_holds_it_beside_its_target_is_told()
     assert float(words[1]) == pytest.approx(own.value + turned, abs=5e-4)
     assert f"stay, at rest beside its target, {stay.breaks_at_rest}" in repr(found)
     assert stay.breaks_at_rest in repr(found).splitlines()[-1]
+    # What dampers do is nothing of a rest.
+    damped = flexopt.verdict(found.selection, loop=loop, ranges=loads | {"damping": (0.6, 1.5)}, members=2, runs=0)
+    assert damped.places[0].breaks_at_rest == stay.breaks_at_rest
     integral = flexopt.verdict(
         found.selection, loop=loop | {"feedback": "pid", "ki": 0.2}, ranges=loads, members=2, runs=0
     )  # fmt: skip
