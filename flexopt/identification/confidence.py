@@ -41,9 +41,9 @@ BY_CHANCE, BETTER_BY = 0.001, 10.8
 STRETCHES = 6
 # A fit that leaves residuals so many times as large is no other that fits: of squares in as many stretches that know
 # nothing of each other fewer than 1 in 100 are by chance (Fisher's F).
-FAR = 3.0
+MUCH_LARGER = 3.0
 # Of the log, over which residuals may know of each other; by what that widens an interval of 95 %.
-REACH, LONG = 0.1, 2.26 / 1.96
+CORRELATED, LONG = 0.1, 2.26 / 1.96
 # Steps of θ in differences of poles, which themselves are known to 1e-12; the least share that is no rounding.
 MOVED = 1e-5
 
@@ -155,8 +155,8 @@ def told_apart(least: Fit, other: Fit, values: Array) -> bool:
 
     The other's −2 log of the likelihood is more by more than `BETTER_BY`, and where residuals are not white its squares
     are more by Σ_t d_t, d = Σ_c (r_o² − r_l²)/σ_l², in more stretches of the log than chance has it, or its residuals
-    are `FAR` times as large. So what no fit has, as a spring that is not linear, decides nothing by itself. Each
-    stretch has the same share of the squares by which the fits differ, for a swing dies away.
+    are `MUCH_LARGER` times as large. So what no fit has, as a spring that is not linear, decides nothing by itself.
+    Each stretch has the same share of the squares by which the fits differ, for a swing dies away.
 
     Source: Vuong, Econometrica 57 (1989), for two fits of which none need be true; Ibragimov and Müller, J. Business
     and Economic Statistics 28 (2010), for Student's t of a few stretches, however instants within them know of each
@@ -170,7 +170,7 @@ def told_apart(least: Fit, other: Fit, values: Array) -> bool:
     if all(is_white(column[np.isfinite(column)]) for column in residual.T):
         return True
     both, scale = least.used & other.used, least.sigma**2
-    if math.exp(np.average(np.log(other.sigma / least.sigma), weights=both.sum(axis=0))) > FAR:
+    if math.exp(np.average(np.log(other.sigma / least.sigma), weights=both.sum(axis=0))) > MUCH_LARGER:
         return True
     squares = [np.where(both, (each.fitted - values) ** 2 / scale, 0.0) for each in (other, least)]
     apart = np.where(both, (other.fitted - least.fitted) ** 2 / scale, 0.0).sum(axis=1).cumsum()
@@ -187,7 +187,7 @@ def _scores(p: Array, residual: Array, used: NDArray[np.bool_]) -> Array:
     by_time = np.zeros((*used.shape, p.shape[1]))
     by_time[used] = p * residual[used][:, None]
     scores = by_time.sum(axis=1)
-    reach = math.ceil(REACH * len(scores))
+    reach = math.ceil(CORRELATED * len(scores))
     falling = 1.0 - np.abs(np.arange(-reach, reach + 1)) / (reach + 1)
     around = cast(Any, fftconvolve)(scores, falling[:, None], axes=0)[reach : reach + len(scores)]
     found: Array = scores.T @ around

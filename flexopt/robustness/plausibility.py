@@ -26,7 +26,7 @@ from flexopt.plant.singularity import movable_rows, position_jacobian
 FIRST_MODE = (0.1, 100.0)  # Hz
 POSTURES = 4
 # m per m, by which a placement leads out of the arm's plane; below, it is how a robot file rounds its angles.
-ASIDE = 1e-3
+OUT_OF_PLANE = 1e-3
 
 
 @lru_cache(maxsize=64)
@@ -136,7 +136,7 @@ def _of_placement(machine: AnyMachine) -> Iterator[ImplausibleNumber]:
         )  # fmt: skip
     elif placed:
         along, slope = placed[0], _aside(machine, placed[0], aside[0])
-        if ASIDE < slope < 1 / ASIDE:
+        if OUT_OF_PLANE < slope < 1 / OUT_OF_PLANE:
             yield ImplausibleNumber(
                 "placement", quoted(placed), f"the arm moves in a plane {math.atan(slope):.3g} rad aside of {along}: "
                 f"for each m of {along} the end-point's {aside[0]}, which is no task row, changes by {slope:.3g} m: "
@@ -158,13 +158,13 @@ def _aside(machine: AnyMachine, along: str, aside: str) -> float:
     directions, sizes, _ = np.linalg.svd(np.hstack(moved))
     i, j = "xyz".index(along), "xyz".index(aside)
     # Of a line its direction says it, of a plane its normal.
-    if sizes[1] < ASIDE * sizes[0]:
+    if sizes[1] < OUT_OF_PLANE * sizes[0]:
         i, j, way = j, i, directions[:, 0]
-    elif sizes[2] < ASIDE * sizes[1]:
+    elif sizes[2] < OUT_OF_PLANE * sizes[1]:
         way = directions[:, 2]
     else:
         return 0.0
-    if math.hypot(way[i], way[j]) < ASIDE:
+    if math.hypot(way[i], way[j]) < OUT_OF_PLANE:
         return 0.0
     return abs(float(way[i] / way[j])) if way[j] else math.inf
 

@@ -322,7 +322,7 @@ def simulate_ensemble(
         shares = _run(plan, threads or available_cores(), progress)
         _warn_of_outgrown(shares)
         ends = np.concatenate([share.last for share in shares], axis=1) if moves(s) or redundant else None
-        _warn_of_unheld(Members(plan, ends, moves(s), table_of_limits(settings)))
+        _warn_of_too_weak(Members(plan, ends, moves(s), table_of_limits(settings)))
         shapes = {name: list(np.shape(value)) for name, value in asked.items()}
         return Ensemble(
             _dataset(plan, asked, shares),
@@ -382,10 +382,10 @@ def _warn_of_outgrown(shares: list[_Share]) -> None:
     warn_user(f"{who} {OUTGREW} {at}; what follows is not a number", FlexoptWarning)
 
 
-def _warn_of_unheld(members: Members) -> None:
+def _warn_of_too_weak(members: Members) -> None:
     """Tell how many members are too heavy for their drives, and why the first of them is."""
     n = members.plan.n
-    told = {k: why for k in range(n) if (why := members.of(k).unheld)}
+    told = {k: why for k in range(n) if (why := members.of(k).too_weak)}
     if told:
         first = next(iter(told))
         who = f"member {first}" if len(told) == 1 else f"{len(told)} of {n} members, member {first} first"

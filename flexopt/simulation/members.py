@@ -23,7 +23,7 @@ from flexopt.plant.machine_motion import constant_names, constants
 from flexopt.simulation.linear import SampledLoop, bare_scenario, where_held
 from flexopt.simulation.run import signals_at_end
 from flexopt.simulation.scenario import Scenario, start_states
-from flexopt.simulation.verdict import Arrived, about, arrived_at, growth_about, may_be_unheld, unheld
+from flexopt.simulation.verdict import Arrived, about, arrived_at, growth_about, may_be_too_weak, too_weak
 
 Keep = Literal["measures", "trajectories"]
 
@@ -166,13 +166,13 @@ class Member:
         return self.among.plan.scenario.options.integrator
 
     @property
-    def unheld(self) -> str:
+    def too_weak(self) -> str:
         """See `verdict.Ran`."""
-        here, options = self._own(self.among.exact), self.among.plan.scenario.options
-        if here is None or not may_be_unheld(options):
+        options = self.among.plan.scenario.options
+        if not may_be_too_weak(options) or (here := self._own(self.among.exact)) is None:
             return ""
         x = self._last if self.among.moved else where_held(here)
-        return "" if x is None else unheld(here, x, self._signals(here), options.actuator, self.among.table)
+        return "" if x is None else too_weak(here, x, self._signals(here), options.actuator, self.among.table)
 
     def integrated(self) -> float | None:
         """See `verdict.Ran`."""

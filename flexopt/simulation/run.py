@@ -254,7 +254,7 @@ def _trajectory(
         brake = ""
     sentences = _warnings(s, plant, outputs, of, brake, left)
     joints, rates, torques = (outputs[name][-plant.n_actuated :] for name in ("q", "v", "torque"))
-    sentences += tuple(filter(None, [ended.unheld]))
+    sentences += (weak,) if (weak := ended.too_weak) else ()
     if of.finite_until[0] >= s.times[-1]:
         # What diverges has no extremes.
         bears = s.options.actuator.torque_limit is not None or s.loop.structure.served

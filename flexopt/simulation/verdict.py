@@ -71,7 +71,7 @@ class Ran(Protocol):
     """The loop that was run, of which a reason asks what sets run and eigenvalues apart."""
 
     @property
-    def unheld(self) -> str:
+    def too_weak(self) -> str:
         """Which drive's `torque_limit` is below the weight where the loop rests without it; empty where none is."""
         ...
 
@@ -107,9 +107,9 @@ class Ended:
     table: str = "actuator"
 
     @property
-    def unheld(self) -> str:
+    def too_weak(self) -> str:
         """See `Ran`."""
-        if not may_be_unheld(self.options):
+        if not may_be_too_weak(self.options):
             return ""
         try:
             bare = bare_scenario(self.machine, self.options, paths=self.e is not None)
@@ -117,7 +117,7 @@ class Ended:
             return ""
         total = bare.loop.signals.total
         x, e = (bare.resting, np.zeros(total)) if self.e is None else (self.x, self.e[:total])
-        return "" if x is None else unheld(bare, x, e, self.options.actuator, self.table)
+        return "" if x is None else too_weak(bare, x, e, self.options.actuator, self.table)
 
     @property
     def integrator(self) -> str:
@@ -204,12 +204,12 @@ def about(scenario: Scenario, x: Vector, e: Vector) -> SampledLoop | str:
         return str(error)
 
 
-def may_be_unheld(options: SimulationOptions) -> bool:
+def may_be_too_weak(options: SimulationOptions) -> bool:
     """Whether drives are limited that bear a weight."""
     return options.gravity and options.actuator.torque_limit is not None
 
 
-def unheld(scenario: Scenario, x: Vector, e: Vector, actuator: Actuator, table: str) -> str:
+def too_weak(scenario: Scenario, x: Vector, e: Vector, actuator: Actuator, table: str) -> str:
     """Which drive gives less than the weight in the rest that is found from a state; empty where none does."""
     found, s = _rest(scenario, x, e), scenario
     if found is None or actuator.torque_limit is None:
@@ -267,11 +267,12 @@ def judge(
     """
     found = _judged(run, linear, ended, rests, ran)
     who = ended if ran is None else ran
-    if who is None or not who.unheld:
+    weak = "" if who is None else who.too_weak
+    if not weak:
         return found
     # Nothing that the base does while the arm falls is about a rest.
     word: LoopVerdict = "undecided" if found.verdict == "converges" else found.verdict
-    return Judgement(word, f"{found.reason}; {who.unheld}")
+    return Judgement(word, f"{found.reason}; {weak}")
 
 
 def _judged(run: Shown, linear: SampledLoop | str, ended: Ended | None, rests: bool, ran: Ran | None) -> Judgement:

@@ -140,7 +140,7 @@ def test_every_pair_of_run_and_eigenvalues(run, linear, verdict, words):
 )
 def test_another_posture_is_a_reason_where_its_loop_does_as_the_run(there: float, words: str) -> None:
     class Ran:
-        integrator, unheld = "rk4", ""
+        integrator, too_weak = "rk4", ""
 
         def integrated(self) -> float:
             return 0.1
@@ -159,7 +159,7 @@ def test_another_posture_is_a_reason_where_its_loop_does_as_the_run(there: float
 @pytest.mark.parametrize(("drift", "integrators"), [((), True), ((2e-3,), False), ((-0.1,), True)])
 def test_the_drift_of_a_self_motion_is_no_doing_of_the_integrator(drift: tuple[float, ...], integrators: bool) -> None:
     class Ran:
-        integrator, unheld = "gauss", ""
+        integrator, too_weak = "gauss", ""
 
         def integrated(self) -> float:
             return 7.8e-5

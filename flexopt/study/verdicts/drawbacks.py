@@ -39,7 +39,7 @@ def drawbacks_of(verdict: Verdict) -> str:
     way = verdict.selection.broken_between if isinstance(verdict.selection, BasePlan) and verdict.place == FIRST else ()
     rest = f"at rest beside its target {spoken(there.name)} {there.breaks_at_rest}" if there.breaks_at_rest else ""
     rest += f", {SO_LITTLE}" * ("at_rest" in there.breaking.hardly)
-    no_better = "; ".join(filter(None, (no_better, rest, unheld_told(there), *way)))
+    no_better = "; ".join(filter(None, (no_better, rest, too_weak_told(there), *way)))
     stay = now if verdict.with_gains and stay is None else stay
     if stay is None or verdict.word not in ("move", "change gains"):
         return no_better
@@ -55,7 +55,7 @@ def drawbacks_of(verdict: Verdict) -> str:
     return "; ".join(filter(None, (f"with the new gains it {BETTER} {than}" * few, told, no_better)))
 
 
-def unheld_told(place: PlaceVerdict) -> str:
+def too_weak_told(place: PlaceVerdict) -> str:
     """That no drive holds the arm in a place, within a sentence; empty where one does, and where runs tell it."""
     of_runs = place.runs is not None and any(NOT_HELD in why for why in place.runs.reasons)
     return f"in {spoken(place.name)} {place.too_weak}" if place.too_weak and not of_runs else ""

@@ -19,7 +19,7 @@ from flexopt.selection.constraints.corners import WHERE
 from flexopt.selection.problem import with_angles
 from flexopt.study.verdicts.confirmation import INTEGRAL
 from flexopt.study.verdicts.decision import BETWEEN, HARDLY, in_one, spoken, told_in, without_numbers
-from flexopt.study.verdicts.drawbacks import NOT_WHERE_IT_GROWS, unheld_told
+from flexopt.study.verdicts.drawbacks import NOT_WHERE_IT_GROWS, too_weak_told
 from flexopt.study.verdicts.places import FALLS, STAY
 
 if TYPE_CHECKING:
@@ -53,8 +53,8 @@ def on_places(verdict: Verdict) -> list[str]:
             none = "none to stay at" if place.name == STAY else "none to go to"
             found.append(f"{spoken(place.name)} is {none}: {BARRED[place.breaking.barring]}")
         found.append(unconfirmed.get(place.name, ""))
-        unheld = unheld_told(place)
-        found += [unheld] * (unheld not in verdict.drawbacks)
+        weak = too_weak_told(place)
+        found += [weak] * (weak not in verdict.drawbacks)
     return [*filter(None, found)]
 
 
