@@ -172,7 +172,9 @@ class Member:
         if not may_be_too_weak(options) or (here := self._own(self.among.exact)) is None:
             return ""
         x = self._last if self.among.moved else where_held(here)
-        return "" if x is None else too_weak(here, x, self._signals(here), options.actuator, self.among.table)
+        # What feedback holds nowhere is weighed by its design.
+        x = here.resting if x is None else x
+        return too_weak(here, x, self._signals(here), options.actuator, self.among.table)
 
     def integrated(self) -> float | None:
         """See `verdict.Ran`."""

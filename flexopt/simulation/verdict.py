@@ -210,12 +210,12 @@ def may_be_too_weak(options: SimulationOptions) -> bool:
 
 
 def too_weak(scenario: Scenario, x: Vector, e: Vector, actuator: Actuator, table: str) -> str:
-    """Which drive gives less than the weight in the rest that is found from a state; empty where none does."""
+    """Which drive gives less than the weight in the rest found from a state, else in that state; empty where none."""
     found, s = _rest(scenario, x, e), scenario
-    if found is None or actuator.torque_limit is None:
+    if not np.all(np.isfinite(x)) or actuator.torque_limit is None:
         return ""
-    plant = build_plant(s.machine)
-    weight: Vector = plant.gravity.call([coordinates(s, found[0]), s.base, s.p])[0].full().ravel()[plant.n_passive :]
+    plant, q = build_plant(s.machine), coordinates(s, x if found is None else found[0])
+    weight: Vector = plant.gravity.call([q, s.base, s.p])[0].full().ravel()[plant.n_passive :]
     return limit_below(s.machine, weight, actuator.torque_limit, f"{table}.torque_limit", actuator.dead_band)
 
 
