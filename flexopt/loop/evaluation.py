@@ -215,6 +215,8 @@ class Outcome(Result):
             lines.append(f"  {what}: {self._others}")
         why = from_sample_to_sample(self.too_much, self.settings.rate)
         lines.append(f"  sampled loop: {self._word}, {self.frequency_hz:.4g} Hz{why}")
+        if rows := [str(k + 1) for k, held in enumerate(self.settings.position_held) if not held]:
+            lines.append(f"  task row {listed(rows)} has no Kp or Ki: the position is free there, no part of the decay")
         lines += [f"  {unseen_told('the loop')}"] * self.unseen
         if self.settings.lets_drift:
             lines.append(f"  {UNBRAKED}")

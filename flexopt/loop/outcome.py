@@ -19,7 +19,7 @@ from flexopt.foundation.roots import border
 from flexopt.loop.assembly import Slopes
 from flexopt.loop.borders import HIGH, LOW, POINTS, highest_stable, stable_intervals
 from flexopt.loop.disturbance import Disturbed
-from flexopt.loop.frequency_response import PEAKS, SETTLED, crossings, exactly, peak, peak_at
+from flexopt.loop.frequency_response import PEAKS, crossings, exactly, peak, peak_at
 from flexopt.loop.loop_motions import UNDEFINED, LoopMotions, Measured
 from flexopt.loop.small_motions import AT_REST
 from flexopt.loop.spectrum import MOSTLY, balance, poles_of, without_neutral
@@ -32,8 +32,6 @@ UNDAMPED = 1e3 * float(np.finfo(float).eps)
 CLOSE, LOOKS = 4, 16
 # How far on either side of a border, in samples, eigenvalues say that it is one.
 ASIDE = 1e-3
-# How often a dead time at a border is bettered.
-POLISHES = 4
 # So far below a border of stability it is looked at what grows there.
 NEAR = 0.01
 
@@ -146,14 +144,11 @@ class LoopPoint(LoopMotions):
         if below <= first - aside and below < most and growth(below) < 0:
             return Measured(math.inf)
         if aside < first < most - aside and growth(first - aside) < 0 <= growth(first + aside):
-            found, slopes = self._polished_border(first)
-            if abs(found - first) <= aside:
-                return self._border(found, slopes)
+            return self._border(growth, first - aside, first + aside)
         before = 0.0
         for more in _between([0.0, *late, most], self.period / CLOSE) if late else []:
             if growth(more) >= 0:
-                found = border(growth, before, more, xtol=1e-13 * self.period, rtol=1e-14)
-                return self._border(found, LoopPoint(self.motions, self.numbers, self.dead_time + found).rate().slopes)
+                return self._border(growth, before, more)
             before = more
             if before >= below:
                 return Measured(math.inf)
@@ -161,25 +156,11 @@ class LoopPoint(LoopMotions):
         beyond = (exactly(self.sample, crossing) for crossing in met if crossing.late >= most - self.period)
         return Measured(next((more for more in beyond if more >= most), math.inf))
 
-    def _polished_border(self, more: float) -> tuple[float, Slopes | None]:
-        """A dead time more near a border as the eigenvalues have it, by Newton's steps, and the decay's slopes there.
-
-        NaN where these lead nowhere.
-        """
-        for _ in range(POLISHES):
-            slowest = LoopPoint(self.motions, self.numbers, self.dead_time + more).rate()
-            if slowest.slopes is None or not slowest.slopes.dead_time:
-                break
-            step = slowest.value / slowest.slopes.dead_time
-            if abs(step) <= SETTLED * (self.dead_time + more):
-                return more, slowest.slopes
-            more -= step
-        return math.nan, None
-
-    @staticmethod
-    def _border(found: float, slopes: Slopes | None) -> Measured:
-        """A margin with its derivative, from that of the decay there: the dead time at the border stays."""
-        by = None if slopes is None else slopes * (-1 / slopes.dead_time)
+    def _border(self, growth: Callable[[float], float], low: float, high: float) -> Measured:
+        """The margin between two added dead times, one stable and one not; its derivative keeps the decay at 0."""
+        found = border(growth, low, high, xtol=1e-13 * self.period, rtol=1e-14)
+        slopes = LoopPoint(self.motions, self.numbers, self.dead_time + found).rate().slopes
+        by = slopes and slopes * (-1 / slopes.dead_time)
         return Measured(found, by and Slopes(by.parts, -1.0))
 
     # Peaks over frequency, the loop broken at the law's force.

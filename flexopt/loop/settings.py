@@ -87,7 +87,7 @@ class LoopSettings(Result):
 
     DOCUMENT = """
     control feedback drive kp kv ki rate[Hz] dead_time[s] filter_hz[Hz] bandwidth_hz[Hz] servo_gain nullspace_damping
-    torque_limit rate_limit joint_units gain_units force_units sources
+    torque_limit rate_limit joint_units gain_units force_units position_held sources
     """
 
     @property
@@ -104,6 +104,11 @@ class LoopSettings(Result):
     def first_kp(self) -> float:
         """Kp of the first row that has one, of which an allowed gain is; 1 where none has."""
         return next((x for x in self.kp.tolist() if x > 0), 1.0)
+
+    @property
+    def position_held(self) -> tuple[bool, ...]:
+        """By task row, whether a gain on the position, Kp or Ki, holds the end-point on its target."""
+        return tuple(((self.kp > 0) | (self.ki > 0)).tolist())
 
     @property
     def lowest_kp(self) -> float:

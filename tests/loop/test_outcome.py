@@ -307,6 +307,23 @@ def test_margins_of_machines_without_damping(seed):
     assert all(replace(here, dead_time=x).loop.stable for x in np.linspace(0, margin, 40)[:-1])
 
 
+@pytest.mark.parametrize("kp", [1e-5, 1e-3, 1.0])
+@pytest.mark.parametrize("posture", [POSTURE_B, (1.89817845, -1.46504354)])
+def test_a_delay_margin_beside_a_motion_that_hardly_depends_on_the_dead_time(posture, kp: float) -> None:
+    """A low Kp leaves a slow drift of the end-point; another motion grows at the border, by 420 bits."""
+    margin = flexopt.outcome(EXCAVATOR, posture, loop={"kp": kp, "kv": 1e3, "dead_time": 0.02}).delay_margin
+    late = LateLoop(EXCAVATOR, posture, "inverse", [kp] * 2, [1e3] * 2, 0.005)
+    before, after = (replace(late, dead_time=0.02 + margin * (1 + step)).growth() for step in (-1e-6, 1e-6))
+    assert before < 0 < after
+
+
+@pytest.mark.parametrize("kp", [(0.0, 0.0), (0.0, 1e4), (1e4, 1e4)])
+def test_task_rows_without_a_gain_on_the_position_are_named(kp: tuple[float, float]) -> None:
+    found = flexopt.outcome(EXCAVATOR, POSTURE_B, loop={"kp": kp, "kv": 1e3})
+    assert found.to_dict()["settings"]["position_held"] == [gain > 0 for gain in kp]
+    assert ("position is free" in repr(found)) == (0.0 in kp)
+
+
 def test_a_border_that_is_near_zero_only_by_the_frequency_response_is_none():
     """What would be late by less than nothing; the margin stands where the decay does not beside it."""
     data = EXCAVATOR.to_dict()
