@@ -13,3 +13,4 @@ from flexopt.article.reproduction import Reproduction as Reproduction
 from flexopt.article.reproduction import reproduce as reproduce
 from flexopt.article.tables import ArticleTable as ArticleTable
 from flexopt.article.tables import reproduce_table2 as reproduce_table2
+from flexopt.foundation import matplotlib_apart as matplotlib_apart

@@ -116,9 +116,9 @@ codecs.register_error(TERMINAL, _for_terminal)
 
 def _glyphs() -> frozenset[int]:
     """Letters that the fonts of pictures have."""
-    from matplotlib import rcParams  # noqa: PLC0415  (only pictures need it)
+    from flexopt.foundation.matplotlib_apart import matplotlib  # noqa: PLC0415  (only pictures need it)
 
-    settings = cast(dict[str, list[str]], rcParams)
+    settings = cast(dict[str, list[str]], matplotlib.rcParams)
     families = settings["font.family"]
     return _glyphs_of(tuple(name for family in families for name in settings.get(f"font.{family}", [family])))
 

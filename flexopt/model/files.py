@@ -65,8 +65,10 @@ def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[ShippedKind, 
     """
     text = os.fsdecode(name_or_path)
     try:
+        # A file of the working directory does not take the place of what is shipped.
+        found: list[ShippedKind] = [kind for kind in (*kinds, *KINDS) if text in shipped_names(kind)]
         looks = text.endswith((".toml", *ROBOT_SUFFIXES)) or os.sep in text or "/" in text
-        if looks or (len(text) <= NAME_MAX and Path(text).is_file()):
+        if looks or (not found and len(text) <= NAME_MAX and Path(text).is_file()):
             path, named_kind = Path(text), None
             if path.is_dir():
                 raise ModelError(f"{text}: is a folder; give the TOML file itself")
@@ -75,7 +77,6 @@ def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[ShippedKind, 
             if path.suffix.lower() in ROBOT_SUFFIXES:
                 raise _robot_file(path)
         else:
-            found: list[ShippedKind] = [kind for kind in (*kinds, *KINDS) if text in shipped_names(kind)]
             named_kind = found[0] if found else None
             if named_kind is None:
                 raise _unknown_name(text, kinds)

@@ -3,6 +3,7 @@
 In: result objects, which already hold every number that is drawn. Out: matplotlib figures, written where asked.
 """
 
+from flexopt.foundation import matplotlib_apart as matplotlib_apart
 from flexopt.plotting.animation import animate_trajectory as animate_trajectory
 from flexopt.plotting.atlas import plot_atlas as plot_atlas
 from flexopt.plotting.bands import plot_verdict as plot_verdict

@@ -167,8 +167,10 @@ def plain_numbers(figure: Figure | SubFigure, only: Axes | None = None) -> None:
 
 @contextmanager
 def styled(theme: Theme = "light", letters: float = LETTERS) -> Generator[Palette]:
-    """Within it Matplotlib draws as all pictures here are drawn; afterwards its settings are the user's again."""
-    with painted_in(theme) as palette, cast(Any, matplotlib).rc_context(_settings(palette, letters)):
+    """Draw as all pictures here are drawn, whatever settings Matplotlib has read; afterwards these count again."""
+    with painted_in(theme) as palette, cast(Any, matplotlib).rc_context():
+        matplotlib.rcdefaults()
+        cast(Any, matplotlib.rcParams).update(_settings(palette, letters))
         yield palette
 
 

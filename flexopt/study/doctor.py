@@ -16,6 +16,7 @@ from flexopt.model import shipped_names
 from flexopt.model.files import ShippedKind, read_source
 from flexopt.model.reading import load_file
 from flexopt.model.study_file import load_study
+from flexopt.selection.nlp.solvers import make_solver
 
 COMPILERS = ("cc", "gcc", "clang", "cl")
 
@@ -82,10 +83,10 @@ def examine() -> InstallationReport:
 
 
 def _ipopt() -> InstallationCheck:
-    x = ca.SX.sym("x")
+    x = ca.MX.sym("x")
     try:
         quiet = {"print_time": False, "error_on_fail": False, "ipopt": {"print_level": 0, "sb": "yes"}}
-        solver = ca.nlpsol("doctor", "ipopt", {"x": x, "f": (x - 1) ** 2}, quiet)
+        solver = make_solver("doctor", {"x": x, "f": (x - 1) ** 2}, quiet)
         error = abs(float(solver(x0=3.0)["x"]) - 1.0)
     except RuntimeError:
         return InstallationCheck("IPOPT", False, "CasADi was installed without it, or its library cannot be loaded")

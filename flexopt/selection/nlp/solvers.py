@@ -53,8 +53,12 @@ class Bounds:
 
 
 def make_solver(name: str, program: dict[str, ca.MX], options: dict[str, Any]) -> ca.Function:
-    """IPOPT on min f(x, p) with bounds on x and g(x, p); derivatives are given among the options."""
-    return ca.nlpsol(name, "ipopt", program, options)
+    """Build IPOPT on min f(x, p) with bounds on x and g(x, p); derivatives are given among the options.
+
+    The file of options that IPOPT reads from the working directory by default may load libraries and write files.
+    """
+    own = options.get("ipopt", {}) | {"option_file_name": ""}
+    return ca.nlpsol(name, "ipopt", program, options | {"ipopt": own})
 
 
 def told(solver: ca.Function, parameters: Vector, x: Vector) -> Local:
