@@ -172,20 +172,6 @@ def test_a_file_in_the_way_is_named(machine: flexopt.Machine, tmp_path: Path) ->
     assert (tmp_path / "b").read_text() == "mine"
 
 
-def test_the_optimiser_is_a_part_with_a_header_of_its_own(machine: flexopt.Machine, tmp_path: Path) -> None:
-    report = export_c(machine, tmp_path / "b", parts=["optimiser"], baked=True)
-    assert list(report.parts) == ["kinematics", "optimiser"]
-    header = (report.folder / "include" / "excavator_optimiser.h").read_text()
-    assert '#include "excavator_control.h"' in header
-    assert "excavator_real target" in header
-    assert all(re.search(rf"\b{name}\(", header) for name in report.parts["optimiser"])
-    entry = report.manifest["parts"]["optimiser"]
-    assert {field["name"] for field in entry["inputs"]} >= {"target", "lower", "upper", "weights", "start"}
-    for name, value in entry["statuses"].items():
-        assert re.search(rf"EXCAVATOR_OPTIMISER_{name} = {value}\b", header)
-        assert f"`EXCAVATOR_OPTIMISER_{name}`" in (report.folder / "README.md").read_text()
-
-
 # Headers that the bundle's sources and their users include.
 HEADERS = (
     "errno", "float", "inttypes", "limits", "locale", "math", "signal", "stdbool", "stddef", "stdint", "stdio", "stdlib",
@@ -260,13 +246,13 @@ def test_what_a_machine_does_not_allow_is_left_out(
     for part in set(PARTS) - {"kinematics"}:
         monkeypatch.setitem(PARTS, part, replace(PARTS[part], refusal=lambda machine: f"{machine.name} is too small"))
     with pytest.raises(InputError, match="excavator is too small") as caught:
-        export_c(machine, tmp_path / "b", parts=["kinematics", "optimiser"])
-    assert [fault.value for fault in caught.value.faults] == ["'optimiser'"]
+        export_c(machine, tmp_path / "b", parts=["kinematics", "margin"])
+    assert [fault.value for fault in caught.value.faults] == ["'margin'"]
     assert not (tmp_path / "b").exists()
     report = export_c(machine, tmp_path / "b")
     assert list(report.parts) == ["kinematics"]
     assert report.left_out == report.to_dict()["left_out"]
-    assert report.left_out["optimiser"] in repr(report)
+    assert report.left_out["margin"] in repr(report)
 
 
 @pytest.mark.long

@@ -213,9 +213,9 @@ def test_nothing_is_left_out(tmp_path: Path) -> None:
     assert set(report.manifest["left_out"]) == {"loop"}
     assert not any(PARTS[part].refusal(machine) for part in PARTS)
     bound = tree_from_dict(grounded(3, 1) | {"placement": []})
-    assert {part for part in PARTS if PARTS[part].refusal(bound)} == {"levers", "optimiser"}
-    with pytest.raises(InputError, match="optimiser needs more variables than the task has rows"):
-        export_c(bound, tmp_path / "b", parts=["optimiser"])
+    assert {part for part in PARTS if PARTS[part].refusal(bound)} == {"levers"}
+    with pytest.raises(InputError, match="a cylinder or a speed"):
+        export_c(bound, tmp_path / "b", parts=["levers"])
 
 
 def test_the_manifest_carries_the_machine(tmp_path: Path) -> None:

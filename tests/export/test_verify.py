@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -14,12 +13,11 @@ from flexopt.cli import main
 from flexopt.errors import InputError
 from flexopt.export import PARTS, export_c, verify_bundle
 from flexopt.export.bundle import library_of, read_manifest
-from flexopt.export.optimiser import BUDGET_MAX
-from flexopt.export.verify import objects, optimiser, tools
+from flexopt.export.verify import objects, tools
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import VerificationCheck
 from flexopt.export.verify.misra import in_pieces
-from tests.export.programs import GCC, HOST, TARGET
+from tests.export.programs import HOST, TARGET
 from tests.oracles.cylinders import digger
 
 
@@ -77,10 +75,6 @@ def test_everything_holds_on_the_host(real: str, make, parts, functions: int, ou
         assert CALLS / 20 < row["succeeded"] < 0.9 * CALLS
         for status in ("NULL_POINTER", "BAD_WORKSPACE", "NOT_FINITE", "OUT_OF_RANGE"):
             assert row[status] > CALLS / 100
-    if "optimiser" in parts:
-        statuses = rows(named(result.checks, "optimiser's faulty"), "Faulty calls")
-        assert sum(row["calls"] for row in statuses) == CALLS // 10
-        assert {row["status"] for row in statuses if row["calls"] == 0} <= {"STALLED"}
     written = json.loads((folder / "verification" / "report.json").read_text())
     assert [c["name"] for c in written["checks"]] == [c.name for c in result.checks]
     page = (folder / "verification" / "report.html").read_text()
@@ -103,10 +97,6 @@ def test_everything_holds_on_emulated_processors(real: str, make, target, tmp_pa
     assert 100 < counted["torque_inverse"]["instructions, most"] < 1_500
     assert counted["robust_margin"]["instructions, most"] < 2_000_000
     assert all(0 < row["stack of a call, bytes (painted)"] < 8_192 for row in counted.values())
-    solved = {row["what"]: row["number"] for row in rows(named(result.checks, "optimiser"), "Posture optimiser")}
-    assert solved["the same V as IPOPT's best, or a better one"] == solved["problems"] == 24
-    assert 100_000 < solved["instructions, most"] <= 5_000_000
-    assert 0 < solved["stack of a call, bytes (painted)"] < 32_768
     memory = rows(named(result.checks, "flash and RAM"), "Memory")
     assert all(row["static RAM, bytes"] == 0 < row["flash, bytes"] for row in memory)
     if real == "float":
@@ -146,28 +136,6 @@ def examined(folder: Path, scratch: Path, inputs: int = 10, fuzz_calls: int = 10
     manifest = read_manifest(folder)
     scratch.mkdir()
     return Bench(folder, scratch, manifest, library_of(manifest), inputs, fuzz_calls)
-
-
-@pytest.mark.long
-@GCC
-@pytest.mark.parametrize(
-    ("right", "wrong", "sentence"),
-    [
-        ("(step < CLIMB_STEPS)", "(step < 0)", "answers are worse than IPOPT's"),
-        ("if (!inputs_finite(problem, start, options)) {", "if (options->budget == 0) {", "NaN"),
-    ],
-)
-def test_a_worse_optimiser_is_found(tmp_path: Path, right: str, wrong: str, sentence: str) -> None:
-    folder = exported(tmp_path / "b", parts=["optimiser"])
-    source = folder / "src" / "excavator_optimiser.c"
-    text = source.read_text()
-    assert text.count(right) == 1
-    source.write_text(text.replace(right, wrong))
-    bench = examined(folder, tmp_path / "scratch", 24, 10_000)
-    objects_of = bench.objects("plain", "gcc", ["-std=c99", "-O0"])
-    runner = optimiser.host_runner(bench, "gcc", list(objects_of.values()))
-    found = optimiser.agreement(bench, runner) if "IPOPT" in sentence else optimiser.faulty_calls(bench, runner)
-    assert any(sentence in fault for fault in found.faults)
 
 
 def test_missing_tools_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -241,34 +209,9 @@ def test_unbounded_loops_are_noticed(loop: str) -> None:
     assert objects.unbounded_loops(f"int f(int n) {{\n  {loop}\n}}")[1]
 
 
-def test_loops_of_the_optimiser_are_counted() -> None:
-    text = """for (int k = NT - 1; k >= 0; k--) { y[k] = 2; }
-    for (int turn = 0; (turn < (4 * ROWS)) && (done == 0); turn++) {
-      for (int j = 0;
-           (j < s->n) && (f(j) != 0);
-           j += 2) { g(s); }
-    }"""
-    assert objects.unbounded_loops(text) == (3, [])
-    assert objects.bounds_in_memory(text) == 1
-
-
 def test_bounded_loops_are_counted() -> None:
     text = "for (i = 0; i < 3; ++i) {\n  y[i] = 2;\n}\nfor (i=0, rr=w; i<10; ++i) *rr++ = *cs++;\n/* while */\n"
     assert objects.unbounded_loops(text) == (2, [])
-
-
-@pytest.mark.parametrize(
-    "path", sorted(Path(str(files("flexopt.export") / "optimiser_c")).iterdir()), ids=lambda p: p.name
-)
-def test_the_optimisers_own_loops_are_bounded(path: Path) -> None:
-    assert objects.unbounded_loops(path.read_text(encoding="utf-8"))[1] == []
-
-
-def test_the_budget_ends_the_last_climbs_before_their_bound_does() -> None:
-    """A step costs one slope and one value at least, a unit each."""
-    text = (Path(str(files("flexopt.export"))) / "optimiser_c" / "optimiser_constants.h").read_text(encoding="utf-8")
-    climbs, steps = (int(re.findall(rf"#define {name} +(\d+)", text)[0]) for name in ("LAST_CLIMBS", "CLIMB_STEPS"))
-    assert climbs * steps * 2 > BUDGET_MAX
 
 
 def test_recursion_and_stack_are_read_from_the_call_graph() -> None:

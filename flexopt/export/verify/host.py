@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.export.operations import Operation
-from flexopt.export.verify import optimiser, replay
+from flexopt.export.verify import replay
 from flexopt.export.verify.bench import STRICT, Bench, warnings_in
 from flexopt.export.verify.checks import Finding, FindingTable, PlannedCheck
 from flexopt.export.verify.tools import ProgramOutput, StepFailed, need, run, sanitizing_compiler
@@ -35,18 +35,7 @@ def host_checks(bench: Bench) -> list[PlannedCheck]:
     checks += [PlannedCheck(f"no warning, {c}", "host", lambda c=c, p=p: _warnings(bench, c, p)) for c, p in COMPILERS]
     checks += [PlannedCheck(f"equal to Python, {c}", "host", lambda c=c: _agreement(bench, c)) for c, _ in COMPILERS]
     checks.append(PlannedCheck("faulty calls under ASan and UBSan", "host", lambda: _fuzz(bench)))
-    if optimiser.PART in bench.library.standalone:
-        checks += [
-            PlannedCheck(f"optimiser beside IPOPT, {c}", "host", lambda c=c: _optimiser(bench, c)) for c, _ in COMPILERS
-        ]
-        name = "optimiser's faulty calls and the self-test under ASan and UBSan"
-        checks.append(PlannedCheck(name, "host", lambda: optimiser.sanitized(bench, SANITIZERS)))
     return checks
-
-
-def _optimiser(bench: Bench, compiler: str) -> Finding:
-    objects = _strict_objects(bench, compiler, STANDARDS[0])
-    return optimiser.agreement(bench, optimiser.host_runner(bench, compiler, objects))
 
 
 def _readme(bench: Bench, compiler: str) -> Finding:

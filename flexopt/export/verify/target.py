@@ -6,7 +6,6 @@ every instruction takes the same time; they are instructions, not cycles.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.export.operations import Operation
-from flexopt.export.verify import objects, optimiser, replay
+from flexopt.export.verify import objects, replay
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Finding, FindingTable, PlannedCheck, VerifyTarget
 from flexopt.export.verify.host import agreement
@@ -56,9 +55,6 @@ def target_checks(bench: Bench, target: VerifyTarget) -> list[PlannedCheck]:
         PlannedCheck("flash and RAM by part", target, lambda: _memory(bench, target, flags)),
         objects.objects_check(bench, target, COMPILER, flags),
     ]
-    if optimiser.PART in bench.library.standalone:
-        name = "optimiser beside IPOPT; instructions, stack"
-        checks.append(PlannedCheck(name, target, lambda: _optimiser(bench, target, flags)))
     if bench.single and target == "cortex-m4f" and "controller" in bench.library.operations:
         checks.append(PlannedCheck("against the plain CasADi export", target, lambda: _against_plain(bench, board)))
     return checks
@@ -90,25 +86,6 @@ def _agreement(bench: Bench, board: Board, target: VerifyTarget, flags: Sequence
     return Finding(found.sentence, found.faults, [*found.tables, table])
 
 
-def _optimiser(bench: Bench, target: VerifyTarget, flags: Sequence[str]) -> Finding:
-    built = objects.accounted(bench, target, COMPILER, flags)
-    # Doubles in software cost what they cost; the bar is for processors that have the precision.
-    bar = optimiser.INSTRUCTIONS if bench.single or target == "cortex-m7" else math.inf
-    return optimiser.agreement(bench, board_runner(bench, target, list(built.values())), counts=True, bar=bar)
-
-
-def board_runner(bench: Bench, target: VerifyTarget, library: Sequence[Path] | None = None) -> optimiser.Runner:
-    """The optimiser's driver on an emulated board, linked with the library's objects, by default with its sources."""
-    need(COMPILER, EMULATOR)
-    sources = [bench.folder / "test" / "optimiser_driver.c", *(library or bench.sources)]
-    program = _program(bench, BOARDS[target], f"optimiser-{target}", sources)
-
-    def launch(_: Path, calls: str, answers: str) -> None:
-        _emulate(bench, BOARDS[target], program, [calls, answers])
-
-    return launch
-
-
 def _repeats(operation: Operation) -> int:
     """So many that the clock's tick of some 40 instructions does not show."""
     return max(1, 4000 // max(1, operation.kernel.n_instructions())) if operation.kernel.is_a("SXFunction") else 1
@@ -125,25 +102,11 @@ def _memory(bench: Bench, target: VerifyTarget, flags: Sequence[str]) -> Finding
         names = [f"{bench.library.prefix}_{o.name}" for o in bench.library.operations.get(part, ())]
         stack = max((graph.stack_from(name) for name in names), default=0)
         space = max((bench.library.workspace(o) for o in bench.library.operations.get(part, ())), default=0) * real
-        if part in bench.library.standalone:
-            names = list(bench.library.standalone[part].functions)
-            stack = max(graph.stack_from(name) for name in names)
-            space = _workspace_bytes(bench, part, flags)
         rows.append((part, sizes["flash"], sizes["ram"], space, stack))
     header = ("part", "flash, bytes", "static RAM, bytes", "workspace, bytes", "stack of its own functions, bytes")
     total = sum(int(row[1]) for row in rows)  # type: ignore[call-overload]
     table = FindingTable("Memory by part (-O2; the mathematical library not counted)", header, tuple(rows))
     return Finding(f"{total} bytes of flash for all parts, no static RAM", [], [table])
-
-
-def _workspace_bytes(bench: Bench, part: str, flags: Sequence[str]) -> int:
-    """Size of a workspace that is a structure: that of an array as large."""
-    name = f"{bench.library.prefix}_{part}"
-    probe = bench.scratch / f"{name}_workspace.c"
-    write_file(probe, f'#include "{name}.h"\nchar probe[{name.upper()}_WORKSPACE_SIZE];\n')
-    target = probe.with_suffix(".o")
-    run([COMPILER, *flags, *bench.includes(), "-c", probe, "-o", target], folder=bench.scratch)
-    return objects.section_sizes("arm-none-eabi-objdump", target)["ram"]
 
 
 def _against_plain(bench: Bench, board: Board) -> Finding:
