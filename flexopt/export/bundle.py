@@ -49,7 +49,7 @@ JUDGED = ("decay", "frequency_hz", "allowed_gain", "delay_margin", "disk_margin"
 COMPILE_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 # What `make` and CMake leave behind when the README is followed.
 _PRODUCTS = re.compile(r".*\.(o|a|obj|lib)|\.compiled|selftest(\.exe)?|example(\.exe)?|build/.*|verification/.*")
-_REPORT = re.compile(rf"{VERIFICATION}/report(-[a-z0-9-]+)?\.(html|json)")
+_REPORT = re.compile(rf"{VERIFICATION}/report\.(html|json)")
 
 
 @dataclass(frozen=True)

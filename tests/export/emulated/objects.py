@@ -1,6 +1,6 @@
 """What the object files and the sources show: no allocation, no static state, no recursion, bounded loops, no double.
 
-In: a `Bench` and a compiler. Out: one check for each target.
+In: a `Bench` and a compiler. Out: findings.
 """
 
 from __future__ import annotations
@@ -12,11 +12,15 @@ from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
 from pathlib import Path
 
-from flexopt.export.kernels import MATH
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import Finding, FindingTable, PlannedCheck, VerifyTarget
-from flexopt.export.verify.tools import need, run
+from flexopt.export.verify.checks import Finding, FindingTable
+from flexopt.export.verify.tools import run
 
+# Of the mathematical library.
+MATH = (
+    "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "sqrt", "exp", "log", "log10", "pow",
+    "fabs", "fmin", "fmax", "floor", "ceil", "fmod", "copysign", "hypot", "expm1", "log1p", "erf",
+)  # fmt: skip
 # What compilers call by themselves: copying, and arithmetic that the processor has not.
 _COMPILER_OWN = re.compile(r"memcpy|memset|memmove|sincosf?|__aeabi_\w+|__errno|_GLOBAL_OFFSET_TABLE_|__stack_chk_fail")
 _SOFT_DOUBLE = re.compile(r"__aeabi_(c?d\w+|[a-z]+2d)|__\w+df\w*|sincos")
@@ -54,21 +58,16 @@ class CallGraph:
         return self.stack.get(name, 0) + max((self.stack_from(c) for c in self.calls.get(name, ())), default=0)
 
 
-def objects_check(bench: Bench, target: VerifyTarget, compiler: str, flags: Sequence[str]) -> PlannedCheck:
-    """The objects that `compiler` makes of the library."""
-    return PlannedCheck("object files and sources", target, lambda: _examined(bench, target, compiler, flags))
-
-
-def accounted(bench: Bench, target: VerifyTarget, compiler: str, flags: Sequence[str]) -> dict[str, Path]:
+def accounted(bench: Bench, label: str, compiler: str, flags: Sequence[str]) -> dict[str, Path]:
     """Objects beside which the compiler wrote its account of calls and frames."""
-    return bench.objects(f"objects-{target}", compiler, [*flags, "-fcallgraph-info=su"])
+    return bench.objects(f"objects-{label}", compiler, [*flags, "-fcallgraph-info=su"])
 
 
-def _examined(bench: Bench, target: VerifyTarget, compiler: str, flags: Sequence[str]) -> Finding:
+def examined(bench: Bench, label: str, compiler: str, flags: Sequence[str]) -> Finding:
+    """Examine the objects that `compiler` makes of the library."""
     tools = "arm-none-eabi-" if compiler.startswith("arm") else ""
     nm, objdump = f"{tools}nm", f"{tools}objdump"
-    need(compiler, nm, objdump)
-    built = accounted(bench, target, compiler, flags)
+    built = accounted(bench, label, compiler, flags)
     own = {
         f"{bench.library.prefix}_{name}" for name in ("status_text", "has_output", "build_info", "default_parameters")
     }
