@@ -18,6 +18,7 @@ from flexopt.model.machine import Parameter
 from flexopt.model.parameter_ranges import parameter_range
 from tests.export.bundle_library import BundleLibrary
 from tests.export.emulated.examining import examine_board, examine_host
+from tests.export.emulated.faulty import near
 from tests.export.programs import GCC, HOST, TARGET
 from tests.oracles.spatial import grounded, pinocchio_tree, random_tree
 
@@ -235,7 +236,7 @@ def test_a_machines_own_parameters_are_allowed(name: str) -> None:
     assert np.all((own >= parameters.low) & (own <= parameters.high))
     drawn = parameters.draw(np.random.default_rng(0), 200)
     assert np.all((drawn >= parameters.low) & (drawn <= parameters.high))
-    assert parameters.near(drawn).all()
+    assert near(parameters, drawn).all()
     lengths = np.array([unit == "m" for unit in parameters.units])
     assert np.all(np.ptp(drawn, axis=0)[lengths] > 0)
 

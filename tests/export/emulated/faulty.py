@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.export.operations import Operation
+from flexopt.export.operations import Operation, Parameters
 from flexopt.export.verify import replay
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Finding, FindingTable
@@ -139,7 +139,14 @@ def _judged(bench: Bench, b: replay.Block, a: replay.Answers) -> tuple[tuple[obj
     return (operation.name, len(b.rows), int(ok.sum()), shown, *counts), faults
 
 
+def near(parameters: Parameters, rows: Array) -> NDArray[np.bool_]:
+    """Whether all values of a row (count, n_par) are as close to the machine's own as those drawn."""
+    with np.errstate(invalid="ignore"):
+        close = np.abs(rows - np.asarray(parameters.values)) <= 1.05 * np.asarray(parameters.spread)
+    return np.asarray(close.all(axis=1))
+
+
 def _sound_parameters(bench: Bench, b: replay.Block, n_in: int) -> NDArray[np.bool_]:
     if b.operation.baked:
         return np.ones(len(b.rows), bool)
-    return bench.library.context.parameters.near(b.rows[:, n_in:])
+    return near(bench.library.context.parameters, b.rows[:, n_in:])
