@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 import flexopt
-from flexopt.cli.bundles import export_command
+from flexopt.cli.commands import cli
 from flexopt.errors import ExportError, InputError
 from flexopt.export import PARTS, ExportReport, export_c
 from flexopt.export.context import SINGLE_MARGIN_DEG
@@ -93,7 +93,8 @@ def test_single_precision_says_where_it_keeps_farther_from_singular_postures(
         least, readme = bundle(**options)
         assert len(set(least.values())) == 1
         assert "whatever less" not in readme
-    said = CliRunner().invoke(export_command, ["--help"]).output
+    # Through the group: a command that is called alone keeps other names of its help.
+    said = CliRunner().invoke(cli, ["export", "--help"]).output
     assert f"keep {SINGLE_MARGIN_DEG:g} at least" in " ".join(said.split())
     docs = Path(__file__).parents[2] / "docs" / "howto" / "posture-to-c.md"
     assert f"nearer than {SINGLE_MARGIN_DEG:g}° to singular" in docs.read_text(encoding="utf-8")
@@ -238,6 +239,12 @@ def test_the_stand_in_comes_to_rest_on_its_target(machine: flexopt.Machine, tmp_
     assert errors[0] > 0.05
     # What a float resolves at two metres.
     assert errors[-1] < 2.4e-7
+
+
+def test_a_part_that_is_unknown_is_refused_with_those_that_there_are(machine: flexopt.Machine, tmp_path: Path) -> None:
+    """The posture optimiser was one."""
+    with pytest.raises(InputError, match=f"must be some of {', '.join(PARTS)}, not 'optimiser'"):
+        export_c(machine, tmp_path / "b", parts=["kinematics", "optimiser"])
 
 
 def test_what_a_machine_does_not_allow_is_left_out(
