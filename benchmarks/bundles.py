@@ -11,6 +11,8 @@ function with tests of its own accepts. Ends with 1 where anything did not end w
 from __future__ import annotations
 
 import argparse
+import re
+import shutil
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -21,12 +23,28 @@ from benchmarks.timing import table
 from flexopt.errors import FlexoptError
 from flexopt.export import ExportReport, export_c
 from flexopt.export.kernels import Real
-from flexopt.export.verify.host import follow, readme_commands
-from flexopt.export.verify.tools import StepFailed, ToolMissing
+from flexopt.export.verify.tools import ProgramOutput, StepFailed, ToolMissing, run
 from flexopt.model import shipped_names
 
 REALS: tuple[Real, ...] = ("double", "float")
 COMPILERS = ("gcc", "clang")
+
+
+def readme_commands(folder: Path) -> list[str]:
+    """The commands that a bundle's README gives for building and testing it."""
+    text = (folder / "README.md").read_text(encoding="utf-8")
+    section = re.split(r"^## ", text, flags=re.MULTILINE)[1]
+    return [line.strip().split("  #")[0].strip() for line in section.splitlines() if line.startswith("    ")]
+
+
+def follow(folder: Path, command: str, compiler: str, copy: Path) -> ProgramOutput:
+    """Run such a command in a copy of the folder, as it was exported.
+
+    Raises:
+        StepFailed: the command does not end with 0.
+    """
+    shutil.copytree(folder, copy, ignore=shutil.ignore_patterns("verification", "build", "*.o", "*.a"))
+    return run(["sh", "-e", "-c", command], folder=copy, environment={"CC": compiler})
 
 
 def ended(report: ExportReport, compiler: str, scratch: Path) -> list[str]:
@@ -36,7 +54,8 @@ def ended(report: ExportReport, compiler: str, scratch: Path) -> list[str]:
         try:
             said = follow(report.folder, command, compiler, scratch / f"{compiler}-{k}").both
             passed = "all passed" in said or "100% tests passed" in said
-            found.append("0" if passed else "0, but no test was run")
+            warned = re.findall(r".*\b(?:warning|error):.*", said)
+            found.append((warned or ["0"])[0] if passed else "0, but no test was run")
         except (StepFailed, ToolMissing) as error:
             found.append(" ".join(str(error).split())[-200:])
     return found

@@ -102,7 +102,6 @@ TYPES: dict[str, tuple[str, str]] = {
     "Real": ("flexopt.export.kernels", "Numbers of the C code."),
     "Version": ("flexopt.export.fmu.source", "Of FMI."),
     "FmuKind": ("flexopt.export.fmu.interface", "Of FMU."),
-    "VerifyTarget": ("flexopt.export.verify.checks", "Where a bundle's C is run to be verified."),
     "Keep": ("flexopt.simulation.members", "What an ensemble keeps."),
     "Over": ("flexopt.study.maps.grid", "What varies over a map."),
     "LoopVerdict": ("flexopt.simulation.verdict", "What a loop does."),

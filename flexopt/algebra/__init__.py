@@ -13,7 +13,6 @@ from flexopt.algebra.dense import safe_norm as safe_norm
 from flexopt.algebra.dense import same_distance as same_distance
 from flexopt.algebra.dense import solve_spd as solve_spd
 from flexopt.algebra.eigen import called_eigen as called_eigen
-from flexopt.algebra.eigen import called_eigen_near as called_eigen_near
 from flexopt.algebra.eigen import clusters as clusters
 from flexopt.algebra.eigen import direct_eigen as direct_eigen
 from flexopt.algebra.eigen import reciprocal as reciprocal

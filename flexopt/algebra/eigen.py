@@ -13,6 +13,8 @@ import casadi as ca
 from flexopt.algebra.dense import TINY, safe_norm
 
 ROUNDING = 1.1e-16
+# A full matrix hardly ever settles in fewer sweeps.
+SURE_SWEEPS = 4
 
 # 2 cos(acos(h) / 3) for h in [0, 1], to 1.2e-6: coefficients of h⁰, h¹, …
 _THIRD_OF_ANGLE = (1.73205196, 0.33324513, -0.09510725, 0.04395557, -0.01810834, 0.00396381)
@@ -40,36 +42,16 @@ def called_eigen(size: int) -> ca.Function:
 
     Sweeps that would change nothing are left out.
     """
-    matrix = ca.MX.sym("matrix", size, size)
-    # A full matrix hardly ever settles in fewer.
-    found = _swept(size, [matrix, ca.densify(ca.MX.eye(size))], least=4)
-    return ca.Function("symmetric_eigen", [matrix], found, ["matrix"], ["values", "vectors"])
-
-
-@lru_cache(maxsize=8)
-def called_eigen_near(size: int) -> ca.Function:
-    """A symmetric matrix and orthogonal vectors that nearly diagonalise it -> the same, in fewer sweeps.
-
-    Small eigenvalues of graded matrices lose their relative accuracy: errors are relative to the largest one.
-    """
-    a, v = ca.SX.sym("A", size, size), ca.SX.sym("V", size, size)
-    turned = v.T @ a @ v
-    turn = ca.Function("turn", [a, v], [ca.densify(turned + turned.T) / 2], {"cse": True})
-    matrix, vectors = ca.MX.sym("matrix", size, size), ca.MX.sym("vectors", size, size)
-    found = _swept(size, [turn.call([matrix, vectors])[0], vectors], least=1)
-    return ca.Function("symmetric_eigen_near", [matrix, vectors], found, ["matrix", "near"], ["values", "vectors"])
-
-
-def _swept(size: int, state: list[ca.MX], least: int) -> list[ca.MX]:
-    """Eigenvalues and vectors from a matrix and vectors, by `least` sweeps and as many more as are needed."""
     _, sweep, order = _steps(size)
     a, vectors = ca.SX.sym("A", size, size), ca.SX.sym("V", size, size)
     settled = ca.Function("settled", [a], [_settled(a)])
     as_it_is = ca.Function("as_it_is", [a, vectors], [a, vectors])
     sweep_unless = ca.Function.if_else("sweep_unless", as_it_is, sweep)
+    matrix = ca.MX.sym("matrix", size, size)
+    state = [matrix, ca.densify(ca.MX.eye(size))]
     for k in range(_sweeps(size)):
-        state = sweep.call(state) if k < least else sweep_unless.call([settled.call(state[:1])[0], *state])
-    return order.call(state)
+        state = sweep.call(state) if k < SURE_SWEEPS else sweep_unless.call([settled.call(state[:1])[0], *state])
+    return ca.Function("symmetric_eigen", [matrix], order.call(state), ["matrix"], ["values", "vectors"])
 
 
 @lru_cache(maxsize=8)

@@ -74,7 +74,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "flexopt verdict article --loop kp=1e4 --loop kv=1e3",
         "flexopt verdict article --loop default --ranges stiffness=0.5,2 --html verdict.html",
     ),
-    "verify": ("flexopt verify bundle", "flexopt verify bundle --target host --inputs 100"),
+    "verify": ("flexopt verify bundle", "flexopt verify bundle --inputs 100"),
 }
 
 

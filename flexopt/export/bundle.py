@@ -49,7 +49,7 @@ JUDGED = ("decay", "frequency_hz", "allowed_gain", "delay_margin", "disk_margin"
 COMPILE_FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic")
 # What `make` and CMake leave behind when the README is followed.
 _PRODUCTS = re.compile(r".*\.(o|a|obj|lib)|\.compiled|selftest(\.exe)?|example(\.exe)?|build/.*|verification/.*")
-_REPORT = re.compile(rf"{VERIFICATION}/report(-[a-z0-9-]+)?\.(html|json)")
+_REPORT = re.compile(rf"{VERIFICATION}/report\.(html|json)")
 
 
 @dataclass(frozen=True)
@@ -117,8 +117,6 @@ def _check_parts(value: Any) -> tuple[str, ...]:
     if unknown or not given:
         named = f", not {', '.join(unknown[:3])}" if unknown else ""
         raise ValueError(f"must be some of {valid}{named}")
-    if all(PARTS[part].standalone for part in given):
-        given = ["kinematics", *given]
     return tuple(part for part in PARTS if part in given)
 
 
@@ -199,8 +197,7 @@ def export_c(
         machine: from `flexopt.load`.
         folder: where to write; made if missing. One that exists is replaced, all files in one step where the system
             can do that, if it is an unchanged bundle; what else is in its `build/` stays.
-        parts: names from `flexopt.export.PARTS`; by default all that the machine allows. The optimiser brings the
-            kinematics.
+        parts: names from `flexopt.export.PARTS`; by default all that the machine allows.
         real: `"double"`, or `"float"` for single precision throughout.
         control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`: of the measures, the nullspace step and ε_max; by
             default that of `loop`, else of the machine's loop. The controller has both of the first, and the damped
@@ -256,10 +253,7 @@ def export_c(
     return ExportReport(
         folder=target,
         prefix=prefix,
-        parts={
-            part: tuple(entry.get("functions", [o["c_name"] for o in entry["operations"]]))
-            for part, entry in manifest["parts"].items()
-        },
+        parts={part: tuple(o["c_name"] for o in entry["operations"]) for part, entry in manifest["parts"].items()},
         files=tuple(sorted(texts)),
         bundle_sha256=manifest["bundle_sha256"],
         manifest=manifest,
@@ -285,10 +279,7 @@ def build_library(machine: AnyMachine, parts: Sequence[str], *, real: Real, pref
     context = build_context(machine, single=real == "float", **options)
     try:
         operations = {part: PARTS[part].build(context) for part in PARTS if part in parts}
-        made = {part: PARTS[part].standalone for part in parts}
-        standalone = {part: make(context, prefix, real) for part, make in made.items() if make is not None}
-        operations = {part: group for part, group in operations.items() if part not in standalone}
-        library = Library(context, prefix, real, operations, standalone)
+        library = Library(context, prefix, real, operations)
         _ = library.kernels
     except Unsupported as error:
         raise ExportError(f"export_c: {error}") from error
@@ -379,10 +370,6 @@ def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options
         }
         for part, group in library.operations.items()
     }
-    for part, own in library.standalone.items():
-        source = f"src/{library.prefix}_{part}.c"
-        parts[part] = {"title": PARTS[part].title, "source": source, "operations": []} | own.manifest()
-    parts = {part: parts[part] for part in library.parts}
     listed = [] if library.baked else list(
         zip(parameters.names, parameters.units, parameters.values, parameters.low, parameters.high, strict=True)
     )  # fmt: skip

@@ -19,10 +19,6 @@ from flexopt.compiled.lanes import definitions, reached_from
 
 Real = Literal["double", "float"]
 
-MATH = (
-    "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "sqrt", "exp", "log", "log10", "pow",
-    "fabs", "fmin", "fmax", "floor", "ceil", "fmod", "copysign", "hypot", "expm1", "log1p", "erf",
-)  # fmt: skip
 _NUMBER = re.compile(r"(?<![\w.])(\d+\.\d*(?:[eE][+-]?\d+)?|\d+[eE][+-]?\d+)(?![\w.])")
 _SINGLE_MIN, _SINGLE_MAX = 1.17549435e-38, 3.40282347e38
 # Helpers of the generator that test for old compilers, written for ours.

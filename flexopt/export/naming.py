@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from flexopt.export.kernels import Real, single_constant
@@ -23,9 +23,9 @@ def prefix_of(name: str) -> str:
     return (f"machine_{word}" if word in TAKEN_PREFIXES else word)[:PREFIX_MAX].rstrip("_")
 
 
-def constants(names: Sequence[str], taken: Iterable[str] = ()) -> list[str]:
-    """Different names in upper case; what would coincide, with another or with one that is taken, is numbered."""
-    found, used = list[str](), set(taken)
+def constants(names: Sequence[str]) -> list[str]:
+    """Different names in upper case; what would coincide is numbered."""
+    found, used = list[str](), set[str]()
     for name in names:
         word, count = c_identifier(name).upper(), 2
         unique = word

@@ -351,12 +351,6 @@ class Parameters:
         away = np.asarray(self.spread) * rng.uniform(-1, 1, (count, len(self.values)))
         return np.clip(np.asarray(self.values) + away, self.low, self.high)
 
-    def near(self, rows: Array) -> NDArray[np.bool_]:
-        """Whether all values of a row (count, n_par) are as close to the machine's own as those drawn."""
-        with np.errstate(invalid="ignore"):
-            close = np.abs(rows - np.asarray(self.values)) <= 1.05 * np.asarray(self.spread)
-        return np.asarray(close.all(axis=1))
-
     def rounded(self, rows: Array) -> Array:
         """Numbers as the C code will see them."""
         return rows.astype(np.float32).astype(np.float64) if self.single else rows

@@ -1,6 +1,6 @@
 """The parts of a bundle. A part is one entry of `PARTS` and becomes one C file.
 
-In: nothing. Out: for each part its title and what builds its operations, or its own sources, from a `Context`.
+In: nothing. Out: for each part its title and what builds its operations from a `Context`.
 """
 
 from __future__ import annotations
@@ -11,18 +11,11 @@ from dataclasses import dataclass
 from flexopt.export.context import Context
 from flexopt.export.control import controller, kinematics
 from flexopt.export.hydraulic import levers, levers_refusal
-from flexopt.export.kernels import Real
 from flexopt.export.loop_step import loop_step
 from flexopt.export.modal import margin, measures, nullspace
 from flexopt.export.operations import Operation
-from flexopt.export.optimiser import optimiser_refusal
-from flexopt.export.optimiser_part import OptimiserPart, optimiser
 from flexopt.export.simulator import simulator
 from flexopt.model import AnyMachine
-
-
-def _nothing(_: Context) -> tuple[Operation, ...]:
-    return ()
 
 
 def _takes_all(_: AnyMachine) -> str:
@@ -36,13 +29,11 @@ class Part:
     Attributes:
         title: what it is for.
         build: its operations.
-        standalone: its own sources, of a part that is not made of operations: (context, prefix, precision) -> sources.
         refusal: why a machine cannot have it, in a sentence; empty where it can.
     """
 
     title: str
-    build: Callable[[Context], tuple[Operation, ...]] = _nothing
-    standalone: Callable[[Context, str, Real], OptimiserPart] | None = None
+    build: Callable[[Context], tuple[Operation, ...]]
     refusal: Callable[[AnyMachine], str] = _takes_all
 
 
@@ -56,6 +47,5 @@ PARTS: dict[str, Part] = {
     "measures": Part("measures w_i, V and its gradient", measures),
     "nullspace": Part("nullspace update of base and joints", nullspace),
     "margin": Part("robust stability margin", margin),
-    "optimiser": Part("posture optimiser", standalone=optimiser, refusal=optimiser_refusal),
     "simulator": Part("one step of the machine, for hardware in the loop", simulator),
 }

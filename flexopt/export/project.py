@@ -46,8 +46,6 @@ class Project:
         }
         if self._has_node:
             files["examples/ros2_node.cpp"] = self._ros2_node()
-        for part in self.library.standalone.values():
-            files |= part.test_files
         return files
 
     def _render(self, file: str, /, **values: object) -> str:

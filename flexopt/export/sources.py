@@ -18,7 +18,6 @@ from flexopt.export.context import Context
 from flexopt.export.kernels import Kernel, KernelText, Real, kernel_text
 from flexopt.export.naming import CWriter, constants
 from flexopt.export.operations import TURN, Operation
-from flexopt.export.optimiser_part import OptimiserPart
 from flexopt.export.parts import PARTS
 from flexopt.export.task_rows import orientation_texts
 from flexopt.foundation.documents import package_version
@@ -57,19 +56,17 @@ class Library:
         prefix: of every public name.
         real: precision.
         operations: by part, in the order of `PARTS`.
-        standalone: parts that bring their own sources.
     """
 
     context: Context
     prefix: str
     real: Real
     operations: dict[str, tuple[Operation, ...]]
-    standalone: dict[str, OptimiserPart]
 
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of all parts, in the order of `PARTS`."""
-        return tuple(part for part in PARTS if part in self.operations or part in self.standalone)
+        return tuple(self.operations)
 
     @property
     def baked(self) -> bool:
@@ -117,9 +114,7 @@ class Library:
 
     def kernel_digest_text(self) -> str:
         """What decides the bundle's content, to be hashed: kernels, documentation, ranges."""
-        parts = [text.text for text in self._kernel_texts.values()]
-        parts += [text for own in self.standalone.values() for text in own.library_files.values()]
-        return "\n".join([*parts, self.header(bundle_hash="")])
+        return "\n".join([*(text.text for text in self._kernel_texts.values()), self.header(bundle_hash="")])
 
     @cached_property
     def writer(self) -> CWriter:
@@ -133,10 +128,7 @@ class Library:
             f"src/{self.prefix}_internal.h": self.writer.render("internal.h", turn=2 * math.pi, turn_parts=TURN),
             f"src/{self.prefix}_common.c": self.writer.render("common.c", **self.described),
         }
-        texts |= {f"src/{self.prefix}_{part}.c": self._part(part) for part in self.operations}
-        for part in self.standalone.values():
-            texts |= part.library_files
-        return texts
+        return texts | {f"src/{self.prefix}_{part}.c": self._part(part) for part in self.operations}
 
     @cached_property
     def described(self) -> dict[str, Any]:
@@ -147,7 +139,6 @@ class Library:
             "parts": self.parts,
             "titles": {part: PARTS[part].title for part in self.parts},
             "operations": self.all_operations,
-            "standalone": self.standalone,
             "statuses": STATUSES,
             "sizes": self.sizes,
             "orientation": orientation_texts(self.context.machine),

@@ -76,21 +76,19 @@ class Expansion:
         split: list[Any] = [held[i:j] for i, j in pairwise(edges)]
         return {name: ca.reshape(x, *symbol.shape) for name, symbol, x in zip(names, symbols, split, strict=True)}
 
-    def hold(self, at: Sequence[Any], modes: ca.Function, *near: Any) -> tuple[HeldGraphs, list[Any]]:
+    def hold(self, at: Sequence[Any], modes: ca.Function) -> tuple[HeldGraphs, list[Any]]:
         """The parts of `held` at graphs of the inputs (of base, posture and p), and what else `modes` gives."""
         deflection = self.deflection(at)
-        return self.solved(deflection, self.reduced.call([*at, *deflection]), modes, *near)
+        return self.solved(deflection, self.reduced.call([*at, *deflection]), modes)
 
     def deflection(self, at: Sequence[Any]) -> list[Any]:
         """The static deflection (m,) as a graph, in a list; an empty one without gravity."""
         return self._deflected.call(list(at)) if self.gravity else []
 
-    def solved(
-        self, deflection: list[Any], y: Sequence[Any], modes: ca.Function, *near: Any
-    ) -> tuple[HeldGraphs, list[Any]]:
-        """`hold` from graphs of K_p, M̄ and F; `modes` is (K_p, M̄, near) -> ω², Φ, clusters, and more."""
+    def solved(self, deflection: list[Any], y: Sequence[Any], modes: ca.Function) -> tuple[HeldGraphs, list[Any]]:
+        """`hold` from graphs of K_p, M̄ and F; `modes` is (K_p, M̄) -> ω², Φ, clusters, and more."""
         stiffness, mass, factors = y
-        omega_squared, shapes, same, *more = modes.call([stiffness, mass, *near])
+        omega_squared, shapes, same, *more = modes.call([stiffness, mass])
         f = self.terms.factors.call([factors, shapes])[0]
         held = zip(self.held_parts, [*(deflection or [type(f)(0, 1)]), omega_squared, shapes, same, f], strict=True)
         return dict(held), more

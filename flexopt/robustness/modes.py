@@ -9,7 +9,6 @@ import casadi as ca
 
 from flexopt.algebra import (
     called_eigen,
-    called_eigen_near,
     clusters,
     direct_eigen,
     reciprocal,
@@ -21,8 +20,6 @@ from flexopt.plant.plant import OperatingPoint
 # Eigenvalues ω² closer than this, relative to their mean, are one cluster: below it the modes themselves, not the sums
 # over the cluster, lose the digits that the measures are quoted with.
 CLUSTER_TOLERANCE = 1e-6
-# Largest ratio of two ω² up to which eigenvectors of a pencil nearby may be started from.
-SPREAD = 1e6
 # Where two ω² come closer than this, relative to their mean, the closed form is left to the iteration.
 TRUSTED_GAP = 1e-3
 # Up to so many modes everything is written out in one graph; with more, iterations stay calls.
@@ -79,23 +76,14 @@ def modes_function(size: int) -> ca.Function:
 
 
 @lru_cache(maxsize=8)
-def called_modes(size: int, *, near: bool = False) -> ca.Function:
-    """(K_p, M̄) -> what `solve_modes` gives, by calls that keep its C small.
-
-    With `near` (K_p, M̄, near) -> the same, and z (m, m) of `solve_modes`; quicker where `near` is a z nearby. Where
-    none is known it is the unit matrix; so is z where ω² spread by more than `SPREAD`.
-    """
+def called_modes(size: int) -> ca.Function:
+    """(K_p, M̄) -> what `solve_modes` gives, by calls that keep its C small."""
     before, after = _around(size)
-    names, results = ["K", "M"] + ["near"] * near, ["omega_squared", "modes", "same"] + ["z"] * near
-    inputs = [ca.MX.sym(name, size, size) for name in names]
-    symmetric, solved = before.call(inputs[:2])
-    pairs = (called_eigen_near if near else called_eigen)(size).call([symmetric, *inputs[2:]])
+    pencil = [ca.MX.sym(name, size, size) for name in ("K", "M")]
+    symmetric, solved = before.call(pencil)
+    pairs = called_eigen(size).call([symmetric])
     outputs = [pairs[0], *after.call([*pairs, solved])]
-    if near:
-        values, z = ca.SX.sym("values", size), ca.SX.sym("z", size, size)
-        trusted = ca.if_else(values[-1] <= SPREAD * values[0], z, ca.SX.eye(size))
-        outputs += ca.Function("next_time", [values, z], [ca.densify(trusted)]).call(pairs)
-    return ca.Function("solve_modes" + "_near" * near, inputs, outputs, names, results)
+    return ca.Function("solve_modes", pencil, outputs, ["K", "M"], ["omega_squared", "modes", "same"])
 
 
 @lru_cache(maxsize=8)

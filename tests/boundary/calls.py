@@ -406,9 +406,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
     },
     "verify_bundle": lambda: {
         "folder": "bundle",
-        "target": "host",
         "inputs": 1,
-        "fuzz_calls": 1,
         "progress": print,
     },
 }

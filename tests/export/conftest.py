@@ -12,7 +12,7 @@ import shutil
 
 import pytest
 
-from flexopt.export.verify.tools import PACKAGES
+from tests.export.programs import PACKAGES
 
 
 @pytest.hookimpl(tryfirst=True)

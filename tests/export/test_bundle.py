@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 import flexopt
-from flexopt.cli.bundles import export_command
+from flexopt.cli.commands import cli
 from flexopt.errors import ExportError, InputError
 from flexopt.export import PARTS, ExportReport, export_c
 from flexopt.export.context import SINGLE_MARGIN_DEG
@@ -93,7 +93,8 @@ def test_single_precision_says_where_it_keeps_farther_from_singular_postures(
         least, readme = bundle(**options)
         assert len(set(least.values())) == 1
         assert "whatever less" not in readme
-    said = CliRunner().invoke(export_command, ["--help"]).output
+    # Through the group: a command that is called alone keeps other names of its help.
+    said = CliRunner().invoke(cli, ["export", "--help"]).output
     assert f"keep {SINGLE_MARGIN_DEG:g} at least" in " ".join(said.split())
     docs = Path(__file__).parents[2] / "docs" / "howto" / "posture-to-c.md"
     assert f"nearer than {SINGLE_MARGIN_DEG:g}° to singular" in docs.read_text(encoding="utf-8")
@@ -172,20 +173,6 @@ def test_a_file_in_the_way_is_named(machine: flexopt.Machine, tmp_path: Path) ->
     assert (tmp_path / "b").read_text() == "mine"
 
 
-def test_the_optimiser_is_a_part_with_a_header_of_its_own(machine: flexopt.Machine, tmp_path: Path) -> None:
-    report = export_c(machine, tmp_path / "b", parts=["optimiser"], baked=True)
-    assert list(report.parts) == ["kinematics", "optimiser"]
-    header = (report.folder / "include" / "excavator_optimiser.h").read_text()
-    assert '#include "excavator_control.h"' in header
-    assert "excavator_real target" in header
-    assert all(re.search(rf"\b{name}\(", header) for name in report.parts["optimiser"])
-    entry = report.manifest["parts"]["optimiser"]
-    assert {field["name"] for field in entry["inputs"]} >= {"target", "lower", "upper", "weights", "start"}
-    for name, value in entry["statuses"].items():
-        assert re.search(rf"EXCAVATOR_OPTIMISER_{name} = {value}\b", header)
-        assert f"`EXCAVATOR_OPTIMISER_{name}`" in (report.folder / "README.md").read_text()
-
-
 # Headers that the bundle's sources and their users include.
 HEADERS = (
     "errno", "float", "inttypes", "limits", "locale", "math", "signal", "stdbool", "stddef", "stdint", "stdio", "stdlib",
@@ -254,19 +241,25 @@ def test_the_stand_in_comes_to_rest_on_its_target(machine: flexopt.Machine, tmp_
     assert errors[-1] < 2.4e-7
 
 
+def test_a_part_that_is_unknown_is_refused_with_those_that_there_are(machine: flexopt.Machine, tmp_path: Path) -> None:
+    """The posture optimiser was one."""
+    with pytest.raises(InputError, match=f"must be some of {', '.join(PARTS)}, not 'optimiser'"):
+        export_c(machine, tmp_path / "b", parts=["kinematics", "optimiser"])
+
+
 def test_what_a_machine_does_not_allow_is_left_out(
     machine: flexopt.Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for part in set(PARTS) - {"kinematics"}:
         monkeypatch.setitem(PARTS, part, replace(PARTS[part], refusal=lambda machine: f"{machine.name} is too small"))
     with pytest.raises(InputError, match="excavator is too small") as caught:
-        export_c(machine, tmp_path / "b", parts=["kinematics", "optimiser"])
-    assert [fault.value for fault in caught.value.faults] == ["'optimiser'"]
+        export_c(machine, tmp_path / "b", parts=["kinematics", "margin"])
+    assert [fault.value for fault in caught.value.faults] == ["'margin'"]
     assert not (tmp_path / "b").exists()
     report = export_c(machine, tmp_path / "b")
     assert list(report.parts) == ["kinematics"]
     assert report.left_out == report.to_dict()["left_out"]
-    assert report.left_out["optimiser"] in repr(report)
+    assert report.left_out["margin"] in repr(report)
 
 
 @pytest.mark.long

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.algebra import called_eigen, called_eigen_near, symmetric_eigen
+from flexopt.algebra import called_eigen, symmetric_eigen
 from flexopt.export.context import build_context
 from flexopt.export.modal_kernels import ModalKernels
 from flexopt.model import tree_from_dict
@@ -100,40 +100,6 @@ def test_called_eigenpairs_are_the_same(size: int) -> None:
     np.testing.assert_allclose(values, written[0].full(), rtol=1e-13)
     np.testing.assert_allclose(vectors, written[1].full(), rtol=0, atol=1e-13)
     np.testing.assert_allclose(vectors @ np.diag(values.ravel()) @ vectors.T, matrix, atol=1e-13 * np.trace(matrix))
-
-
-@pytest.mark.parametrize("size", [1, 2, 3, 6])
-def test_eigenpairs_from_vectors_nearby_are_the_same(size: int) -> None:
-    rng = np.random.default_rng(size)
-    matrix = rng.normal(size=(size, size))
-    matrix = matrix @ matrix.T + np.eye(size)
-    near = np.linalg.qr(np.linalg.eigh(matrix)[1] + 1e-2 * rng.normal(size=(size, size)))[0]
-    for start in (near, np.eye(size), np.linalg.qr(rng.normal(size=(size, size)))[0]):
-        values, vectors = (x.full() for x in called_eigen_near(size).call([matrix, start]))
-        np.testing.assert_allclose(values.ravel(), np.linalg.eigvalsh(matrix), rtol=0, atol=1e-14 * np.trace(matrix))
-        np.testing.assert_allclose(vectors @ np.diag(values.ravel()) @ vectors.T, matrix, atol=1e-13 * np.trace(matrix))
-
-
-def test_modes_from_those_nearby_are_the_same() -> None:
-    """z is handed on from posture to posture, but not where frequencies spread too far to trust it."""
-    rng = np.random.default_rng(3)
-    near = np.eye(4)
-    stiffness = np.diag([1.0, 2.0, 5.0, 9.0]) * 1e4
-    for _ in range(5):
-        root = rng.normal(size=(4, 4))
-        mass = 100 * np.eye(4) + root @ root.T
-        expected = [x.full() for x in called_modes(4).call([stiffness, mass])]
-        *found, z = (x.full() for x in called_modes(4, near=True).call([stiffness, mass, near]))
-        np.testing.assert_allclose(found[0], expected[0], rtol=1e-13)
-        # Signs are free.
-        np.testing.assert_allclose(
-            np.abs(found[1]), np.abs(expected[1]), rtol=0, atol=1e-12 * np.abs(expected[1]).max()
-        )
-        np.testing.assert_allclose(z.T @ z, np.eye(4), atol=1e-14)
-        assert not np.allclose(z, np.eye(4))
-        near = z
-    spread = called_modes(4, near=True).call([np.diag([1.0, 1e3, 1e5, 1e8]), np.eye(4) + 0.1, np.eye(4)])
-    np.testing.assert_array_equal(spread[3].full(), np.eye(4))
 
 
 def test_called_modes_are_the_same() -> None:

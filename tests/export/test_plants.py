@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import flexopt
 from flexopt.export.context import build_context
-from flexopt.export.optimiser import build_optimiser
 from flexopt.plant import plant as plants
 
 
@@ -16,4 +15,3 @@ def test_measures_are_of_the_plant_that_the_bundle_is_of() -> None:
     options = {"control": "inverse", "gain": 1e5, "single": False, "baked": False, "singularity_margin_deg": 10.0}
     at = build_context(machine, **options)
     assert at.measures.plant is at.plant
-    assert build_optimiser(at, "case", "double").kernels.position.name() == "position"

@@ -11,7 +11,6 @@ import pytest
 
 import flexopt
 from benchmarks.bundles import ended, examine
-from benchmarks.optimiser import built, draw_pairs, run, summary
 from flexopt.cli import main
 from flexopt.export import PARTS, export_c
 from flexopt.export.bundle import build_library
@@ -21,7 +20,7 @@ from flexopt.export.control import controller, kinematics
 from flexopt.export.project import Project
 from flexopt.export.simulator import simulator
 from flexopt.model import AnyMachine, shipped_names, tree_from_dict
-from tests.export.programs import GCC, MAKE
+from tests.export.programs import MAKE
 from tests.oracles.spatial import random_tree
 
 # Without the parts whose C takes long to compile; `python -m benchmarks.bundles` does the whole.
@@ -48,20 +47,6 @@ def test_self_test_and_example_end_well(name: str, real, tmp_path: Path) -> None
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     assert "all passed" in done.stdout
     assert re.search(r"^on target$", done.stdout, flags=re.MULTILINE)
-
-
-@pytest.mark.long
-@MAKE
-def test_a_target_out_of_reach_is_refused_at_once(tmp_path: Path) -> None:
-    """In single precision; in double the self-tests of other machines' optimisers say the same."""
-    folder = export_c(flexopt.load("mobile-manipulator"), tmp_path / "b", real="float", parts=["optimiser"]).folder
-    done = subprocess.run(
-        ["make", "-s", "-C", str(folder), "CFLAGS=-O0", "test"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout[-2000:]
-    header = (folder / "include" / "mobile_manipulator_optimiser.h").read_text()
-    assert "a local optimum" in header
-    assert "TARGET_TOLERANCE" in header
 
 
 @pytest.mark.long
@@ -163,18 +148,6 @@ def test_the_readme_says_what_the_example_does(monkeypatch: pytest.MonkeyPatch) 
     texts = around(flexopt.machine_from_dict(data), ["kinematics", "controller"])
     assert "Calls every function of the bundle once" in texts["examples/main.c"]
     assert "calls each function once" in texts["README.md"]
-
-
-@pytest.mark.long
-@GCC
-def test_single_precision_answers_are_on_their_targets() -> None:
-    # Without the last steps onto the target two of these ten are off by more than is allowed.
-    pairs = draw_pairs(flexopt.load("slewing-excavator"), "inverse", 10, seed=2026)
-    library = built(flexopt.load("slewing-excavator"), "inverse", "float")
-    answers = run(library, pairs, own_starts=True, target="host")
-    _, infeasible, answered, _, _ = summary(pairs, answers, "float")
-    assert infeasible == "0"
-    assert answered == "10"
 
 
 def test_help_names_all_parts(capsys: pytest.CaptureFixture[str]) -> None:

@@ -214,14 +214,13 @@ def test_a_living_writers_file_is_not_swept(tmp_path: Path) -> None:
 _ALLOWED = {"foundation/writing.py"}
 _METHODS = {"write_text", "write_bytes", "tofile", "to_csv", "to_pickle", "savetxt", "savez", "hardlink_to"}
 _BUFFERED = {"savefig", "save", "to_netcdf", "ZipFile", "dump", "generate"}
-# Methods of flexopt's own results have these names, too; CasADi writes a source and its header into a scratch folder; a
+# Methods of flexopt's own results have these names, too; a
 # file that serves as a lock is empty; pandas gives text where it gets no path.
 _OWN = {
     ("compiled/locks.py", "open"),
     ("cli/common.py", "to_netcdf"),
     ("cli/simulation.py", "save"),
     ("cli/studies.py", "to_netcdf"),
-    ("export/verify/target.py", "generate"),
     ("large_studies/exporting.py", "to_csv"),
 }
 

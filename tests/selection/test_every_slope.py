@@ -14,8 +14,6 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.export.context import build_context
-from flexopt.export.optimiser_kernels import build_optimiser_kernels
 from flexopt.loop.lag import lagged_modes
 from flexopt.loop.outcome import MEASURES, LoopPoint
 from flexopt.loop.settings import loop_settings
@@ -76,7 +74,6 @@ TAKEN = {
     ("selection/own/graphs.py", "_inner_curvature"): "test_own_ones",
     ("selection/own/graphs.py", "_outer_slope"): "test_own_ones",
     ("selection/own/graphs.py", "_outer_curvature"): "test_own_ones",
-    ("export/optimiser_kernels.py", "build_optimiser_kernels"): "test_the_optimiser_in_c",
 }
 ROOMS = (
     "selection",
@@ -85,8 +82,6 @@ ROOMS = (
     "loop/small_motions.py",
     "loop/lag.py",
     "plant/inverse_kinematics.py",
-    "export/optimiser_kernels.py",
-    "export/optimiser.py",
 )
 walked: set[str] = set()
 
@@ -522,48 +517,6 @@ def test_steps_that_hold_a_machine_as_it_sags(name):
     left = held_steps(machine).call([near, 1e-9, *bounds, wanted, wanted, size, p])[2]
     # Of a redundant arm steps are damped where springs and rows differ by orders of magnitude.
     assert float(left) < 1e-12
-
-
-@pytest.mark.parametrize("name", ["excavator", "slewing-excavator"])
-def test_the_optimiser_in_c(name):
-    """V, r and the margin as its C climbs them: slopes, and second derivatives where it has exact ones."""
-    machine, _ = machine_of(name)
-    options = {"gain": 5e5, "single": False, "baked": False, "singularity_margin_deg": 10.0}
-    at = build_context(machine, control="inverse", **options)
-    kernels, plant = build_optimiser_kernels(at), at.plant
-    m, p, rng = plant.n_passive, plant.parameter_values, np.random.default_rng(4)
-    n_b, near = plant.n_base, [] if plant.closed_form else [np.eye(m)]
-    alpha = rng.uniform(0.5, 1.5, m)
-
-    def called(function, z):
-        place = [z[:n_b], z[n_b:], p]
-        held = [kernels.hold.call([*place, *near])[0], alpha] if "held" in function.name_in() else []
-        return [out.full() for out in function.call([*place, *held])]
-
-    def check(z):
-        size = called(kernels.value, z)[1].item()
-        slopes = called(kernels.derivatives, z)
-        found = {
-            "V": away(slopes[0].reshape(1, -1) / size, lambda x: called(kernels.value, x)[0].ravel() / size, z),
-            "r": away(called(kernels.position, z)[1].reshape(-1, plant.n_task).T,
-                      lambda x: called(kernels.position, x)[0].ravel(), z),
-            "margin": away(called(kernels.margin, z)[0].reshape(1, -1),
-                           lambda x: called(kernels.distance, x)[0].ravel(), z),
-        }  # fmt: skip
-        if kernels.exact_second:
-            n = z.size
-            of_v, of_r, of_margin = (x.reshape(-1, n) for x in slopes[1:])
-            found["second of V"] = away(of_v / size, lambda x: called(kernels.derivatives, x)[0].ravel() / size, z)
-            found["second of r"] = away(
-                of_r, lambda x: called(kernels.position, x)[1].reshape(n, plant.n_task).T.ravel(), z
-            )
-            found["second of the margin"] = away(of_margin, lambda x: called(kernels.margin, x)[0].ravel(), z)
-        return found
-
-    middle = np.array([sum(ends) / 2 if np.isfinite(ends).all() else 0.4 for ends in machine.limits])
-    points = [np.append(np.zeros(n_b), middle + 0.2 * rng.uniform(-1, 1, middle.size)) for _ in range(POINTS)]
-    found = best_of(check, points, SECOND)
-    assert max(found.values()) < SECOND, found
 
 
 def test_all_solvers_were_walked(walk):

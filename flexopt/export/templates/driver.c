@@ -1,4 +1,3 @@
-{% set driver = "driver" %}
 /* Replays calls from a file, on a workstation or on a microcontroller with semihosting: driver INPUTS OUTPUTS.
  *
  * INPUTS: blocks of four 32-bit words (function, calls, repeats, 0), then for each call one word of faults to make and
@@ -12,7 +11,18 @@
 
 #include "{{ prefix }}_table.h"
 
-{% include "export/templates/driver_clock.c" %}
+/* What a microcontroller is asked for; a workstation has nothing of it. */
+#ifdef FLEXOPT_TARGET
+uint32_t target_calibrate(void);
+uint32_t target_ticks(void);
+void target_paint_stack(void);
+uint32_t target_stack_used(void);
+#else
+static uint32_t target_calibrate(void) { return 0; }
+static uint32_t target_ticks(void) { return 0; }
+static void target_paint_stack(void) {}
+static uint32_t target_stack_used(void) { return 0; }
+#endif
 
 enum { NULL_IN = 1, NULL_PARAMETERS = 2, NULL_OUT = 4, NULL_WORKSPACE = 8, MISALIGNED = 16, SHORT = 32 };
 
@@ -62,7 +72,16 @@ int main(int argc, char **argv)
 {
   FILE *source, *sink;
   uint32_t block[4], i, used;
-{% include "export/templates/driver_files.c" %}
+  if (argc < 3) {
+    fputs("driver INPUTS OUTPUTS\n", stderr);
+    return 2;
+  }
+  source = fopen(argv[1], "rb");
+  sink = fopen(argv[2], "wb");
+  if ((source == NULL) || (sink == NULL)) {
+    fputs("driver: a file cannot be opened\n", stderr);
+    return 2;
+  }
   used = target_calibrate();
   fwrite(&used, sizeof used, 1, sink);
   while (fread(block, sizeof block, 1, source) == 1) {

@@ -4,9 +4,6 @@
 #include <stdlib.h>
 
 #include "{{ prefix }}_control.h"
-{% for part in standalone %}
-#include "{{ prefix }}_{{ part }}.h"
-{% endfor %}
 
 static {{ prefix }}_real workspace[{{ PREFIX }}_WORKSPACE];
 
@@ -31,9 +28,6 @@ int main(void)
     }
     printf("\n");
   }
-{% endfor %}
-{% for part in standalone.values() %}
-{{ part.example_call() -}}
 {% endfor %}
   return failures ? EXIT_FAILURE : EXIT_SUCCESS;
 }

@@ -17,9 +17,6 @@
 #include <stdlib.h>
 
 #include "{{ prefix }}_control.h"
-{% for part in standalone %}
-#include "{{ prefix }}_{{ part }}.h"
-{% endfor %}
 
 #define RATE_HZ {{ rate }}
 #define DURATION_S {{ duration }}
@@ -145,8 +142,5 @@ int main(void)
   }
   failures += (error < {{ "%.4g" | format(start.settled) }}) ? 0 : 1;
   printf((error < {{ "%.4g" | format(start.settled) }}) ? "on target\n" : "NOT on target\n");
-{% for part in standalone.values() %}
-{{ part.example_call() -}}
-{% endfor %}
   return failures ? EXIT_FAILURE : EXIT_SUCCESS;
 }

@@ -127,10 +127,6 @@ typedef struct {
 {{ prototype(o) }};
 
 {% endfor %}
-{% for part, own in standalone.items() %}
-{{ comment(prefix ~ "_" ~ part ~ ".h declares the " ~ titles[part] ~ ": " ~ own.functions | join("() and ") ~ "().") }}
-
-{% endfor %}
 #ifdef __cplusplus
 }
 #endif

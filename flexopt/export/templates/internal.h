@@ -13,7 +13,16 @@
 #error "compile without -ffast-math and -ffinite-math-only (MSVC: /fp:fast): refusals rely on NaN and infinity"
 #endif
 
-{% include "export/templates/single_precision.h" %}
+{% if real == "float" %}
+/* Single precision throughout. */
+{% for name in ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "sqrt", "exp", "log", "log10", "fabs", "floor", "ceil", "expm1", "log1p", "erf") %}
+#define {{ name }}(x) {{ name }}f(x)
+{% endfor %}
+{% for name in ("atan2", "pow", "fmin", "fmax", "fmod", "copysign", "hypot") %}
+#define {{ name }}(x, y) {{ name }}f((x), (y))
+{% endfor %}
+
+{% endif %}
 /* Pointers and workspace; `given` says whether no pointer is NULL. */
 static inline {{ prefix }}_status {{ prefix }}_check_call(int given, const {{ prefix }}_real *workspace, size_t length,
                                                     size_t needed)

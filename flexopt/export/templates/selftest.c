@@ -7,9 +7,6 @@
 
 #include "{{ prefix }}_table.h"
 #include "{{ prefix }}_vectors.h"
-{% for part in standalone %}
-#include "{{ part }}_selftest.h"
-{% endfor %}
 
 static {{ prefix }}_real in[LARGEST_IN], parameters[N_PARAMETERS + 1], out[LARGEST_OUT], before[LARGEST_OUT];
 static {{ prefix }}_real workspace[{{ PREFIX }}_WORKSPACE + 1U];
@@ -86,9 +83,6 @@ int main(void)
            failed ? "FAILED" : "passed", f->name, VECTOR_COUNT, refused, worst);
     failures += failed;
   }
-{% for part in standalone %}
-  failures += {{ part }}_failures();
-{% endfor %}
   printf(failures ? "%d FAILED\n" : "all passed\n", failures);
   return failures ? EXIT_FAILURE : EXIT_SUCCESS;
 }

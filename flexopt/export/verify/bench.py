@@ -1,11 +1,10 @@
 """What the checks share: the bundle, a scratch folder, the samples, and how to compile.
 
-In: a bundle's folder and how much to test. Out: a `Bench`.
+In: a bundle's folder and how many inputs to compare. Out: a `Bench`.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,11 +12,10 @@ from pathlib import Path
 
 from flexopt.export.operations import Samples
 from flexopt.export.sources import Library
-from flexopt.export.verify.tools import ProgramOutput, run
+from flexopt.export.verify.tools import run
 from flexopt.foundation.arrays import Document
 
 SAMPLE_SEED = 20
-STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Wstrict-prototypes", "-Werror")
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,6 @@ class Bench:
         manifest: of the bundle.
         library: built again in Python from the manifest.
         inputs: random inputs for each function.
-        fuzz_calls: faulty calls for each function.
     """
 
     folder: Path
@@ -38,7 +35,6 @@ class Bench:
     manifest: Document
     library: Library
     inputs: int
-    fuzz_calls: int
 
     @property
     def single(self) -> bool:
@@ -62,13 +58,6 @@ class Bench:
         """Random inputs of each function that its guards accept, and Python's outputs."""
         parameters = self.library.context.parameters
         return {o.name: o.draw(parameters, self.inputs, SAMPLE_SEED) for o in self.library.all_operations}
-
-    def strict(self, compiler: str) -> tuple[str, ...]:
-        """Warnings as errors, with those of precision in single-precision bundles."""
-        extra = ("-Wdouble-promotion",) if self.single else ()
-        if self.single and "gcc" in compiler:
-            extra += ("-Wunsuffixed-float-constants",)
-        return STRICT + extra
 
     def includes(self) -> list[str]:
         """Folders of headers."""
@@ -97,8 +86,3 @@ class Bench:
     def _paths(self, folder: Path) -> dict[str, Path]:
         names = [source.stem for source in self.sources]
         return {name.removeprefix(f"{self.library.prefix}_"): folder / f"{name}.o" for name in names}
-
-
-def warnings_in(said: ProgramOutput) -> list[str]:
-    """Lines of a compiler's that complain."""
-    return [line for line in said.both.splitlines() if re.search(r"\b(warning|error):", line)]

@@ -11,8 +11,6 @@ from flexopt.foundation.arrays import Document
 from flexopt.foundation.rendering import OfNumbers
 from flexopt.foundation.results import Result
 
-VerifyTarget = Literal["host", "cortex-m4f", "cortex-m7"]
-TARGETS: tuple[VerifyTarget, ...] = ("host", "cortex-m4f", "cortex-m7")
 FindingState = Literal["passed", "failed", "not verified"]
 
 
@@ -52,21 +50,17 @@ class VerificationCheck(Result):
 
     Attributes:
         name: what was checked.
-        target: where.
-        state: `"not verified"` where a tool is missing.
+        state: `"not verified"` where no compiler was found.
         finding: a sentence.
         tables: the numbers.
-        missing: programs that were not there.
     """
 
-    DOCUMENT = "name target state finding tables missing"
+    DOCUMENT = "name state finding tables"
 
     name: str
-    target: VerifyTarget
     state: FindingState
     finding: str
     tables: tuple[FindingTable, ...] = ()
-    missing: tuple[str, ...] = ()
 
 
 @dataclass
@@ -86,33 +80,32 @@ class Finding:
 
 @dataclass(frozen=True)
 class PlannedCheck:
-    """What is to be looked at, where, and how.
+    """What is to be looked at, and how.
 
     Attributes:
-        name, target: as of `VerificationCheck`.
+        name: as of `VerificationCheck`.
         look: makes the finding.
     """
 
     name: str
-    target: VerifyTarget
     look: Callable[[], Finding]
 
     @property
     def unmade(self) -> VerificationCheck:
         """What is known before: nothing."""
-        return VerificationCheck(self.name, self.target, "not verified", "broken off before")
+        return VerificationCheck(self.name, "not verified", "broken off before")
 
     def made(self) -> VerificationCheck:
         """What is found; a missing tool makes it not verified, a program that fails makes it fail."""
         try:
             found = self.look()
         except ToolMissing as error:
-            return VerificationCheck(self.name, self.target, "not verified", str(error), missing=error.names)
+            return VerificationCheck(self.name, "not verified", str(error))
         except StepFailed as error:
-            return VerificationCheck(self.name, self.target, "failed", str(error))
+            return VerificationCheck(self.name, "failed", str(error))
         sentence = found.sentence
         if found.faults:
             more = f" and {len(found.faults) - 8} more" if len(found.faults) > 8 else ""
             sentence = "; ".join(found.faults[:8]) + more
         state = "failed" if found.faults else "passed"
-        return VerificationCheck(self.name, self.target, state, sentence, tuple(found.tables))
+        return VerificationCheck(self.name, state, sentence, tuple(found.tables))

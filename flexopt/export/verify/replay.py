@@ -21,9 +21,6 @@ from flexopt.foundation.writing import write_file
 CODES = {name: k for k, name in enumerate(STATUSES)}
 NAMES = tuple(STATUSES)
 WRITTEN = [CODES[name] for name in WITH_OUTPUT]
-# Bits of the faults that the driver makes.
-NULL_IN, NULL_PARAMETERS, NULL_OUT, NULL_WORKSPACE, MISALIGNED, SHORT = (1 << k for k in range(6))
-CALIBRATION = 4_000_000  # instructions
 
 WordArray = NDArray[np.uint32]
 
@@ -88,7 +85,7 @@ def write_calls(path: Path, blocks: Sequence[Block], *, single: bool) -> None:
 
 
 def read_answers(path: Path, blocks: Sequence[Block], *, single: bool) -> tuple[int, list[Answers]]:
-    """The ticks of `CALIBRATION` instructions, and the answers to each block."""
+    """The ticks of a known number of instructions, 0 on the host, and the answers to each block."""
     data = path.read_bytes()
     real = np.float32 if single else np.float64
     calibration, offset = int(np.frombuffer(data, np.uint32, 1)[0]), 4

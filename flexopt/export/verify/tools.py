@@ -9,29 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from flexopt.foundation.writing import write_file
-
-# Program -> what brings it on Debian and Ubuntu.
-PACKAGES = {
-    "gcc": "gcc", "g++": "g++", "clang": "clang", "clang++": "clang", "make": "make", "cmake": "cmake",
-    "nm": "binutils", "objdump": "binutils", "cppcheck": "cppcheck",
-    "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi", "arm-none-eabi-nm": "binutils-arm-none-eabi",
-    "arm-none-eabi-objdump": "binutils-arm-none-eabi", "qemu-system-arm": "qemu-system-arm",
-}  # fmt: skip
+COMPILERS = ("cc", "gcc", "clang")
 SECONDS = 900.0
 
 
 class ToolMissing(Exception):
-    """Programs that are not installed.
-
-    Attributes:
-        names: which.
-    """
-
-    def __init__(self, names: Sequence[str]) -> None:
-        self.names = tuple(names)
-        packages = " ".join(dict.fromkeys(PACKAGES[name] for name in names))
-        super().__init__(f"{', '.join(names)} missing (apt-get install {packages})")
+    """A program that is not installed."""
 
 
 class StepFailed(Exception):
@@ -51,13 +34,6 @@ class ProgramOutput:
         return self.out + self.err
 
 
-def need(*names: str) -> None:
-    """Raise `ToolMissing` unless all programs are there."""
-    missing = [name for name in names if shutil.which(name) is None]
-    if missing:
-        raise ToolMissing(missing)
-
-
 def run(
     command: Sequence[str | Path],
     *,
@@ -73,8 +49,8 @@ def run(
         StepFailed: it failed, unless `may_fail`, or ran out of time.
     """
     words = [str(word) for word in command]
-    if "/" not in words[0]:
-        need(words[0])
+    if shutil.which(words[0]) is None:
+        raise ToolMissing(f"{words[0]} missing")
     try:
         done = subprocess.run(
             words, cwd=folder, env=os.environ | {"LC_ALL": "C"} | (environment or {}), stdin=subprocess.DEVNULL,
@@ -88,21 +64,16 @@ def run(
     return ProgramOutput(done.stdout, done.stderr)
 
 
-def sanitizing_compiler(flags: Sequence[str], folder: Path) -> str:
-    """The first of clang and gcc that is there with the libraries of its sanitizers.
+def host_compiler() -> str:
+    """The first C compiler on the path.
 
     Raises:
-        ToolMissing: neither is.
+        ToolMissing: there is none.
     """
-    source = folder / "sanitizers.c"
-    write_file(source, "int main(void) { return 0; }\n")
-    for compiler in ("clang", "gcc"):
-        try:
-            run([compiler, *flags, source, "-o", folder / "sanitizers"], folder=folder)
-        except (ToolMissing, StepFailed):
-            continue
-        return compiler
-    raise ToolMissing(["gcc"])
+    for name in COMPILERS:
+        if shutil.which(name) is not None:
+            return name
+    raise ToolMissing(f"no C compiler found ({', '.join(COMPILERS)})")
 
 
 def version(program: str) -> str:

@@ -1,12 +1,11 @@
 """Processor in the loop: the bundle on an emulated Cortex-M, its numbers, instructions, stack and memory.
 
-In: a `Bench` and a target. Out: checks. Instructions are counted by the board's clock under QEMU's `-icount`, where
+In: a `Bench` and a board. Out: findings. Instructions are counted by the board's clock under QEMU's `-icount`, where
 every instruction takes the same time; they are instructions, not cycles.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,18 +13,25 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from flexopt.export.operations import Operation
-from flexopt.export.verify import objects, optimiser, replay
+from flexopt.export.verify import replay
 from flexopt.export.verify.bench import Bench
-from flexopt.export.verify.checks import Finding, FindingTable, PlannedCheck, VerifyTarget
-from flexopt.export.verify.host import agreement
-from flexopt.export.verify.tools import ProgramOutput, StepFailed, need, run
-from flexopt.foundation.writing import write_file
+from flexopt.export.verify.checks import Finding, FindingTable
+from flexopt.export.verify.host import compared
+from flexopt.export.verify.tools import ProgramOutput, StepFailed, run
+from tests.export.emulated import objects
 
 COMPILER = "arm-none-eabi-gcc"
 EMULATOR = "qemu-system-arm"
 SPEEDUP = 10.0
+# Instructions of `target_calibrate`.
+CALIBRATION = 4_000_000
+HERE = Path(__file__).parent
+_TEMPLATES = Environment(
+    loader=FileSystemLoader(HERE), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=False
+)
 
 
 @dataclass(frozen=True)
@@ -41,43 +47,32 @@ class Board:
     flags: tuple[str, ...]
 
 
-BOARDS: dict[VerifyTarget, Board] = {
+BOARDS = {
     "cortex-m4f": Board("mps2-an386", ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")),
     "cortex-m7": Board("mps2-an500", ("-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16")),
 }
 
 
-def target_checks(bench: Bench, target: VerifyTarget) -> list[PlannedCheck]:
-    """Every check of one board."""
-    board = BOARDS[target]
-    flags = ["-std=c99", "-O2", *board.flags]
-    checks = [
-        PlannedCheck("equal to Python; instructions, stack", target, lambda: _agreement(bench, board, target, flags)),
-        PlannedCheck("flash and RAM by part", target, lambda: _memory(bench, target, flags)),
-        objects.objects_check(bench, target, COMPILER, flags),
-    ]
-    if optimiser.PART in bench.library.standalone:
-        name = "optimiser beside IPOPT; instructions, stack"
-        checks.append(PlannedCheck(name, target, lambda: _optimiser(bench, target, flags)))
-    if bench.single and target == "cortex-m4f" and "controller" in bench.library.operations:
-        checks.append(PlannedCheck("against the plain CasADi export", target, lambda: _against_plain(bench, board)))
-    return checks
+def flags_of(board: Board) -> list[str]:
+    """How the library is compiled for a board."""
+    return ["-std=c99", "-O2", *board.flags]
 
 
-def _agreement(bench: Bench, board: Board, target: VerifyTarget, flags: Sequence[str]) -> Finding:
-    need(COMPILER, EMULATOR)
-    built = objects.accounted(bench, target, COMPILER, flags)
-    program = _program(bench, board, f"driver-{target}", [bench.folder / "test" / "driver.c", *built.values()])
+def agreement(bench: Bench, name: str) -> Finding:
+    """The library on a board against Python; instructions and stack of each function."""
+    board = BOARDS[name]
+    built = objects.accounted(bench, name, COMPILER, flags_of(board))
+    program = _program(bench, board, f"driver-{name}", [bench.folder / "test" / "driver.c", *built.values()])
     operations = bench.library.all_operations
     blocks = [
         replay.block(k, o, bench.samples[o.name].inputs, repeats=_repeats(o)) for k, o in enumerate(operations)
     ]  # fmt: skip
-    calls, said = bench.scratch / f"{target}.bin", bench.scratch / f"{target}-answers.bin"
+    calls, said = bench.scratch / f"{name}.bin", bench.scratch / f"{name}-answers.bin"
     replay.write_calls(calls, blocks, single=bench.single)
     _emulate(bench, board, program, [calls.name, said.name])
     calibration, answers = replay.read_answers(said, blocks, single=bench.single)
-    found = agreement(bench, blocks, answers)
-    per_tick = replay.CALIBRATION / calibration
+    found = compared(bench, blocks, answers)
+    per_tick = CALIBRATION / calibration
     rows: list[tuple[object, ...]] = []
     for b, a in zip(blocks, answers, strict=True):
         counts = np.round(a.ticks * per_tick / b.repeats)
@@ -90,33 +85,14 @@ def _agreement(bench: Bench, board: Board, target: VerifyTarget, flags: Sequence
     return Finding(found.sentence, found.faults, [*found.tables, table])
 
 
-def _optimiser(bench: Bench, target: VerifyTarget, flags: Sequence[str]) -> Finding:
-    built = objects.accounted(bench, target, COMPILER, flags)
-    # Doubles in software cost what they cost; the bar is for processors that have the precision.
-    bar = optimiser.INSTRUCTIONS if bench.single or target == "cortex-m7" else math.inf
-    return optimiser.agreement(bench, board_runner(bench, target, list(built.values())), counts=True, bar=bar)
-
-
-def board_runner(bench: Bench, target: VerifyTarget, library: Sequence[Path] | None = None) -> optimiser.Runner:
-    """The optimiser's driver on an emulated board, linked with the library's objects, by default with its sources."""
-    need(COMPILER, EMULATOR)
-    sources = [bench.folder / "test" / "optimiser_driver.c", *(library or bench.sources)]
-    program = _program(bench, BOARDS[target], f"optimiser-{target}", sources)
-
-    def launch(_: Path, calls: str, answers: str) -> None:
-        _emulate(bench, BOARDS[target], program, [calls, answers])
-
-    return launch
-
-
 def _repeats(operation: Operation) -> int:
     """So many that the clock's tick of some 40 instructions does not show."""
     return max(1, 4000 // max(1, operation.kernel.n_instructions())) if operation.kernel.is_a("SXFunction") else 1
 
 
-def _memory(bench: Bench, target: VerifyTarget, flags: Sequence[str]) -> Finding:
-    need(COMPILER, "arm-none-eabi-objdump")
-    built = objects.accounted(bench, target, COMPILER, flags)
+def memory(bench: Bench, name: str) -> Finding:
+    """Flash and RAM of each part."""
+    built = objects.accounted(bench, name, COMPILER, flags_of(BOARDS[name]))
     graph = objects.call_graph(built)
     rows: list[tuple[object, ...]] = []
     real = 4 if bench.single else 8
@@ -125,10 +101,6 @@ def _memory(bench: Bench, target: VerifyTarget, flags: Sequence[str]) -> Finding
         names = [f"{bench.library.prefix}_{o.name}" for o in bench.library.operations.get(part, ())]
         stack = max((graph.stack_from(name) for name in names), default=0)
         space = max((bench.library.workspace(o) for o in bench.library.operations.get(part, ())), default=0) * real
-        if part in bench.library.standalone:
-            names = list(bench.library.standalone[part].functions)
-            stack = max(graph.stack_from(name) for name in names)
-            space = _workspace_bytes(bench, part, flags)
         rows.append((part, sizes["flash"], sizes["ram"], space, stack))
     header = ("part", "flash, bytes", "static RAM, bytes", "workspace, bytes", "stack of its own functions, bytes")
     total = sum(int(row[1]) for row in rows)  # type: ignore[call-overload]
@@ -136,37 +108,26 @@ def _memory(bench: Bench, target: VerifyTarget, flags: Sequence[str]) -> Finding
     return Finding(f"{total} bytes of flash for all parts, no static RAM", [], [table])
 
 
-def _workspace_bytes(bench: Bench, part: str, flags: Sequence[str]) -> int:
-    """Size of a workspace that is a structure: that of an array as large."""
-    name = f"{bench.library.prefix}_{part}"
-    probe = bench.scratch / f"{name}_workspace.c"
-    write_file(probe, f'#include "{name}.h"\nchar probe[{name.upper()}_WORKSPACE_SIZE];\n')
-    target = probe.with_suffix(".o")
-    run([COMPILER, *flags, *bench.includes(), "-c", probe, "-o", target], folder=bench.scratch)
-    return objects.section_sizes("arm-none-eabi-objdump", target)["ram"]
-
-
-def _against_plain(bench: Bench, board: Board) -> Finding:
+def against_plain(bench: Bench) -> Finding:
     """Row 3 of the bars: kernel to kernel, at least ten times fewer instructions than CasADi's own export."""
-    need(COMPILER, EMULATOR)
-    library = bench.library
+    board, library, writer = BOARDS["cortex-m4f"], bench.library, bench.library.writer
     operation = next(o for o in library.operations["controller"] if o.name == "torque_inverse")
     options = {"with_header": True, "casadi_real": "float", "casadi_int": "int"}
     generator = ca.CodeGenerator("plain", options)
     generator.add(operation.kernel)
     generator.generate(f"{bench.scratch}/")
     row = bench.samples[operation.name].inputs[0]
-    text = library.writer.render(
-        "target/compare.c", o=operation, kernel=operation.kernel, row=row[: operation.n_in].tolist(),
-        parameters=row[operation.n_in :].tolist(), baked=library.baked,
+    text = _TEMPLATES.get_template("compare.c").render(
+        prefix=library.prefix, PREFIX=writer.upper, listed=writer.listed, o=operation, kernel=operation.kernel,
+        row=row[: operation.n_in].tolist(), parameters=row[operation.n_in :].tolist(), baked=library.baked,
     )  # fmt: skip
-    write_file(bench.scratch / "compare.c", text)
+    (bench.scratch / "compare.c").write_text(text)
     common = next(source for source in bench.sources if source.stem == f"{library.prefix}_common")
     sources = [bench.scratch / "compare.c", bench.scratch / "plain.c", common]
     program = _program(bench, board, "compare", sources, extra=[f"-I{bench.scratch}"])
     said = _emulate(bench, board, program, []).out
     found = {name: int(value) for name, value in re.findall(r"(\w+) (\d+)", said)}
-    per_call = replay.CALIBRATION / found["calibration"] / found["calls"]
+    per_call = CALIBRATION / found["calibration"] / found["calls"]
     plain, kernel, whole = (found[name] * per_call for name in ("plain", "kernel", "whole"))
     ratio = plain / kernel
     rows = (
@@ -185,13 +146,11 @@ def _against_plain(bench: Bench, board: Board) -> Finding:
 
 def _program(bench: Bench, board: Board, name: str, sources: Sequence[Path], extra: Sequence[str] = ()) -> Path:
     """Link for a board, with semihosting."""
-    for file in ("startup.c", "link.ld"):
-        write_file(bench.scratch / file, bench.library.writer.render(f"target/{file}"))
     flags = [
         "-std=gnu99", "-O2", *board.flags, "-DFLEXOPT_TARGET", *extra, "--specs=rdimon.specs",
-        f"-T{bench.scratch / 'link.ld'}", "-Wl,--no-warn-rwx-segments",
+        f"-T{HERE / 'link.ld'}", "-Wl,--no-warn-rwx-segments",
     ]  # fmt: skip
-    return bench.program(f"{name}.elf", COMPILER, [bench.scratch / "startup.c", *sources], flags)
+    return bench.program(f"{name}.elf", COMPILER, [HERE / "startup.c", *sources], flags)
 
 
 def _emulate(bench: Bench, board: Board, program: Path, arguments: Sequence[str]) -> ProgramOutput:
