@@ -323,6 +323,22 @@ def library_of(manifest: dict[str, Any]) -> Library:
     return build_library(machine_of(manifest), parts, **options)
 
 
+def exported_again(manifest: dict[str, Any]) -> tuple[Library, dict[str, str]]:
+    """The library and the files of a fresh export of what a manifest describes.
+
+    Raises:
+        InputError: the manifest describes no export.
+    """
+    try:
+        library = library_of(manifest)
+        options = {name: value for name, value in manifest["options"].items() if name != "parts"}
+        return library, render_library(library, options)[0]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        sentence = f"its manifest.json describes no export ({type(error).__name__}: {error})"
+        raise_if_any(InputError, "verify", [Fault("folder", sentence)])
+        raise
+
+
 def machine_of(manifest: dict[str, Any]) -> AnyMachine:
     """The machine inside a manifest, planar or spatial."""
     data = manifest["machine"]
@@ -331,12 +347,12 @@ def machine_of(manifest: dict[str, Any]) -> AnyMachine:
 
 def changed_files(folder: Path, manifest: dict[str, Any]) -> list[str]:
     """Files of the bundle that are missing or not as they were written."""
-    changed: list[str] = []
-    for name, digest in manifest["files"].items():
-        path = folder / name
-        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
-            changed.append(name)
-    return changed
+    return [name for name, digest in manifest["files"].items() if digest_of(folder / name) != digest]
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file; empty where there is none."""
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
 def _manifest(library: Library, bundle_hash: str, texts: dict[str, str], options: dict[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from pathlib import Path
@@ -14,6 +15,8 @@ from flexopt.errors import InputError
 from flexopt.export import PARTS, ExportReport, export_c, verify_bundle
 from flexopt.export.verify import tools
 from flexopt.export.verify.checks import Finding
+from flexopt.export.verify.host import host_checks
+from flexopt.export.verify.verification import FILES
 from tests.export.emulated import boards, faulty, objects
 from tests.export.emulated.examining import HOST_FLAGS, examine_board, examine_host, opened
 from tests.export.emulated.misra import in_pieces
@@ -76,8 +79,42 @@ def test_a_wrong_constant_is_found(tmp_path: Path, capsys: pytest.CaptureFixture
     assert left.value.code == 3
     document = json.loads(capsys.readouterr().out)
     states = {check["name"]: check["state"] for check in document["checks"]}
-    assert states == dict.fromkeys(("files as they were exported", "self-test", "equal to Python"), "failed")
+    assert states == {FILES: "failed", "self-test": "not verified", "equal to Python": "not verified"}
     assert not document["passed"]
+    # The bundle's own tests notice it, too.
+    assert [check.made().state for check in host_checks(opened(folder, tmp_path / "s", 50))] == ["failed", "failed"]
+
+
+@GCC
+@pytest.mark.parametrize("planted", ["test/selftest.c", "include/math.h", "Makefile", "manifest.json"])
+def test_nothing_of_a_changed_bundle_is_run(planted: str, tmp_path: Path) -> None:
+    """A program, a header that shadows one of the system's, a makefile, a manifest that vouches for a program."""
+    folder, mark = exported(tmp_path / "b", parts=["kinematics"]).folder, tmp_path / "mark"
+    program = f'#include <stdio.h>\nint main(void) {{ fclose(fopen("{mark}", "w")); puts("all passed"); return 0; }}\n'
+    if planted == "manifest.json":
+        (folder / "test" / "selftest.c").write_text(program)
+        manifest = json.loads((folder / planted).read_text())
+        manifest["files"]["test/selftest.c"] = hashlib.sha256(program.encode()).hexdigest()
+        (folder / planted).write_text(json.dumps(manifest))
+    else:
+        (folder / planted).write_text(f"#error planted\n{program}" if planted.endswith(".h") else program)
+    result = verify_bundle(folder, inputs=5)
+    # A file that the bundle does not have is not looked at, and not compiled.
+    assert result.passed == (planted == "include/math.h"), repr(result)
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize("key", ["machine", "options", "provenance", "files"])
+@pytest.mark.parametrize("value", [None, 3, "text", [], {}, {"real": 3}])
+def test_a_manifest_that_describes_nothing_is_refused(key: str, value: object, tmp_path: Path) -> None:
+    folder = exported(tmp_path / "b", parts=["kinematics"]).folder
+    manifest = json.loads((folder / "manifest.json").read_text())
+    (folder / "manifest.json").write_text(json.dumps(manifest | {key: value}))
+    if key in ("machine", "options"):
+        with pytest.raises(InputError):
+            verify_bundle(folder, inputs=5)
+    else:
+        assert not verify_bundle(folder, inputs=5).passed
 
 
 def test_without_a_compiler_nothing_has_passed(

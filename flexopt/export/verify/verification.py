@@ -10,15 +10,15 @@ import shutil
 import tempfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import cast
 
 from flexopt.errors import InputError
 from flexopt.export.bundle import (
     MANIFEST,
     VERIFICATION,
-    changed_files,
-    library_of,
+    digest_of,
+    exported_again,
     read_manifest,
-    render_library,
 )
 from flexopt.export.verify.bench import Bench
 from flexopt.export.verify.checks import Finding, PlannedCheck, VerificationCheck
@@ -26,12 +26,12 @@ from flexopt.export.verify.host import host_checks
 from flexopt.export.verify.tools import COMPILERS, version
 from flexopt.foundation.arrays import Document, Progress
 from flexopt.foundation.boundary import public, whole
-from flexopt.foundation.documents import package_version
 from flexopt.foundation.rendering import render
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import make_folder, write_files
 
 INPUTS, INPUTS_MAX = 1000, 1_000_000
+FILES, VERSIONS = "files as they were exported", ("flexopt", "casadi")
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Verification(Result):
         checks: each finding.
         tools: versions of the compilers on this computer.
         inputs: random inputs for each function.
-        manifest: the bundle's.
+        manifest: of a fresh export.
 
     Example:
         >>> verification.machine
@@ -108,9 +108,10 @@ class Verification(Result):
 
 @public("verify", inputs=whole(1, INPUTS_MAX))
 def verify_bundle(folder: str | Path, *, inputs: int = INPUTS, progress: Progress | None = None) -> Verification:
-    """Build a bundle with this computer's C compiler, run its self-test, compare it with Python, and write a report.
+    """Compare a bundle with a fresh export, build that, run its self-test, compare it with Python, and write a report.
 
-    The report grows with every check, so that one that is broken off says how far it came.
+    Nothing of the folder is compiled or run. What is built is the fresh export, and only where the bundle's files equal
+    it. The report grows with every check, so that one that is broken off says how far it came.
 
     Args:
         folder: of a bundle from `export_c`.
@@ -131,39 +132,40 @@ def verify_bundle(folder: str | Path, *, inputs: int = INPUTS, progress: Progres
         raise InputError(f"verify: there is no folder {str(folder)!r}")
     manifest = read_manifest(path)
     with tempfile.TemporaryDirectory(prefix="flexopt-verify-") as scratch:
-        bench = Bench(path, Path(scratch), manifest, library_of(manifest), inputs)
-        planned = [PlannedCheck("files as they were exported", lambda: _files(bench)), *host_checks(bench)]
+        library, texts = exported_again(manifest)
+        fresh = json.loads(texts[MANIFEST])
+        bench = Bench(Path(scratch) / "bundle", Path(scratch), fresh, library, inputs)
+        for name in texts:
+            (bench.folder / name).parent.mkdir(parents=True, exist_ok=True)
+        write_files({bench.folder / name: text for name, text in texts.items()}, durable=False)
+        planned = [PlannedCheck(FILES, lambda: _files(path, manifest, fresh)), *host_checks(bench)]
         result = Verification(
             folder=path,
-            machine=manifest["machine"]["name"],
-            real=manifest["options"]["real"],
-            bundle_sha256=manifest["bundle_sha256"],
+            machine=fresh["machine"]["name"],
+            real=fresh["options"]["real"],
+            bundle_sha256=fresh["bundle_sha256"],
             checks=tuple(check.unmade for check in planned),
             tools={name: version(name) for name in COMPILERS if shutil.which(name)},
             inputs=inputs,
-            manifest=manifest,
+            manifest=fresh,
         )
         for k, check in enumerate(planned):
             result = replace(result, checks=(*result.checks[:k], check.made(), *result.checks[k + 1 :]))
             result.write()
             if progress is not None:
                 progress(k + 1, len(planned))
+            if result.checks[0].state != "passed":
+                break
     return result
 
 
-def _files(bench: Bench) -> Finding:
-    """Files unchanged, and the same that this flexopt would write."""
-    changed = [
-        f"{name} was changed after the export, or is missing" for name in changed_files(bench.folder, bench.manifest)
-    ]
-    options = {name: value for name, value in bench.manifest["options"].items() if name != "parts"}
-    texts, _ = render_library(bench.library, options)
-    here = {name: package_version(name) for name in ("flexopt", "casadi")}
-    there = {name: bench.manifest["provenance"][name] for name in here}
-    sentence = f"{len(bench.manifest['files'])} files unchanged"
-    if here != there:
-        return Finding(f"{sentence}; exported by {there}, compared with {here}", changed)
-    kept = {name: bench.folder / name for name in texts if name != MANIFEST}
-    different = [name for name, path in kept.items() if not path.is_file() or path.read_bytes() != texts[name].encode()]
-    faults = [*changed, *(f"{name} is not what this flexopt writes" for name in different if not changed)]
-    return Finding(f"{sentence}, and identical to a fresh export", faults)
+def _files(folder: Path, manifest: Document, fresh: Document) -> Finding:
+    """Files equal to those that this flexopt exports from the bundle's machine and options."""
+    here, there = fresh["provenance"], manifest.get("provenance")
+    there = cast(Document, there) if isinstance(there, dict) else {}
+    if any(here[name] != there.get(name) for name in VERSIONS):
+        told = ", ".join(f"{name} {there.get(name)} (here {here[name]})" for name in VERSIONS)
+        return Finding("", [f"exported by {told}: export it again to verify it"])
+    faults = [] if manifest | {"provenance": fresh["provenance"]} == fresh else [MANIFEST]
+    faults += [name for name, digest in fresh["files"].items() if digest_of(folder / name) != digest]
+    return Finding(f"{len(fresh['files'])} files equal to a fresh export", [f"{name} differs" for name in faults])
