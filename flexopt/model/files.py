@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from flexopt.errors import ModelError
 from flexopt.foundation.nearest import hint
+from flexopt.foundation.reading import read_bounded
 from flexopt.model.file_model import DEPTH_MAX, check_extent
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -132,13 +133,10 @@ def read_toml(path: Path) -> dict[str, Any]:
     """The keys and tables of a TOML file.
 
     Raises:
-        ModelError: it is no TOML, or too large to be a machine or problem file.
-        OSError: it cannot be read.
+        ModelError: it is no TOML.
+        OSError: it cannot be read, or is too large to be a machine or problem file.
     """
-    with path.open("rb") as file:
-        content = file.read(FILE_SIZE_MAX + 1)
-    if len(content) > FILE_SIZE_MAX:
-        raise ModelError(f"{path}: larger than {FILE_SIZE_MAX // 1000} kB; this is no machine or problem file")
+    content = read_bounded(path, FILE_SIZE_MAX)
     try:
         text = content.decode("utf-8")
         # The parser's time and memory grow with the square of the length of such a key.

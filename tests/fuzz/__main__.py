@@ -27,7 +27,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kind", nargs="+", choices=[*KINDS, *PLANTED], default=list(KINDS), metavar="KIND")
     parser.add_argument("--only", type=int, nargs="+", metavar="K", help="judge the inputs of these numbers alone")
-    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
+    parser.add_argument(
+        "--workers", type=int, default=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
+    )
     parser.add_argument("--limit-seconds", type=float, default=30.0, help="what one input may take")
     parser.add_argument("--limit-mb", type=float, default=2000.0, help="what one input may hold")
     parser.add_argument("--details", action="store_true", help="print every input, and all of a finding's text")
@@ -69,8 +71,11 @@ def main() -> int:
         for row in pool.judge(drawn(asked)):
             rows.append(row)
             if row["verdict"] not in GOOD or asked.details:
-                text = row["text"] if asked.details else row["text"][:1500] if row["verdict"] != "raw error" else row["text"][-900:]
-                line = f"--seed {asked.seed} --only {row['number']}: {row['kind']}, {row['way']}: {row['verdict'].upper()}"
+                # The innermost call is last in a traceback and in the stack of the main thread.
+                text = row["text"] if asked.details else row["text"][-1500:]
+                line = (
+                    f"--seed {asked.seed} --only {row['number']}: {row['kind']}, {row['way']}: {row['verdict'].upper()}"
+                )
                 print(f"{line} ({row['seconds']:.1f} s)\n    " + text.rstrip().replace("\n", "\n    "), flush=True)
         return summary(rows, time.monotonic() - began)
     finally:
@@ -79,21 +84,26 @@ def main() -> int:
 
 def summary(rows: list[dict[str, Any]], seconds: float) -> int:
     """Counts by kind and way, the slowest, the most memory; 1 where there are findings."""
-    print(f"\n{'kind':12} {'python':>8} {'command':>8} {'results':>8} {'refused':>8} {'findings':>8} {'slowest':>9} {'peak MB':>8}")
+    print(
+        f"\n{'kind':12} {'python':>8} {'command':>8} {'results':>8} {'refused':>8} {'findings':>8} {'mean':>8} {'slowest':>9} {'peak MB':>8}"
+    )
     for kind in [kind for kind in (*KINDS, *PLANTED) if any(row["kind"] == kind for row in rows)]:
         own = [row for row in rows if row["kind"] == kind]
         ways, verdicts = Counter(row["way"].partition(" ")[0] for row in own), Counter(row["verdict"] for row in own)
         bad = len(own) - verdicts["result"] - verdicts["refused"]
+        mean = sum(row["seconds"] for row in own) / len(own)
         slow, peak = max(row["seconds"] for row in own), max(row["peak"] for row in own) / 1e6
         numbers = f"{ways['python']:8} {ways['command']:8} {verdicts['result']:8} {verdicts['refused']:8} {bad:8}"
-        print(f"{kind:12} {numbers} {slow:7.1f} s {peak:8.0f}")
+        print(f"{kind:12} {numbers} {mean:6.2f} s {slow:7.1f} s {peak:8.0f}")
     findings = [row for row in rows if row["verdict"] not in GOOD]
     counts = ", ".join(f"{n} {verdict}" for verdict, n in sorted(Counter(row["verdict"] for row in findings).items()))
     slowest, largest = (max(rows, key=lambda row, by=by: row[by], default=None) for by in ("seconds", "peak"))
     print(f"{len(rows)} inputs in {seconds:.0f} s: {len(findings)} findings" + (f" ({counts})" if counts else ""))
     if slowest is not None and largest is not None:
         print(f"slowest {slowest['seconds']:.1f} s (--only {slowest['number']}, {slowest['kind']} {slowest['way']})")
-        print(f"most memory {largest['peak'] / 1e6:.0f} MB (--only {largest['number']}, {largest['kind']} {largest['way']})")
+        print(
+            f"most memory {largest['peak'] / 1e6:.0f} MB (--only {largest['number']}, {largest['kind']} {largest['way']})"
+        )
     return 1 if findings else 0
 
 

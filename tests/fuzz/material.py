@@ -118,7 +118,11 @@ def _texts(folder: Path) -> None:
     models, problems = shipped_folder("models"), shipped_folder("problems")
     for name in ("excavator", "boom-stick-bucket"):
         shutil.copy(models / f"{name}.toml", _made(folder, f"machine/{name}") / "main.toml")
-    for kind, name, robot in (("urdf", "slewing-excavator", "urdf"), ("mjcf", "truck-crane", "xml"), ("mjcf", "mobile-manipulator", "xml")):
+    for kind, name, robot in (
+        ("urdf", "slewing-excavator", "urdf"),
+        ("mjcf", "truck-crane", "xml"),
+        ("mjcf", "mobile-manipulator", "xml"),
+    ):
         for kind_of in (kind, "overlay"):
             made = _made(folder, f"{kind_of}/{name}")
             text = (models / f"{name}.toml").read_text(encoding="utf-8")
@@ -127,7 +131,13 @@ def _texts(folder: Path) -> None:
     made = _made(folder, "problem/small") / "main.toml"
     made.write_text(PROBLEM, encoding="utf-8")
     for path in sorted(problems.glob("*.toml")):
-        kind = "experiment" if "[simulation]" in (text := path.read_text(encoding="utf-8")) else "study" if "compute" in text else "problem"
+        kind = (
+            "experiment"
+            if "[simulation]" in (text := path.read_text(encoding="utf-8"))
+            else "study"
+            if "compute" in text
+            else "problem"
+        )
         shutil.copy(path, _made(folder, f"{kind}/{path.stem}") / "main.toml")
     (_made(folder, "study/small") / "main.toml").write_text(STUDY, encoding="utf-8")
     swing = calls.swing()
@@ -162,7 +172,17 @@ def _written(folder: Path) -> None:
         for file, text in zip(("main.json", "other.json"), texts, strict=True):
             (made / file).write_text(text, encoding="utf-8")
             json.loads(text)
-    _command("select", "excavator", "--end-point", "0,1.6", "--starts", "1", "--certify", "--proof", str(_made(folder, "proof/w1") / "main.json"))
+    _command(
+        "select",
+        "excavator",
+        "--end-point",
+        "0,1.6",
+        "--starts",
+        "1",
+        "--certify",
+        "--proof",
+        str(_made(folder, "proof/w1") / "main.json"),
+    )
     made = _made(folder, "folder/small")
     flexopt.run_study(flexopt.Study(**_study()), "study", workers=1)
     made = _made(folder, "bundle/kinematics")
@@ -188,7 +208,10 @@ def _cache(made: Path) -> None:
     words = ["simulate", "excavator", "--posture", "1,-2", "--duration", "0.02"]
     environment = os.environ | {"FLEXOPT_CACHE": str(made / "cache"), "FLEXOPT_COMPILE": "1"}
     subprocess.run(
-        [sys.executable, "-c", "from flexopt.cli import main; main()", *words], env=environment, check=True, capture_output=True
+        [sys.executable, "-c", "from flexopt.cli import main; main()", *words],
+        env=environment,
+        check=True,
+        capture_output=True,
     )
 
 

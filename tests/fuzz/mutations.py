@@ -5,6 +5,7 @@ Every choice is drawn from the `random.Random` that is given, so that an input c
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import json
 import math
@@ -37,6 +38,7 @@ QUOTED = re.compile(r'"[^"\n]*"')
 WORD = re.compile(r"[A-Za-z_]\w+")
 # Past what any reader may go, and soon written.
 DEEP = 20_000
+TEXT_MAX = 80_000
 
 
 def number(rng: Random, old: Any = 1.0) -> Any:
@@ -45,7 +47,13 @@ def number(rng: Random, old: Any = 1.0) -> Any:
     if not usable or rng.random() < 0.4:
         return rng.choice(NUMBERS)
     way = rng.randrange(5)
-    factor = (10 ** rng.uniform(-12, 12), 10 ** rng.randint(-4, 4), rng.uniform(0.5, 2), -1, 1 + rng.uniform(-1e-9, 1e-9))
+    factor = (
+        10 ** rng.uniform(-12, 12),
+        10 ** rng.randint(-4, 4),
+        rng.uniform(0.5, 2),
+        -1,
+        1 + rng.uniform(-1e-9, 1e-9),
+    )
     found = old * factor[way]
     return round(found) if isinstance(old, int) and rng.random() < 0.5 else found
 
@@ -69,10 +77,15 @@ def value(rng: Random, old: Any) -> Any:
             return rng.choice(NAMES)
     others: tuple[Callable[[], Any], ...] = (
         lambda: number(rng), lambda: rng.choice(NAMES), lambda: True, list, dict, lambda: [old], lambda: {"x": old},
-        lambda: [old] * rng.choice((2, 3, 7, 1000)), lambda: deep(rng), lambda: str(old), lambda: [[1.0], [2.0, 3.0]],
+        lambda: [old] * times(rng, old), lambda: deep(rng), lambda: str(old), lambda: [[1.0], [2.0, 3.0]],
         lambda: [number(rng) for _ in range(3)],
     )  # fmt: skip
     return rng.choice(others)()
+
+
+def times(rng: Random, old: Any) -> int:
+    """How often a value is repeated: what is large already, not a thousand times more."""
+    return min(rng.choice((1, 2, 3, 7, 1000)), 1 + 5000 // (1 + len(_places(old))))
 
 
 def structure(rng: Random, data: Any) -> Any:
@@ -88,7 +101,7 @@ def structure(rng: Random, data: Any) -> Any:
         new = rng.choice((str(key) + "x", str(key)[:-1], str(key).upper(), rng.choice(NAMES)))
         inner[new] = inner.pop(key)
     elif way == 2 and isinstance(inner, list):
-        inner.extend([_copied(inner[key])] * rng.choice((1, 1, 2, 100)))
+        inner.extend([_copied(inner[key])] * times(rng, inner[key]))
     elif way == 3:
         other, place = rng.choice(_places(found))
         inner[key] = _copied(other[place])
@@ -118,7 +131,11 @@ def _places(data: Any) -> list[tuple[Any, Any]]:
 
 def toml(data: Any) -> str:
     """Tables as TOML, inline below the first level."""
-    return "".join(f"{json.dumps(key)} = {_inline(inner)}\n" for key, inner in data.items()) if isinstance(data, dict) else ""
+    return (
+        "".join(f"{json.dumps(key)} = {_inline(inner)}\n" for key, inner in data.items())
+        if isinstance(data, dict)
+        else ""
+    )
 
 
 def _inline(data: Any) -> str:
@@ -219,6 +236,19 @@ def words(rng: Random, text: str) -> str:
     return "".join(lines)
 
 
+def scaled(rng: Random, text: str) -> str:
+    """A few numbers of a text larger, smaller or of the other sign: mostly what still can be computed."""
+    for _ in range(rng.choice((1, 2, 4))):
+        found = list(NUMBER.finditer(text))
+        if found:
+            hit = rng.choice(found)
+            factor = rng.choice(
+                (10 ** rng.uniform(-9, 9), 10 ** rng.uniform(-2, 2), rng.choice((-1.0, 0.0)), 1 + 1e-12)
+            )
+            text = text[: hit.start()] + repr(float(hit[0]) * factor) + text[hit.end() :]
+    return text
+
+
 def letters(rng: Random, content: bytes) -> bytes:
     """Bytes flipped, cut, doubled, or in another encoding."""
     k, j = sorted(rng.randrange(len(content) + 1) for _ in range(2))
@@ -236,7 +266,7 @@ def letters(rng: Random, content: bytes) -> bytes:
         lambda: text.encode("latin-1", "replace"),
         lambda: content.replace(b"\n", b"\r\n"),
         lambda: content.replace(b"\n", b"\r"),
-        lambda: content[:k] + "  ​é".encode() + content[k:],
+        lambda: content[:k] + "  \u200bé".encode() + content[k:],
         lambda: b"",
         lambda: rng.randbytes(rng.choice((1, 100, 10_000))),
         lambda: content * 50,
@@ -251,6 +281,8 @@ def letters(rng: Random, content: bytes) -> bytes:
 
 def text_of(rng: Random, path: Path, content: bytes) -> bytes:
     """One mutation of a text file, by its structure where it has one."""
+    if len(content) > TEXT_MAX:
+        raise ValueError("too long for a reader without limits, which these are")
     suffix = path.suffix.lower()
     text = content.decode("utf-8")
     if rng.random() < 0.45:
@@ -266,6 +298,9 @@ def text_of(rng: Random, path: Path, content: bytes) -> bytes:
 
 def content_of(rng: Random, path: Path, content: bytes) -> bytes:
     """One to three mutations of a file's content."""
+    if rng.random() < 0.3 and len(content) < TEXT_MAX:
+        with contextlib.suppress(UnicodeDecodeError):
+            return scaled(rng, content.decode("utf-8")).encode()
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         try:
             content = letters(rng, content) if rng.random() < 0.2 else text_of(rng, path, content)

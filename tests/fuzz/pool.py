@@ -71,7 +71,15 @@ class _Worker:
 
     def _start(self) -> subprocess.Popen[str]:
         self.folder = tempfile.mkdtemp(prefix="worker-", dir=self.pool.material.parent)
-        words = [sys.executable, "-m", "tests.fuzz.worker", str(self.pool.material), self.folder, str(self.pool.seed), str(self.pool.seconds_max)]
+        words = [
+            sys.executable,
+            "-m",
+            "tests.fuzz.worker",
+            str(self.pool.material),
+            self.folder,
+            str(self.pool.seed),
+            str(self.pool.seconds_max),
+        ]
         environment = os.environ | {
             "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "FLEXOPT_COMPILE": "0", "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg",
             "FLEXOPT_CACHE": str(self.pool.material.parent / "kernels"), "PYTHONHASHSEED": "0",
@@ -110,7 +118,14 @@ class _Worker:
             way, _, stack = Path(f"{self.folder}.stacks").read_text(encoding="utf-8", errors="replace").partition("\n")
             self.close()
             code = process.returncode
-            row = {"number": number, "kind": planted or kind, "way": way, "verdict": stopped or "died", "seconds": taken, "held": 0}
+            row = {
+                "number": number,
+                "kind": planted or kind,
+                "way": way,
+                "verdict": stopped or "died",
+                "seconds": taken,
+                "held": 0,
+            }
             row["text"] = f"{taken:.1f} s, {peak / 1e6:.0f} MB, exit code {code}\n{stack}"
         row["peak"] = max(peak, row.get("peak", 0))
         if row["verdict"] in GOOD and row["peak"] > self.pool.bytes_max:

@@ -10,6 +10,7 @@ import os
 import subprocess
 import sys
 import tomllib
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -25,10 +26,11 @@ from tests.fuzz import mutations
 
 @dataclass
 class Input:
-    """A mutated input: the file's path as it is given, and what else is drawn."""
+    """A mutated input: the file's path as it is given, what else is drawn, and how many bytes the files have."""
 
     rng: Random
     path: str = ""
+    size: int = 0
 
 
 @dataclass(frozen=True)
@@ -71,23 +73,30 @@ def _targets(machine: Any) -> list[float]:
     return [1.5, 1.6, 0.8][: len(machine.task_rows)]
 
 
-LOOP = {"kp": 1e4, "kv": 1e3}
+LOOP: dict[str, Any] = {"kp": 1e4, "kv": 1e3}
+RANGES = {"stiffness": [0.5, 2.0]}
 MACHINE: dict[str, tuple[float, Way]] = {
     "check": (4, lambda given: flexopt.check(given.path)),
     "evaluate": (4, _of_machine(lambda m: flexopt.evaluate(m, posture_of(m)))),
     "again": (1, _of_machine(lambda m: (flexopt.machine_from_dict if isinstance(m, flexopt.Machine) else flexopt.tree_from_dict)(m.to_dict()))),
-    "evaluate --gravity": (0.5, _of_machine(lambda m: flexopt.evaluate(m, posture_of(m), gravity=True))),
-    "evaluate --loop": (0.5, _of_machine(lambda m: flexopt.evaluate(m, posture_of(m), loop=LOOP))),
-    "outcome": (0.3, _of_machine(lambda m: flexopt.outcome(m, posture_of(m), loop=LOOP))),
-    "simulate": (0.4, _of_machine(lambda m: flexopt.simulate(m, posture_of(m), duration=0.05, **LOOP))),
-    "explain": (0.3, _of_machine(lambda m: flexopt.explain(m, posture_of(m)))),
-    "explore": (0.4, _of_machine(_explored)),
-    "inverse": (0.4, _of_machine(lambda m: flexopt.inverse_kinematics(m, _targets(m)))),
-    "select": (0.1, _of_machine(lambda m: flexopt.select(m, _targets(m), starts=1, workers=1))),
-    "export": (0.1, _of_machine(lambda m: flexopt.export_c(m, "out", parts=["kinematics"]))),
-    "fmu": (0.1, _of_machine(lambda m: flexopt.export_fmu(m, "out.fmu", posture=posture_of(m), duration=0.02))),
-    "map": (0.1, _of_machine(lambda m: flexopt.map_workspace(m, over="posture", posture=posture_of(m), points=(2, 2), threads=1))),
-    "atlas": (0.1, _of_machine(lambda m: flexopt.atlas(m, cells=(4, 4), posture=posture_of(m), threads=1))),
+    "evaluate --gravity": (0.7, _of_machine(lambda m: flexopt.evaluate(m, posture_of(m), gravity=True))),
+    "evaluate --damped": (0.7, _of_machine(lambda m: flexopt.evaluate(m, posture_of(m), damped=True))),
+    "evaluate --loop": (0.7, _of_machine(lambda m: flexopt.evaluate(m, posture_of(m), loop=LOOP))),
+    "outcome": (0.5, _of_machine(lambda m: flexopt.outcome(m, posture_of(m), loop=LOOP))),
+    "outcome --gravity": (0.3, _of_machine(lambda m: flexopt.outcome(m, posture_of(m), loop=LOOP, gravity=True))),
+    "simulate": (0.6, _of_machine(lambda m: flexopt.simulate(m, posture_of(m), duration=0.05, **LOOP))),
+    "simulate --gravity": (0.3, _of_machine(lambda m: flexopt.simulate(m, posture_of(m), duration=0.05, gravity=True, **LOOP))),
+    "explain": (0.5, _of_machine(lambda m: flexopt.explain(m, posture_of(m)))),
+    "explore": (0.5, _of_machine(_explored)),
+    "inverse": (0.5, _of_machine(lambda m: flexopt.inverse_kinematics(m, _targets(m)))),
+    "select": (0.2, _of_machine(lambda m: flexopt.select(m, _targets(m), starts=1, workers=1))),
+    "export": (0.15, _of_machine(lambda m: flexopt.export_c(m, "out", parts=["kinematics"]))),
+    "fmu": (0.15, _of_machine(lambda m: flexopt.export_fmu(m, "out.fmu", posture=posture_of(m), duration=0.02))),
+    "map": (0.2, _of_machine(lambda m: flexopt.map_workspace(m, over="posture", posture=posture_of(m), points=(2, 2), threads=1))),
+    "atlas": (0.2, _of_machine(lambda m: flexopt.atlas(m, cells=(4, 4), posture=posture_of(m), threads=1))),
+    "sensitivity": (0.1, _of_machine(lambda m: flexopt.sensitivity(m, posture_of(m), loop=LOOP, ranges=RANGES, samples=64))),
+    "region": (0.1, _of_machine(lambda m: flexopt.stable_region(m, posture_of(m), loop=LOOP, ranges=RANGES, points=2, boxes=1))),
+    "law": (0.1, _of_machine(lambda m: flexopt.nullspace_trajectory(m, posture_of(m), duration=0.05))),
 }  # fmt: skip
 
 
@@ -124,8 +133,12 @@ ROBOT_FILE: dict[str, tuple[float, Way]] = BESIDE | {
     "check": (2, lambda given: flexopt.check(given.path)),
 }
 ROBOT_COMMANDS = {
-    name: (weight, lambda given, way=way: way(Input(given.rng, "main.toml"))) for name, (weight, way) in MACHINE_COMMANDS.items()
-} | {"check": _words("check", "@", weight=2), "new": _words("new", "--from", "@", "--out", "new.toml", "--yes", weight=2)}
+    name: (weight, lambda given, way=way: way(Input(given.rng, "main.toml")))
+    for name, (weight, way) in MACHINE_COMMANDS.items()
+} | {
+    "check": _words("check", "@", weight=2),
+    "new": _words("new", "--from", "@", "--out", "new.toml", "--yes", weight=2),
+}
 
 
 def _solved(given: Input) -> Any:
@@ -218,10 +231,16 @@ def _dictionary(given: Input) -> Any:
     """Tables of a machine, a problem, an experiment or a study from Python, with a mutation or two."""
     rng = given.rng
     makers: dict[str, tuple[Callable[..., Any], Callable[[], Any]]] = {
-        "machine": (lambda data: flexopt.machine_from_dict(data), lambda: calls.excavator().to_dict()),
-        "tree": (lambda data: flexopt.tree_from_dict(data), lambda: calls.tree().to_dict()),
-        "problem": (lambda data: flexopt.Problem(**data), lambda: tomllib.loads(import_module("tests.fuzz.material").PROBLEM)),
-        "study": (lambda data: flexopt.Study(**data), lambda: tomllib.loads(import_module("tests.fuzz.material").STUDY)),
+        "machine": (flexopt.machine_from_dict, lambda: calls.excavator().to_dict()),
+        "tree": (flexopt.tree_from_dict, lambda: calls.tree().to_dict()),
+        "problem": (
+            lambda data: flexopt.Problem(**data),
+            lambda: tomllib.loads(import_module("tests.fuzz.material").PROBLEM),
+        ),
+        "study": (
+            lambda data: flexopt.Study(**data),
+            lambda: tomllib.loads(import_module("tests.fuzz.material").STUDY),
+        ),
         "loop": (lambda data: flexopt.Loop(**data), calls.CONSTRUCTORS["Loop"]),
     }
     make, good = makers[rng.choice(list(makers))]
@@ -314,7 +333,9 @@ def _fmu(given: Input) -> Any:
 
 
 def _identified(given: Input) -> Any:
-    return flexopt.identify(calls.excavator(), given.path, unknown="base.*.rotation", posture=given.rng.choice((None, calls.POSTURE)))
+    return flexopt.identify(
+        calls.excavator(), given.path, unknown="base.*.rotation", posture=given.rng.choice((None, calls.POSTURE))
+    )
 
 
 Ways = dict[str, tuple[float, Way]]
@@ -379,6 +400,9 @@ PLANTED: dict[str, Kind] = {
     "planted-hang": Kind(0, "", {"hang": (1, _hang)}, {}),
     "planted-hog": Kind(0, "", {"hog": (1, _hog)}, {}),
     "planted-abort": Kind(0, "", {"abort": (1, _killed)}, {}),
+    "planted-warning": Kind(
+        0, "", {"warning": (1, lambda given: warnings.warn("planted", RuntimeWarning, stacklevel=1))}, {}
+    ),
 }
 
 

@@ -27,6 +27,7 @@ from tests.fuzz.ways import KINDS, PLANTED, Command, Input, Kind, Way, in_a_proc
 EXIT_CODES = (0, 2, 3, 130)
 # What terminals obey.
 CONTROL = re.compile(r"\x1b|[\0-\x08\x0e-\x1a]")
+# Beside twice what was given, which it may quote.
 MESSAGE_MAX = 50_000
 # Further names of files; the system takes any but for the slash.
 FILE_NAMES = ("a b", "'", '"', "a\nb", "<script>", "‮x", "ü", "a\udcffb", "-x", "$(id)", "%s", "x" * 200, "\x1b[31m")
@@ -44,6 +45,7 @@ def make(material: Path, kind: Kind, name: str, rng: Random) -> tuple[Input, str
     told = f"{'command' if ways is kind.shell else 'python'} {way}"
     given = Input(rng)
     if not kind.files:
+        given.size = 2 * max(map(len, mutations.NAMES))
         return given, told, ways[way][1]
     specimen = rng.choice(sorted((material / name).iterdir()))
     shutil.copytree(specimen, ".", dirs_exist_ok=True)
@@ -59,6 +61,7 @@ def make(material: Path, kind: Kind, name: str, rng: Random) -> tuple[Input, str
             with contextlib.suppress(OSError, UnicodeError):
                 path.rename(named)
                 given.path = f"./{named}"
+    given.size = sum(path.stat().st_size for path in files if path.is_file() and not path.is_symlink())
     return given, told, ways[way][1]
 
 
@@ -71,7 +74,7 @@ def _shown(result: Any) -> None:
         json.dumps(json_ready(result.to_dict()), allow_nan=False)
 
 
-def _judged_command(command: Command) -> tuple[str, str]:
+def _judged_command(command: Command, size: int) -> tuple[str, str]:
     words = list(command.words)
     if command.process:
         code, out, err = in_a_process(words)
@@ -86,7 +89,7 @@ def _judged_command(command: Command) -> tuple[str, str]:
         return "no sentence", line
     if CONTROL.search(out) or CONTROL.search(err):
         return "control", f"{line}\n{(err or out)[-500:]!r}"
-    if len(err) > MESSAGE_MAX + 2 * sum(map(len, words)):
+    if len(err) > MESSAGE_MAX + 2 * (size + sum(map(len, words))):
         return "long message", f"{len(err)} letters: {line}"
     if "Warning:" in err:
         return "foreign warning", f"{line}\n{err[-500:]}"
@@ -126,14 +129,14 @@ def judge(given: Input, way: Way) -> tuple[str, str]:
         try:
             result = way(given)
             if isinstance(result, Command):
-                return _judged_command(result)
+                return _judged_command(result, given.size)
             with contextlib.redirect_stdout(io.StringIO()):
                 _shown(result)
             found = ("result", "")
         except flexopt.FlexoptError as error:
             message = str(error)
             found = ("refused", message) if message.strip() else ("no sentence", repr(error))
-            if len(message) > MESSAGE_MAX:
+            if len(message) > MESSAGE_MAX + 2 * given.size:
                 found = "long message", f"{len(message)} letters: {message[:300]}"
         except BaseException:  # any other is what this looks for
             return "raw error", traceback.format_exc()[-3000:]
@@ -144,7 +147,9 @@ def judge(given: Input, way: Way) -> tuple[str, str]:
 def _foreign(category: type[Warning]) -> bool:
     import flexopt  # noqa: PLC0415
 
-    return not issubclass(category, flexopt.FlexoptWarning | ResourceWarning | DeprecationWarning | PendingDeprecationWarning)
+    return not issubclass(
+        category, flexopt.FlexoptWarning | ResourceWarning | DeprecationWarning | PendingDeprecationWarning
+    )
 
 
 def _reset_peak() -> None:
@@ -156,7 +161,9 @@ def resident(process: int | str = "self") -> tuple[int, int]:
     """Memory that a process holds, and the most that it held since that was last reset, bytes; 0 where none is told."""
     with contextlib.suppress(OSError):
         text = Path(f"/proc/{process}/status").read_text(encoding="ascii", errors="replace")
-        found = {line.partition(":")[0]: line.split()[1] for line in text.splitlines() if line.startswith(("VmHWM", "VmRSS"))}
+        found = {
+            line.partition(":")[0]: line.split()[1] for line in text.splitlines() if line.startswith(("VmHWM", "VmRSS"))
+        }
         return 1024 * int(found.get("VmRSS", 0)), 1024 * int(found.get("VmHWM", 0))
     return 0, 0
 

@@ -16,6 +16,7 @@ import numpy as np
 from flexopt.errors import Fault, ModelError
 from flexopt.foundation.arrays import Array
 from flexopt.foundation.nearest import hint_or_list
+from flexopt.foundation.reading import read_bounded
 
 FILE_SIZE_MAX = 16_000_000
 DEPTH_MAX = 200
@@ -127,17 +128,9 @@ def parse(path: Path, name: str) -> Element:
         ModelError: the file cannot be read, is no well-formed XML, or has a document type declaration.
     """
     try:
-        if path.exists() and not path.is_file():
-            raise ModelError(f"{name}: cannot be read (it is no file)")
-        with path.open("rb") as stream:
-            content = stream.read(FILE_SIZE_MAX + 1)
-    except ModelError:
-        raise
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ModelError(f"{name}: cannot be read ({reason})") from None
-    if len(content) > FILE_SIZE_MAX:
-        raise ModelError(f"{name}: larger than {FILE_SIZE_MAX // 1_000_000} MB; this is no robot description")
+        content = read_bounded(path, FILE_SIZE_MAX)
+    except OSError as error:
+        raise ModelError(f"{name}: cannot be read ({error.strerror or error})") from None
     return parse_bytes(content, name)
 
 
