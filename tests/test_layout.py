@@ -178,7 +178,7 @@ def _normal(name: str) -> str:
 
 
 def test_what_is_imported_is_declared() -> None:
-    """Of all packages those in `dependencies`; of extras those that a function imports when it is called."""
+    """Import statements name packages of `dependencies`; `import_module` may name one of an extra, too."""
     project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     always, later = set[str](), set[str]()
     for _, tree in modules():

@@ -114,7 +114,7 @@ def _made(folder: Path, name: str) -> Path:
 
 
 def _texts(folder: Path) -> None:
-    """What an editor writes."""
+    """Write files as people do."""
     models, problems = shipped_folder("models"), shipped_folder("problems")
     for name in ("excavator", "boom-stick-bucket"):
         shutil.copy(models / f"{name}.toml", _made(folder, f"machine/{name}") / "main.toml")
@@ -148,7 +148,7 @@ def _texts(folder: Path) -> None:
 
 
 def _command(*arguments: str) -> str:
-    """What a command prints."""
+    """Run a command; return what it prints."""
     with contextlib.redirect_stdout(io.StringIO()) as printed, contextlib.suppress(SystemExit):
         main(list(arguments))
     return printed.getvalue()
@@ -200,7 +200,7 @@ def _study() -> dict[str, Any]:
 
 
 def _cache(made: Path) -> None:
-    """What a compiled run leaves, if there is a compiler, and remembered texts of the same form."""
+    """Fill a compile cache by a run, if there is a compiler."""
     import subprocess  # noqa: PLC0415
     import sys  # noqa: PLC0415
 

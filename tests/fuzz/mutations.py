@@ -89,7 +89,7 @@ def times(rng: Random, old: Any) -> int:
 
 
 def structure(rng: Random, data: Any) -> Any:
-    """The same tables and lists with one place changed; never the object that was given."""
+    """Copy tables and lists, with one place changed."""
     found = _copied(data)
     inner, key = rng.choice(_places(found) or [(None, None)])
     if inner is None:

@@ -1,4 +1,4 @@
-"""What is done with each kind of mutated file: calls of the Python API, and commands.
+"""Calls of the Python API and commands, for each kind of mutated file.
 
 A way gets the `Input` and returns a result, which is then shown and described as users do, or for a command its words.
 Sizes are small, so that thousands of inputs take minutes; a file that asks for a long computation is only checked.

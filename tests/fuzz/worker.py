@@ -34,7 +34,7 @@ FILE_NAMES = ("a b", "'", '"', "a\nb", "<script>", "‮x", "ü", "a\udcffb", "-x
 
 
 def kind_of(seed: int, number: int) -> str:
-    """Which kind an input is of, without making it."""
+    """Return an input's kind, without making the input."""
     return Random(f"{seed}/{number}").choices(list(KINDS), [kind.share for kind in KINDS.values()])[0]
 
 
@@ -66,7 +66,7 @@ def make(material: Path, kind: Kind, name: str, rng: Random) -> tuple[Input, str
 
 
 def _shown(result: Any) -> None:
-    """What users look at: the text, and the document as JSON."""
+    """Make what users look at: the text, and the document as JSON."""
     from flexopt.foundation.documents import json_ready  # noqa: PLC0415
 
     str(result), repr(result)
@@ -121,7 +121,7 @@ def _in_this_process(words: list[str]) -> tuple[int, str, str]:
 
 
 def judge(given: Input, way: Way) -> tuple[str, str]:
-    """What becomes of an input, in one word, and its sentence or traceback."""
+    """Return the verdict on an input in one word, and its sentence or traceback."""
     import flexopt  # noqa: PLC0415
 
     with warnings.catch_warnings(record=True) as warned:
