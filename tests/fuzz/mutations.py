@@ -21,7 +21,7 @@ from xml.etree import ElementTree as ET
 # A page that lets this through runs it.
 SCRIPT = "</script><script>FUZZ()</script>"
 NAMES = (
-    "", " ", "'", '"', "a\nb", "a\rb", SCRIPT, "<b>&amp;", "../../x", "/etc/passwd", "a\0b", "‮abc", "ü" * 40, "a.b",
+    "", " ", "'", '"', "a\nb", "a\rb", SCRIPT, "<b>&amp;", "../../x", "/etc/passwd", "a\0b", "\u202eabc", "ü" * 40, "a.b",
     "x" * 300, "x" * 100_000, "𝔘𝔫𝔦", "\x1b[31mred\x1b[0m", "a\tb", "%s%n", "{0}{{", "${HOME}", "`id`", "$(id)", "*/", "\\",
     "--json", "-1", "nan", "base.x", "CON", "a;b", "a,b", "=1+1", "\ufeffa", "#a", "None", "1e5", "true", "\u2028", "\x7f",
 )  # fmt: skip

@@ -227,6 +227,48 @@ QUICK = {
 }  # fmt: skip
 
 
+MACHINES = ("excavator", "boom-stick-bucket", "slewing-excavator", "truck-crane", "mobile-manipulator")
+
+
+def _numbers(given: Input) -> Any:
+    """A computation with arguments drawn over all orders of magnitude, most of them allowed."""
+    rng = given.rng
+    machine = flexopt.load(rng.choice(MACHINES))
+
+    def wide(low: float, high: float) -> float:
+        return 10 ** rng.uniform(low, high)
+
+    posture = [rng.choice((rng.uniform(-3.2, 3.2), 0.0, rng.uniform(-1, 1), 1e-9)) for _ in machine.joints]
+    base = [rng.choice((0.0, rng.uniform(-10, 10), wide(-9, 6))) for _ in machine.base_coordinates]
+    loop: dict[str, Any] = {"kp": wide(-3, 9), "kv": wide(-3, 9)}
+    further = {
+        "rate": wide(0, 4), "dead_time": rng.choice((0.0, wide(-7, 0))), "ki": wide(-3, 9), "feedback": rng.choice(("pd", "pid")),
+        "filter_hz": wide(-2, 4), "bandwidth_hz": wide(-2, 4), "drive": rng.choice(("torque", "velocity")), "servo_gain": wide(-3, 9),
+        "torque_limit": wide(-6, 9), "rate_limit": wide(-6, 9), "nullspace_damping": rng.choice((0.0, wide(-6, 9))),
+        "control": rng.choice(("inverse", "transpose", f"damped:{wide(-9, 6)}")),
+    }  # fmt: skip
+    loop |= {key: value for key, value in further.items() if rng.random() < 0.3}
+    where: dict[str, Any] = {"base": base, "gravity": rng.random() < 0.3}
+    ranges = {rng.choice(("stiffness", "damping", "payload.mass", "dead_time")): sorted((wide(-6, 3), wide(-6, 3)))}
+    run = {
+        key: loop[key] for key in ("kp", "kv", "rate", "ki", "feedback", "nullspace_damping", "control") if key in loop
+    }
+    run |= {"substeps": rng.choice((1, 5)), "integrator": rng.choice(("rk4", "dop853", "gauss")), "duration": 0.05}
+    calls_: dict[str, Callable[[], Any]] = {
+        "evaluate": lambda: flexopt.evaluate(machine, posture, damped=rng.random() < 0.5, gain=wide(-6, 12), **where),
+        "loop": lambda: flexopt.evaluate(machine, posture, loop=loop, **where),
+        "outcome": lambda: flexopt.outcome(machine, posture, loop=loop, **where),
+        "explain": lambda: flexopt.explain(machine, posture, loop=loop, **where),
+        "simulate": lambda: flexopt.simulate(machine, posture, **where, **(run | {"rate": min(run.get("rate", 200.0), 2000.0)})),
+        "sensitivity": lambda: flexopt.sensitivity(machine, posture, loop=loop, ranges=ranges, samples=64, **where),
+        "region": lambda: flexopt.stable_region(machine, posture, loop=loop, ranges=ranges, points=2, boxes=1, **where),
+        "border": lambda: flexopt.sampled_loop(machine, posture, **where, **run),
+        "map": lambda: flexopt.map_loop(machine, posture, vary={"kp": (1e-3, wide(0, 9)), "dead_time": (0.0, wide(-4, 0))},
+                                        loop=loop, points=(2, 2), threads=1, **where),
+    }  # fmt: skip
+    return calls_[rng.choice(list(calls_))]()
+
+
 def _dictionary(given: Input) -> Any:
     """Tables of a machine, a problem, an experiment or a study from Python, with a mutation or two."""
     rng = given.rng
@@ -392,7 +434,7 @@ KINDS: dict[str, Kind] = {
     ),
     "mesh": Kind(3, "main.*", {"explore": (1, lambda given: _explored(flexopt.load("main.toml")))}, {"explore": _words("explore", "main.toml")}),
     "cache": Kind(1, "cache/*", {"read": (1, _cached)}, {"simulate": (0.15, _process)}),
-    "arguments": Kind(14, "", {"call": (1, _argument), "dictionary": (1, _dictionary)}, {"command": (1, _told)}),
+    "arguments": Kind(18, "", {"call": (1, _argument), "numbers": (1.2, _numbers), "dictionary": (1, _dictionary)}, {"command": (1, _told)}),
 }  # fmt: skip
 # Faults that the fuzzer must find; never drawn.
 PLANTED: dict[str, Kind] = {

@@ -30,7 +30,21 @@ CONTROL = re.compile(r"\x1b|[\0-\x08\x0e-\x1a]")
 # Beside twice what was given, which it may quote.
 MESSAGE_MAX = 50_000
 # Further names of files; the system takes any but for the slash.
-FILE_NAMES = ("a b", "'", '"', "a\nb", "<script>", "‮x", "ü", "a\udcffb", "-x", "$(id)", "%s", "x" * 200, "\x1b[31m")
+FILE_NAMES = (
+    "a b",
+    "'",
+    '"',
+    "a\nb",
+    "<script>",
+    "\u202ex",
+    "ü",
+    "a\udcffb",
+    "-x",
+    "$(id)",
+    "%s",
+    "x" * 200,
+    "\x1b[31m",
+)
 
 
 def kind_of(seed: int, number: int) -> str:
