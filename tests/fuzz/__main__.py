@@ -63,7 +63,7 @@ def main() -> int:
     good = (asked.material or folder / "material").resolve()
     try:
         if not good.exists() and set(asked.kind) & set(KINDS):
-            material.build(good)
+            material.build(good, asked.kind)
         began = time.monotonic()
         pool = Pool(good, asked.seed, asked.limit_seconds, 1e6 * asked.limit_mb, asked.workers)
         good.mkdir(exist_ok=True, parents=True)

@@ -7,7 +7,11 @@ import io
 import json
 import os
 import shutil
+import subprocess
+import sys
+import tomllib
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -93,14 +97,24 @@ link = "stick"
 """
 
 
-def build(folder: Path) -> None:
-    """Write all of them: a folder for each kind, in it one for each specimen."""
+def build(folder: Path, kinds: Iterable[str]) -> None:
+    """Write those of some kinds: a folder for each kind, in it one for each specimen."""
+    written = {
+        "saved": _saved,
+        "proof": _proof,
+        "folder": _folder,
+        "bundle": _bundle,
+        "fmu": _fmu,
+        "cache": _cache,
+        "mesh": _meshes,
+    }
     before = Path.cwd()
     with warnings.catch_warnings(), contextlib.redirect_stderr(io.StringIO()):
         warnings.simplefilter("ignore")
         try:
             _texts(folder)
-            _written(folder)
+            for kind in sorted({*kinds} & {*written}):
+                written[kind](folder)
         finally:
             os.chdir(before)
 
@@ -154,8 +168,7 @@ def _command(*arguments: str) -> str:
     return printed.getvalue()
 
 
-def _written(folder: Path) -> None:
-    """What flexopt writes."""
+def _saved(folder: Path) -> None:
     evaluate = ("evaluate", "excavator", "--json", "--loop", "default", "--posture")
     saved = {
         "evaluation": ((*evaluate, "1,-2"), (*evaluate, "0.9,-2.2")),
@@ -172,38 +185,32 @@ def _written(folder: Path) -> None:
         for file, text in zip(("main.json", "other.json"), texts, strict=True):
             (made / file).write_text(text, encoding="utf-8")
             json.loads(text)
-    _command(
-        "select",
-        "excavator",
-        "--end-point",
-        "0,1.6",
-        "--starts",
-        "1",
-        "--certify",
-        "--proof",
-        str(_made(folder, "proof/w1") / "main.json"),
-    )
-    made = _made(folder, "folder/small")
-    flexopt.run_study(flexopt.Study(**_study()), "study", workers=1)
-    made = _made(folder, "bundle/kinematics")
+
+
+def _proof(folder: Path) -> None:
+    file = str(_made(folder, "proof/w1") / "main.json")
+    _command("select", "excavator", "--end-point", "0,1.6", "--starts", "1", "--certify", "--proof", file)
+    json.loads(Path(file).read_text(encoding="utf-8"))
+
+
+def _folder(folder: Path) -> None:
+    _made(folder, "folder/small")
+    flexopt.run_study(flexopt.Study(**tomllib.loads(STUDY)), "study", workers=1)
+
+
+def _bundle(folder: Path) -> None:
+    _made(folder, "bundle/kinematics")
     flexopt.export_c(calls.excavator(), "bundle", parts=["kinematics"])
-    made = _made(folder, "fmu/sources")
+
+
+def _fmu(folder: Path) -> None:
+    _made(folder, "fmu/sources")
     flexopt.export_fmu(calls.excavator(), "main.fmu", posture=calls.POSTURE, duration=0.05)
-    _cache(_made(folder, "cache/kernels"))
-    _meshes(_made(folder, "mesh/three"))
 
 
-def _study() -> dict[str, Any]:
-    import tomllib  # noqa: PLC0415
-
-    return tomllib.loads(STUDY)
-
-
-def _cache(made: Path) -> None:
+def _cache(folder: Path) -> None:
     """Fill a compile cache by a run, if there is a compiler."""
-    import subprocess  # noqa: PLC0415
-    import sys  # noqa: PLC0415
-
+    made = _made(folder, "cache/kernels")
     (made / "cache").mkdir(mode=0o700)
     words = ["simulate", "excavator", "--posture", "1,-2", "--duration", "0.02"]
     environment = os.environ | {"FLEXOPT_CACHE": str(made / "cache"), "FLEXOPT_COMPILE": "1"}
@@ -215,10 +222,11 @@ def _cache(made: Path) -> None:
     )
 
 
-def _meshes(made: Path) -> None:
-    """A robot that names a mesh of each kind, where their reader is installed."""
-    import trimesh  # noqa: PLC0415
+def _meshes(folder: Path) -> None:
+    """Write a robot that names a mesh of each kind."""
+    import trimesh  # noqa: PLC0415  (which only meshes need)
 
+    made = _made(folder, "mesh/three")
     (made / "main.toml").write_text(MESHED, encoding="utf-8")
     visual = '<visual><geometry><mesh filename="{}"/></geometry></visual>'
     text = URDF.replace("package://nowhere/chassis.stl", "main.stl")

@@ -137,7 +137,10 @@ class _Worker:
     def close(self) -> None:
         if self.process is not None:
             with contextlib.suppress(OSError):
-                os.killpg(self.process.pid, signal.SIGKILL)
+                if sys.platform == "win32":
+                    self.process.kill()
+                else:
+                    os.killpg(self.process.pid, signal.SIGKILL)
             self.process.wait()
             self.process = None
 
