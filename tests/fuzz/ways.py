@@ -195,8 +195,18 @@ def _cached(given: Input) -> Any:
     return len(found)
 
 
+# A good call of verify, which is small; its arguments as options of the command.
+VERIFY = calls.FUNCTIONS["verify_bundle"]()
+VERIFY_WORDS = [
+    word
+    for name, value in VERIFY.items()
+    if name not in ("folder", "progress")
+    for word in (f"--{name.replace('_', '-')}", str(value))
+]
+
+
 def _verified(given: Input) -> Any:
-    return flexopt.verify_bundle("bundle", target="host", inputs=1, fuzz_calls=1)
+    return flexopt.verify_bundle(**{name: value for name, value in VERIFY.items() if name != "progress"})
 
 
 def _argument(given: Input) -> Any:
@@ -426,7 +436,7 @@ KINDS: dict[str, Kind] = {
     "proof": Kind(4, "main.json", {"check": (1, _checked_proof)}, {"check": _words("check", "@")}),
     "bundle": Kind(
         3, "bundle/**/*", {"verify": (1, _verified)},
-        {"verify": _words("verify", "bundle", "--target", "host", "--inputs", "1", "--fuzz-calls", "1")},
+        {"verify": _words("verify", "bundle", *VERIFY_WORDS)},
     ),
     "fmu": Kind(
         2, "main.fmu", {"export": (1, _fmu)},
