@@ -88,6 +88,7 @@ scale = "log"
 MESHED = """name = "meshed"
 robot = "meshed.urdf"
 actuated = ["slew", "boom", "extend"]
+lock_others = true
 
 [base]
 stiffness = { z = 1e6, roll = 1e6, pitch = 1e6 }

@@ -12,8 +12,8 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.fuzz import material
-from tests.fuzz.ways import KINDS, PLANTED
-from tests.fuzz.worker import kind_of, make
+from tests.fuzz.ways import KINDS, PLANTED, Input
+from tests.fuzz.worker import judge, kind_of, make
 
 # Files that people write; the others are made by flexopt, which takes longer.
 TEXTS = ("machine", "overlay", "urdf", "mjcf", "problem", "experiment", "study", "arguments")
@@ -53,6 +53,22 @@ def test_nothing_is_found_in_any_kind() -> None:
 
 def test_every_kind_is_drawn() -> None:
     assert {kind_of(11, number) for number in range(600)} == set(KINDS)
+
+
+@pytest.mark.long("proof", "bundle", "saved", "folder", "cache")
+@pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if kind.files and name != "fmu"])
+def test_what_is_not_mutated_is_taken(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the first way of each kind, so that mutations are of what can be read. An FMU that is there may be refused."""
+    material.build(tmp_path, [name])
+    specimens = sorted((tmp_path / name).iterdir())
+    assert specimens
+    for specimen in specimens:
+        monkeypatch.chdir(specimen)
+        main = next(
+            (path.name for path in sorted(specimen.glob("main.*")) if name != "urdf" or path.suffix == ".toml"), ""
+        )
+        _, way = next(iter(KINDS[name].api.values()))
+        assert judge(Input(Random(1), main), way)[0] == "result", specimen
 
 
 def test_an_input_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
