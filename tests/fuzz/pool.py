@@ -82,7 +82,7 @@ class _Worker:
         ]
         environment = os.environ | {
             "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "FLEXOPT_COMPILE": "0", "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg",
-            "FLEXOPT_CACHE": str(self.pool.material.parent / "kernels"), "PYTHONHASHSEED": "0",
+            "FLEXOPT_CACHE": str(self.pool.material.parent / "kernels"), "PYTHONHASHSEED": "0", "TMPDIR": self.folder,
         }  # fmt: skip
         process = subprocess.Popen(
             words, cwd=ROOT, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,

@@ -73,6 +73,14 @@ def _targets(machine: Any) -> list[float]:
     return [1.5, 1.6, 0.8][: len(machine.task_rows)]
 
 
+def _selected(machine: Any) -> Any:
+    """In space a choice takes a minute without a compiler; there it is only set up."""
+    if isinstance(machine, flexopt.Machine):
+        return flexopt.select(machine, _targets(machine), starts=1, workers=1)
+    flexopt.build_selection(machine, _targets(machine))
+    return None
+
+
 LOOP: dict[str, Any] = {"kp": 1e4, "kv": 1e3}
 RANGES = {"stiffness": [0.5, 2.0]}
 MACHINE: dict[str, tuple[float, Way]] = {
@@ -89,7 +97,7 @@ MACHINE: dict[str, tuple[float, Way]] = {
     "explain": (0.5, _of_machine(lambda m: flexopt.explain(m, posture_of(m)))),
     "explore": (0.5, _of_machine(_explored)),
     "inverse": (0.5, _of_machine(lambda m: flexopt.inverse_kinematics(m, _targets(m)))),
-    "select": (0.2, _of_machine(lambda m: flexopt.select(m, _targets(m), starts=1, workers=1))),
+    "select": (0.2, _of_machine(_selected)),
     "export": (0.15, _of_machine(lambda m: flexopt.export_c(m, "out", parts=["kinematics"]))),
     "fmu": (0.15, _of_machine(lambda m: flexopt.export_fmu(m, "out.fmu", posture=posture_of(m), duration=0.02))),
     "map": (0.2, _of_machine(lambda m: flexopt.map_workspace(m, over="posture", posture=posture_of(m), points=(2, 2), threads=1))),
@@ -405,7 +413,7 @@ class Kind:
 
 KINDS: dict[str, Kind] = {
     "machine": Kind(16, "main.toml", MACHINE, MACHINE_COMMANDS),
-    "overlay": Kind(9, "main.toml", MACHINE, MACHINE_COMMANDS),
+    "overlay": Kind(9, "main.toml", MACHINE, MACHINE_COMMANDS | {"select": (0, MACHINE_COMMANDS["select"][1])}),
     "urdf": Kind(9, "main.urdf", ROBOT_FILE, ROBOT_COMMANDS),
     "mjcf": Kind(11, "main.xml", ROBOT_FILE, ROBOT_COMMANDS),
     "problem": Kind(

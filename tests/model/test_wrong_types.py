@@ -6,7 +6,9 @@ import re
 import tomllib
 import warnings
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -82,6 +84,40 @@ def test_wrong_types_anywhere(kind: str) -> None:
         warnings.simplefilter("ignore", flexopt.FlexoptWarning)
         assert len(list(places(data))) >= 10
         assert raw_errors(make, data) == []
+
+
+EDGES = ("5e-324", "1e-300", "1e-29", "-1e-12", "0", "1e30", "1e400", "nan")
+
+
+@pytest.mark.parametrize("file", ["slewing-excavator.urdf", "truck-crane.xml", "mobile-manipulator.xml"])
+def test_edges_of_numbers_in_robot_files(file: str, tmp_path: Path) -> None:
+    """The last of each attribute of each element is given numbers as large and as small as can be written."""
+    name = file.partition(".")[0]
+    overlay = (MODELS / f"{name}.toml").read_text(encoding="utf-8").replace("robots/", "")
+    (tmp_path / "machine.toml").write_text(overlay, encoding="utf-8")
+    root = ElementTree.parse(MODELS / "robots" / file).getroot()
+    numbers = {
+        (element.tag, key, len(text.split())): (element, key, text)
+        for element in root.iter()
+        for key, text in element.attrib.items()
+        if re.fullmatch(r"[-+.\de\s]+", text)
+    }
+    assert len(numbers) >= 8
+    found: list[str] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", flexopt.FlexoptWarning)
+        for element, key, text in numbers.values():
+            for edge in EDGES:
+                element.set(key, " ".join([edge, *text.split()[1:]]))
+                (tmp_path / file).write_text(ElementTree.tostring(root, encoding="unicode"), encoding="utf-8")
+                try:
+                    flexopt.load(tmp_path / "machine.toml")
+                except flexopt.FlexoptError:
+                    pass
+                except Exception as error:  # noqa: BLE001, RUF100  # any other is what this looks for
+                    found.append(f"<{element.tag}> {key} = {edge}: {type(error).__name__}: {error}")
+            element.set(key, text)
+    assert found == []
 
 
 def test_a_raw_error_is_found() -> None:

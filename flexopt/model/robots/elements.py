@@ -22,7 +22,8 @@ FILE_SIZE_MAX = 16_000_000
 DEPTH_MAX = 200
 ELEMENTS_MAX = 200_000
 ATTRIBUTES_MAX = 200
-# Far beyond any machine; products of a few such numbers stay finite.
+# Far beyond any machine; products of a few such numbers stay finite. Smaller ones than 1 / NUMBER_MAX are 0, so that
+# quotients stay finite, too.
 NUMBER_MAX = 1e30
 
 
@@ -213,7 +214,9 @@ def _number(word: str) -> float | None:
         value = float(word) if "_" not in word else math.nan
     except ValueError:
         return None
-    return value if abs(value) <= NUMBER_MAX else None
+    if not abs(value) <= NUMBER_MAX:
+        return None
+    return value if abs(value) * NUMBER_MAX >= 1 else 0.0
 
 
 def cut(text: str) -> str:
