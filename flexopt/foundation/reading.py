@@ -14,12 +14,11 @@ def read_bounded(path: Path, most: int) -> bytes:
     """
     try:
         if path.exists() and not path.is_file():
-            raise OSError(errno.EINVAL, "it is no file")
+            raise OSError(errno.EINVAL, "it is a folder" if path.is_dir() else "it is no file")
         with path.open("rb") as stream:
             content = stream.read(most + 1)
     except ValueError:  # a name that no system takes
         raise OSError(errno.EINVAL, "its name is unusable") from None
     if len(content) > most:
-        size = f"{most // 10**6} MB" if most >= 10**6 else f"{most // 1000} kB"
-        raise OSError(errno.EFBIG, f"it is larger than {size}")
+        raise OSError(errno.EFBIG, f"it is larger than {most // 1000} kB")
     return content
