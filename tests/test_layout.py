@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 import tomllib
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import grimp
@@ -146,3 +148,52 @@ def test_the_map_answers_where_to_add_what() -> None:
     )  # fmt: skip
     assert [each for each in questions if not any(each in question for question in answers)] == []
     assert [question for question, paths in answers.items() if not paths] == []
+
+
+def third_party(tree: ast.AST) -> set[str]:
+    """Packages of others that a module imports, by name or by `import_module`."""
+    found = set[str]()
+    for node in ast.walk(tree):
+        match node:
+            case ast.Import(names=names):
+                found |= {each.name for each in names}
+            case ast.ImportFrom(module=str(module), level=0):
+                found.add(module)
+            case ast.Call(func=ast.Name(id="import_module"), args=[ast.Constant(value=str(module))]):
+                found.add(module)
+            case _:
+                pass
+    return {module.partition(".")[0] for module in found} - sys.stdlib_module_names - {"flexopt"}
+
+
+def undeclared(imported: Iterable[str], requirements: Iterable[str]) -> list[str]:
+    """Imported packages that none of the requirements installs by name."""
+    declared = {_normal(re.split(r"[\s\[<>=;]", requirement)[0]) for requirement in requirements}
+    distributions = packages_distributions()
+    return sorted(name for name in imported if not {_normal(each) for each in distributions.get(name, ())} & declared)
+
+
+def _normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def test_what_is_imported_is_declared() -> None:
+    """Import statements name packages of `dependencies`; `import_module` may name one of an extra, too."""
+    project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    always, later = set[str](), set[str]()
+    for _, tree in modules():
+        always |= {
+            name
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Import | ast.ImportFrom)
+            for name in third_party(node)
+        }
+        later |= third_party(tree)
+    extras = project["optional-dependencies"]
+    optional = [each for name in ("meshes", "certificates", "cluster", "compiler") for each in extras[name]]
+    # Whoever passes a system of python-control has it.
+    later -= {"control"}
+    assert {"casadi", "pandas", "PIL", "markupsafe", "trimesh"} <= later
+    assert undeclared(always - {"flint"}, project["dependencies"]) == []
+    assert undeclared(later, [*project["dependencies"], *optional]) == []
+    assert undeclared({"PIL", "flint"}, ["pillow>=10", "numpy"]) == ["flint"]

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.plain import counted
+from flexopt.foundation.reading import read_bounded
 from flexopt.model.tables import Visual
 
 # Triangles of a whole page: more are simplified, for a picture must be drawn within a frame.
@@ -172,14 +173,9 @@ def _read(trimesh: Any, file: str) -> tuple[Vector, Faces]:
     if kind not in SUFFIXES:
         raise _Unreadable(f"is none of {', '.join(SUFFIXES)}")
     try:
-        if path.exists() and not path.is_file():
-            raise _Unreadable("is no file")
-        with path.open("rb") as stream:
-            content = stream.read(FILE_MAX + 1)
-    except (OSError, ValueError) as error:
-        raise _Unreadable(getattr(error, "strerror", None) or str(error)) from None
-    if len(content) > FILE_MAX:
-        raise _Unreadable(f"is larger than {FILE_MAX // 10**6} MB")
+        content = read_bounded(path, FILE_MAX)
+    except OSError as error:
+        raise _Unreadable(error.strerror or str(error)) from None
     try:
         # From bytes, so that no other file is opened that this one names.
         scene: Any = trimesh.load_scene(io.BytesIO(content), file_type=kind[1:], **_READING.get(kind, {}))

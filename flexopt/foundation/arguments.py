@@ -153,7 +153,6 @@ class Arguments:
 
 def _on_limit(value: Any, low: float, high: float) -> Any:
     """The limit where a number is that limit as texts round it, so that what they tell can be given; else the value."""
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        near = [limit for limit in (low, high) if abs(value - limit) <= ROUNDED and not low <= value <= high]
-        return near[0] if near else value
-    return value
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    # Compared, not subtracted: a whole number may be too large for a double.
+    return min(max(value, low), high) if number and low - ROUNDED <= value <= high + ROUNDED else value

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 
 # How alike two words must be for one to be suggested for the other.
 ALIKE = 0.65
+# Longer words are neither compared, which takes the product of their lengths, nor listed.
+WORD_MAX = 200
 
 
 def nearest(word: str, known: Iterable[str], alike: float = ALIKE) -> str | None:
@@ -14,7 +16,7 @@ def nearest(word: str, known: Iterable[str], alike: float = ALIKE) -> str | None
 
     Of a dotted name that which has all its parts, in whatever order, and the fewest others.
     """
-    words, given = list(known), set(word.split("."))
+    words, given = [each for each in known if len(word) <= WORD_MAX >= len(each)], set(word.split("."))
     holding = [each for each in words if "." in word and given <= set(each.split("."))]
     if holding:
         return min(holding, key=lambda each: (len(set(each.split("."))), each.count(".")))
@@ -35,7 +37,7 @@ def _likeness(word: str, other: str) -> float:
 
 def hint_or_list(word: str, known: Iterable[str], heading: str = "valid here: ", most: int | None = None) -> str:
     """As `hint`, with the known words themselves, or so many of them, where none is near."""
-    words = list(known)
+    words = [each for each in known if len(each) <= WORD_MAX]
     some = words if most is None or len(words) <= most else _of_each_kind(words, most)
     listed = ", ".join(some) + ("" if some is words else ", …")
     return hint(word, words, f"; {heading}{listed}" if words else "")

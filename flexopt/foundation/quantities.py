@@ -15,6 +15,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError
 from pydantic_core.core_schema import no_info_before_validator_function
 
+from flexopt.errors import FAULTS_SHOWN
 from flexopt.foundation.plain import plain
 
 T = TypeVar("T")
@@ -153,7 +154,7 @@ def several(value: Any) -> list[Any]:
 
 
 def each(check: Callable[[Any], T], values: Iterable[Any], names: Iterable[str]) -> tuple[T, ...]:
-    """What `check` makes of each value; the sentence names every one that it refuses (an empty name is left out)."""
+    """Check each value; the sentence names the first of those that are refused (an empty name is left out)."""
     found: list[T] = []
     sentences: list[str] = []
     for value, name in zip(values, names, strict=True):
@@ -162,7 +163,7 @@ def each(check: Callable[[Any], T], values: Iterable[Any], names: Iterable[str])
         except ValueError as error:
             sentences.append(f"{name} {error}".lstrip())
     if sentences:
-        raise ValueError("; ".join(sentences))
+        raise ValueError("; ".join(sentences[:FAULTS_SHOWN]))
     return tuple(found)
 
 

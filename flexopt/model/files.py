@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from flexopt.errors import ModelError
 from flexopt.foundation.nearest import hint
+from flexopt.foundation.reading import read_bounded
 from flexopt.model.file_model import DEPTH_MAX, check_extent
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -70,8 +71,6 @@ def read_source(name_or_path: str | os.PathLike[str], kinds: tuple[ShippedKind, 
         looks = text.endswith((".toml", *ROBOT_SUFFIXES)) or os.sep in text or "/" in text
         if looks or (not found and len(text) <= NAME_MAX and Path(text).is_file()):
             path, named_kind = Path(text), None
-            if path.is_dir():
-                raise ModelError(f"{text}: is a folder; give the TOML file itself")
             if not path.exists():
                 raise ModelError(f"{text}: no such file")
             if path.suffix.lower() in ROBOT_SUFFIXES:
@@ -133,19 +132,16 @@ def read_toml(path: Path) -> dict[str, Any]:
     """The keys and tables of a TOML file.
 
     Raises:
-        ModelError: it is no TOML, or too large to be a machine or problem file.
-        OSError: it cannot be read.
+        ModelError: it cannot be read, is too large to be a machine or problem file, or is no TOML.
     """
-    with path.open("rb") as file:
-        content = file.read(FILE_SIZE_MAX + 1)
-    if len(content) > FILE_SIZE_MAX:
-        raise ModelError(f"{path}: larger than {FILE_SIZE_MAX // 1000} kB; this is no machine or problem file")
     try:
-        text = content.decode("utf-8")
+        text = read_bounded(path, FILE_SIZE_MAX).decode("utf-8")
         # The parser's time and memory grow with the square of the length of such a key.
         if LONG_KEY.search(text):
             raise ModelError(f"{path}: has a key of more than {DEPTH_MAX} words joined by dots")
         return tomllib.loads(text)
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
         raise ModelError(f"{path}: is not valid TOML: it is not UTF-8 text") from None
     except (ValueError, RecursionError) as error:

@@ -59,7 +59,7 @@ _VALUES, _PLACEMENT = numbers_in(JOINT_VALUE), numbers_in(JOINT_VALUE, least=0)
 
 def _check_quantity(value: Any) -> str:
     known = dict.fromkeys(name for names in QUANTITIES.values() for name in names)
-    if value not in known:
+    if not isinstance(value, str) or value not in known:
         raise ValueError(f"must be one of {', '.join(known)}")
     return value
 

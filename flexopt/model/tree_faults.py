@@ -23,7 +23,10 @@ def tree_faults(data: dict[str, Any]) -> list[Fault]:
     bodies = [(named("bodies", index, body), body) for index, body in enumerate(listed) if body]
     if not listed:
         return [Fault("bodies", "at least one body is needed")] if isinstance(data.get("bodies"), tuple) else []
-    if len(bodies) != len(listed):
+    names: list[Any] = [body.get("name") for _, body in bodies]
+    links = [*names, *(body.get("parent") for _, body in bodies), table_of(data.get("end_point")).get("body")]
+    # A name that is no text says nothing of what it names; the keys' own faults are told elsewhere.
+    if len(bodies) != len(listed) or not all(isinstance(name, str | None) for name in links):
         return []
     faults = _order_faults(bodies) + _name_faults(bodies)
     coupled: dict[str, tuple[str, ...]] = {}
@@ -36,7 +39,6 @@ def tree_faults(data: dict[str, Any]) -> list[Fault]:
     for where, body in bodies:
         faults += _joint_faults(where, _joint(body), coupled)
     faults += _massless_faults(bodies, data)
-    names = [body.get("name") for _, body in bodies]
     faults += capsule_faults(data, names, 3) + unknown_bodies(data, "visuals", names)
     kinds = {str(_joint(b).get("name")): _joint(b).get("kind") for _, b in bodies if not _joint(b).get("passive")}
     faults += cylinder_faults(data, kinds, passive, 3)

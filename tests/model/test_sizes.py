@@ -106,7 +106,7 @@ XML: dict[str, tuple[Callable[[], str], str]] = {
     "a long name": (lambda: f'<robot><link name="{"a" * 1_000_000}"><b/></link></robot>', "link 'aaaa"),
     "a long number": (lambda: '<robot><link name="a"><inertial><mass value="' + "1 " * 500_000 + '"/></inertial></link></robot>', "needs <mass> and"),
     "depth": (lambda: deep(*["robot"] * 5000), "nested more than 200 deep"),
-    "size": (lambda: "<robot>" + " " * 16_000_000 + "</robot>", "larger than 16 MB"),
+    "size": (lambda: "<robot>" + " " * 16_000_000 + "</robot>", "larger than 16000 kB"),
     "entities": (
         lambda: '<!DOCTYPE r [<!ENTITY a "b">' + "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 30)) + "]><robot>&a29;</robot>",
         "document type declaration",

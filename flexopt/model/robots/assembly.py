@@ -270,7 +270,7 @@ class Assembly:
 
     def _cylinder(self, index: int, cylinder: Cylinder) -> dict[str, Any]:
         """Its pins in the axes of the bodies that the joint's links are part of."""
-        layout = cylinder.model_dump(exclude_unset=True)
+        layout = cylinder.model_dump(exclude_unset=True, exclude_none=True)
         link = next((link for link in self.robot.links for j in link.joints if j.name == cylinder.joint), None)
         if link is None or link.name not in self._carriers:
             return layout  # the tree has no such joint, and says so

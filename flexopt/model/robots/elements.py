@@ -16,12 +16,14 @@ import numpy as np
 from flexopt.errors import Fault, ModelError
 from flexopt.foundation.arrays import Array
 from flexopt.foundation.nearest import hint_or_list
+from flexopt.foundation.reading import read_bounded
 
 FILE_SIZE_MAX = 16_000_000
 DEPTH_MAX = 200
 ELEMENTS_MAX = 200_000
 ATTRIBUTES_MAX = 200
-# Far beyond any machine; products of a few such numbers stay finite.
+# Far beyond any machine; products of a few such numbers stay finite. Smaller ones than 1 / NUMBER_MAX are 0, so that
+# quotients stay finite, too.
 NUMBER_MAX = 1e30
 
 
@@ -127,17 +129,9 @@ def parse(path: Path, name: str) -> Element:
         ModelError: the file cannot be read, is no well-formed XML, or has a document type declaration.
     """
     try:
-        if path.exists() and not path.is_file():
-            raise ModelError(f"{name}: cannot be read (it is no file)")
-        with path.open("rb") as stream:
-            content = stream.read(FILE_SIZE_MAX + 1)
-    except ModelError:
-        raise
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ModelError(f"{name}: cannot be read ({reason})") from None
-    if len(content) > FILE_SIZE_MAX:
-        raise ModelError(f"{name}: larger than {FILE_SIZE_MAX // 1_000_000} MB; this is no robot description")
+        content = read_bounded(path, FILE_SIZE_MAX)
+    except OSError as error:
+        raise ModelError(f"{name}: cannot be read ({error.strerror or error})") from None
     return parse_bytes(content, name)
 
 
@@ -220,7 +214,9 @@ def _number(word: str) -> float | None:
         value = float(word) if "_" not in word else math.nan
     except ValueError:
         return None
-    return value if abs(value) <= NUMBER_MAX else None
+    if not abs(value) <= NUMBER_MAX:
+        return None
+    return value if abs(value) * NUMBER_MAX >= 1 else 0.0
 
 
 def cut(text: str) -> str:

@@ -116,11 +116,7 @@ def load_robot(path: str | os.PathLike[str]) -> Tree:
         ('slew', 'lift', 'knuckle', 'extend')
     """
     path = Path(path)
-    try:
-        data = read_toml(path)
-    except OSError as error:
-        raise ModelError(f"{path}: cannot be read ({error.strerror})") from None
-    return _read(data, path.parent, str(path))
+    return _read(read_toml(path), path.parent, str(path))
 
 
 def robot_from_dict(data: FileTable, *, folder: str | os.PathLike[str], origin: str = "machine") -> Tree:
