@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
+from flexopt.foundation.kept import by_machine
 from flexopt.model import AnyMachine
 from flexopt.model.choices import OUTCOMES
 from flexopt.model.constraints import Constraints
@@ -178,7 +178,7 @@ class Quantities:
         )
 
 
-@lru_cache(maxsize=64)
+@by_machine
 def quantities(machine: AnyMachine, control: Control, gravity: bool, gain: float) -> Quantities:
     """The Functions for a problem (put together once, and kept: a selection asks thousands of times)."""
     return Quantities(build_measures(machine, control, gravity), build_margin(machine, control, gravity), gain)

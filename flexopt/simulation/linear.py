@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, Unpack
 
 import casadi as ca
@@ -20,6 +19,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import PostureLike, Vector
 from flexopt.foundation.boundary import Keywords, number, public
 from flexopt.foundation.control import Control
+from flexopt.foundation.kept import by_structure
 from flexopt.foundation.results import Result
 from flexopt.loop.borders import HIGH, LOW, stable_intervals
 from flexopt.loop.closed import closed_loop
@@ -204,7 +204,7 @@ def _spectrum(scenario: Scenario, x: Vector, matrix: Vector, integrator: str) ->
     return spectrum(matrix, s.period, most, excess, own, integrator)
 
 
-@lru_cache(maxsize=16)
+@by_structure
 def _resting_rows(machine: AnyMachine, control: Control) -> ca.Function:
     return resting_rows(build_plant(machine), control)
 
@@ -294,7 +294,7 @@ def bare_scenario(
     return build_scenario(machine, options.model_copy(update=update), zeros, exact=exact, delays=delays)
 
 
-@lru_cache(maxsize=64)
+@by_structure
 def _derivative(structure: LoopStructure) -> ca.Function:
     """Φ = ∂x_{k+1}/∂x_k of an integrator's own step. Inputs x, e, c."""
     step = closed_loop(structure).step

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Literal
 
 import casadi as ca
@@ -17,6 +17,7 @@ import numpy as np
 
 from flexopt.algebra.layout import Layout
 from flexopt.compiled import accelerate
+from flexopt.foundation.kept import by_structure
 from flexopt.model.own import OwnFunction
 from flexopt.robustness.margin import build_margin
 from flexopt.selection.nlp.configuration import Configuration
@@ -217,7 +218,7 @@ class MemberGraph:
         return epsilon, slopes
 
 
-@lru_cache(maxsize=48)
+@by_structure
 def _margin(configuration: Configuration, *, compiled: bool) -> tuple[ca.Function, ca.Function]:
     """`Margin.values` and `gradients`, or the compiled gradients for both, where there is a compiler."""
     c = configuration
