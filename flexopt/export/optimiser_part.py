@@ -9,7 +9,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from flexopt.export.task_rows import orientation_texts, task_frame
 from flexopt.foundation.arrays import Array
 from flexopt.foundation.control import Control
 from flexopt.foundation.documents import package_version
+from flexopt.foundation.kept import by_machine
 from flexopt.foundation.quantities import COORDINATE_MAX
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
@@ -226,7 +227,7 @@ def optimiser(at: Context, prefix: str, real: Real) -> OptimiserPart:
     return OptimiserPart(at, prefix, real, build_optimiser(at, prefix, real))
 
 
-@lru_cache(maxsize=16)
+@by_machine
 def _vectors(
     machine: AnyMachine, control: Control, margin_deg: float, count: int, seed: int
 ) -> tuple[ReferenceProblem, ...]:

@@ -98,11 +98,6 @@ def _kept(
             record.setdefault(function, lru_cache(most)(function))
         return record[function](*map(key, args), **{name: key(value) for name, value in kwargs.items()})
 
-    def forget() -> None:
-        for record in records.values():
-            record.pop(function, None)
-
-    cast(Any, call).cache_clear = forget
     return call
 
 

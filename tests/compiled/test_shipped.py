@@ -12,6 +12,7 @@ import pytest
 
 import flexopt
 from flexopt.compiled import Batch, batch, find_compiler, lanes, recurrence
+from flexopt.foundation import kept
 from flexopt.model import AnyMachine, shipped_names
 from flexopt.plant import build_plant
 from flexopt.robustness.margin import build_margin
@@ -85,7 +86,7 @@ def test_closed_loop(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for maker in (batch, recurrence):
         keep = lambda *given, maker=maker, **options: made.append(maker(*given, **options)) or made[-1]  # noqa: E731
         monkeypatch.setattr(run, maker.__name__, keep)
-    run._runner.cache_clear()
+    kept.forget_all()
     flexopt.simulate(flexopt.load(name), REGULAR[name], duration=0.1)
     assert len(made) >= 2
     assert [each.compiled for each in made] == [find_compiler() is not None] * len(made)

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 import flexopt
+from flexopt.foundation import kept
 from flexopt.loop.lag import BY, lagged_modes
 from flexopt.loop.settings import loop_settings
 from flexopt.model import tree_from_dict
 from flexopt.model.loop import Loop
-from flexopt.plant import plant as plant_room
-from flexopt.robustness import measures as measures_room
 from tests.oracles.slopes import differences
 from tests.oracles.spatial import in_space
 from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
@@ -186,9 +185,8 @@ def test_names_of_inputs_and_outputs():
 def test_a_plant_that_the_cache_has_dropped():
     """Motions keep the plant that they were made of; measures asked for later may be of a plant built anew."""
     evaluation, settings, here = stand("boom-stick-bucket")
-    # As where 64 other machines were looked at in between.
-    for cached in (plant_room._built, measures_room.measures_of, lagged_modes):
-        cached.cache_clear()
+    # As where many other machines were looked at in between.
+    kept.forget_all()
     found = lagged_modes(here.motions).at(here.numbers, settings.dead_time)[0]
     again = stand("boom-stick-bucket")[2]
     assert np.array_equal(found["lag"], lagged_modes(again.motions).at(again.numbers, settings.dead_time)[0]["lag"])
