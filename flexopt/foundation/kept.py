@@ -11,7 +11,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import fields
 from functools import cached_property, lru_cache, wraps
-from typing import Any, ParamSpec, Self, TypeVar, cast
+from typing import Any, ParamSpec, Self, TypeVar, cast, overload
 
 from flexopt.foundation.turns import TURN
 
@@ -50,7 +50,7 @@ class Structural:
             twin = self._build_twin()
             # A reference to itself would outlive the record until the next collection of cycles.
             known["_twin"] = None if twin is self else twin
-        return known["_twin"] or self
+        return self if known["_twin"] is None else known["_twin"]
 
     def _build_twin(self) -> Self:
         if self.has_own_numbers:
@@ -66,12 +66,18 @@ def without_values(argument: Any) -> Any:
 
 
 class structural_property(cached_property[T]):  # noqa: N801  (used as a decorator)
-    """A `cached_property` that all objects with the same symbolic twin share."""
+    """A `cached_property` that all objects with the same symbolic twin share; its value has no numbers of a machine."""
 
+    @overload
+    def __get__(self, instance: None, owner: type[Any] | None = None) -> Self: ...
+    @overload
+    def __get__(self, instance: object, owner: type[Any] | None = None) -> T: ...
     def __get__(self, instance: Any, owner: type[Any] | None = None) -> Any:
         if instance is None:
             return self
-        found = vars(instance)[self.attrname] = super().__get__(instance.symbolic, owner)
+        found = cast(Any, super()).__get__(instance.symbolic, owner)
+        assert not isinstance(found, Structural), "it would have no numbers"
+        vars(instance)[cast(str, self.attrname)] = found
         return found
 
 

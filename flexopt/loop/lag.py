@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -49,7 +50,7 @@ class LaggedModes(Structural):
         """Whether its loop has."""
         return self.motions.has_own_numbers
 
-    @structural_property
+    @cached_property
     def measures(self) -> Measures:
         """Of the machine."""
         return build_measures(self.motions.machine, self.motions.control, self.motions.gravity)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
@@ -137,7 +138,7 @@ class SmallMotions(Structural):
         """Whether the controller has the numbers of the machine's file."""
         return self.own_model
 
-    @structural_property
+    @cached_property
     def plant(self) -> Plant:
         """The machine's."""
         return build_plant(self.machine)

@@ -7,7 +7,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 from pydantic import Field, PrivateAttr
@@ -267,8 +267,8 @@ class AnyMachine(BuiltByCall, Described, Structural):
                 for key in outer:
                     inside = inside.setdefault(key, {})
                 inside[last] = None
-        twin = _blanked(self, blank)
-        for name in set(vars(twin)) - set(type(self).model_fields):
+        twin: Self = _blanked(self, blank)
+        for name in vars(twin).keys() - type(self).model_fields.keys():
             del vars(twin)[name]
         # JSON has one word, null, for NaN and for what is absent.
         known = [twin.content_hash, *(f"{name} {value}" for name, value, _ in twin.parameters)]
@@ -307,7 +307,8 @@ def _blanked(part: Any, keys: Mapping[str | int, Any] | None) -> Any:
     if keys is None:
         return math.nan
     if isinstance(part, tuple):
-        return tuple(_blanked(each, keys[i]) if i in keys else each for i, each in enumerate(part))
+        parts = cast("tuple[Any, ...]", part)
+        return tuple(_blanked(each, keys[i]) if i in keys else each for i, each in enumerate(parts))
     return part.model_copy(update={key: _blanked(getattr(part, str(key)), below) for key, below in keys.items()})
 
 

@@ -18,6 +18,7 @@ are told, with bounds on their errors, go through `posture_margin`.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Any
 
@@ -72,7 +73,7 @@ class Margin(Structural):
         """Number of states."""
         return self.n_rates + self.plant.n_passive + self.plant.n_task
 
-    @structural_property
+    @cached_property
     def _expansion(self) -> Expansion:
         return Expansion(self.plant, self.control, self.gravity, compact=self.compact)
 
@@ -218,7 +219,7 @@ class Margin(Structural):
             "margin", symbols, [1 / ca.sqrt(1 + values), rest, residual], ["epsilon", "rest", "residual"]
         )
 
-    @structural_property
+    @cached_property
     def compacted(self) -> Margin:
         """The same in the form for C."""
         return replace(self, compact=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -53,7 +54,7 @@ class Measures(Structural):
         modes = f"{self.plant.n_passive} mode{'s' if self.plant.n_passive > 1 else ''}"
         return f"Measures({self.plant.machine.name!r}: {modes} under Jacobian {self.control} control{under})"
 
-    @structural_property
+    @cached_property
     def expansion(self) -> Expansion:
         """Where derivatives come from."""
         return Expansion(self.plant, self.control, self.gravity)

@@ -23,7 +23,7 @@ import numpy as np
 from flexopt.compiled import Economical
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
-from flexopt.foundation.kept import by_structure
+from flexopt.foundation.kept import by_structure, structural_property
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.singularity import conditions
@@ -344,13 +344,13 @@ class _Smooth(Expansion):
     Of a square Jv that is x_i itself, the actuated part of the mode; of a redundant arm b_i times det Jv Jvᵀ.
     """
 
-    @cached_property
+    @structural_property
     def divided(self) -> ca.SX:
         """S: Jv, or Jv Jvᵀ."""
         jv = self.point.rigid_jacobian
         return jv if jv.is_square() else jv @ jv.T
 
-    @cached_property
+    @structural_property
     def graphs(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """K_p, M̄ (m, m) and F (2r, m)."""
         stiffness, mass, factors = super().graphs

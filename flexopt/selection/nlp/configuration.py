@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -48,7 +49,7 @@ class Configuration(Structural):
     gravity: bool
     extra: ConstraintRows | None
 
-    @structural_property
+    @cached_property
     def measures(self) -> Measures:
         """The measures behind the objective, asked for once: built anew, they would be of other symbols."""
         return build_measures(self.machine, self.control, self.gravity)
@@ -74,7 +75,7 @@ class Configuration(Structural):
     def _z(self) -> ca.SX:
         return ca.vertcat(self._symbols["base"], self._symbols["posture"])
 
-    @structural_property
+    @cached_property
     def expansion(self) -> Expansion:
         """V = Σ αi wi with its derivatives by z, from (base, posture, p, held, alpha)."""
         return self.measures.expansion
