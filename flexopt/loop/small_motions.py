@@ -143,7 +143,7 @@ class SmallMotions(Structural):
         """The machine's."""
         return build_plant(self.machine)
 
-    @structural_property
+    @cached_property
     def structure(self) -> LoopStructure:
         """Of a loop with one measurement on its way, so that it can be told from what joints measure at once."""
         return LoopStructure(
