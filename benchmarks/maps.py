@@ -62,7 +62,7 @@ machine, size = flexopt.load("excavator"), int(sys.argv[1])
 start, before = time.perf_counter(), os.times()
 flexopt.map_workspace(machine, points=(size, size))
 seconds, after = time.perf_counter() - start, os.times()
-of_map = points._batches(machine, "inverse", False, True)
+of_map = points.expect_points(0, machine, control="inverse", gravity=False, epsilon_max=True)
 user = after.user - before.user, after.children_user - before.children_user
 print(f"{seconds:.1f} s; processor time {user[0]:.1f} s, of compilers {user[1]:.1f} s; compiled: "
       f"measures {of_map.values.compiled}, ε_max {of_map.margins.compiled}")

@@ -47,17 +47,16 @@ class Structural:
         """The same object without values of parameters; equal objects have one twin, itself among them."""
         known = vars(self)
         if "_twin" not in known:
-            twin = self._build_twin()
-            # A reference to itself would outlive the record until the next collection of cycles.
-            known["_twin"] = None if twin is self else twin
+            known["_twin"] = twin = self._build_twin()
+            # None instead of a reference to itself, which would outlive the record until cycles are collected.
+            vars(twin)["_twin"] = None
         return self if known["_twin"] is None else known["_twin"]
 
     def _build_twin(self) -> Self:
-        if self.has_own_numbers:
-            return self
         given = (getattr(self, field.name) for field in fields(cast(Any, self)))
-        twin = type(self)(*map(without_values, given))
-        return _record(_of_structures, without_values(self.described)).setdefault(twin, twin)
+        twin = self if self.has_own_numbers else type(self)(*map(without_values, given))
+        records = _of_machines if self.has_own_numbers else _of_structures
+        return _record(records, twin.described).setdefault(twin, twin)
 
 
 def without_values(argument: Any) -> Any:
@@ -99,7 +98,7 @@ def _kept(
 ) -> Callable[P, T]:
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        record = _record(records, key(cast(Structural, args[0]).described))
+        record = _record(records, key(args[0]).described)
         if function not in record:
             record.setdefault(function, lru_cache(most)(function))
         return record[function](*map(key, args), **{name: key(value) for name, value in kwargs.items()})

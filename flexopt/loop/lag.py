@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.kept import Structural, by_machine, structural_property
+from flexopt.foundation.kept import Structural, structural_property
 from flexopt.loop.small_motions import BY, CONFIGURATION, DEAD_TIME, INPUTS, SmallMotions
 from flexopt.plant.control import task_to_joints_transposed
 from flexopt.robustness.evaluation import unreached
@@ -44,11 +44,6 @@ class LaggedModes(Structural):
     motions: SmallMotions
 
     NAMES = ("allowance", "allowance_isotropic", "lag", "lag_reserve", "first_order_decay", "w_lagged")
-
-    @property
-    def has_own_numbers(self) -> bool:
-        """Whether its loop has."""
-        return self.motions.has_own_numbers
 
     @cached_property
     def measures(self) -> Measures:
@@ -186,12 +181,6 @@ class LaggedModes(Structural):
         given = self._given(numbers, 0.0)
         own = self.values.call(given)[self.NAMES.index("first_order_decay")].full().ravel()[hidden]
         return bool(np.any(np.abs(own - decay) <= OWN * np.abs(own) + rounding))
-
-
-@by_machine
-def lagged_modes(motions: SmallMotions) -> LaggedModes:
-    """The Functions of a loop (made once, and kept)."""
-    return LaggedModes(motions)
 
 
 def _times(x: RealImaginary, y: ca.SX) -> RealImaginary:

@@ -19,7 +19,7 @@ from flexopt.algebra import solve_spd
 from flexopt.compiled import ArrayCall
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control, control_damping, control_method
-from flexopt.foundation.kept import Structural, by_machine, structural_property
+from flexopt.foundation.kept import Structural, structural_property
 from flexopt.loop.closed import ClosedLoop, closed_loop
 from flexopt.loop.rest import (
     ARRIVED,
@@ -383,20 +383,3 @@ class SmallMotions(Structural):
         pulls = [getattr(by, name) for name in PARTS]
         found = self._to_slopes(*(numbers[name] for name in self.symbols), *pulls)
         return {name: slope.ravel() for name, slope in zip(INPUTS, found, strict=True)}
-
-
-@by_machine
-def small_motions(
-    machine: AnyMachine,
-    control: Control,
-    *,
-    gravity: bool = False,
-    integral: bool = False,
-    filtered: bool = False,
-    lagging: bool = False,
-    damped: bool = False,
-    served: bool = False,
-    own_model: bool = False,
-) -> SmallMotions:
-    """The Functions of a loop with these parts (made once, and kept)."""
-    return SmallMotions(machine, control, gravity, integral, filtered, lagging, damped, served, own_model)

@@ -7,7 +7,7 @@ states x, signals e and constants c.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 from flexopt.foundation.control import DAMPED, Control
 from flexopt.foundation.kept import Structural
@@ -76,9 +76,9 @@ class LoopStructure(Structural):
     watched: bool = False
 
     @property
-    def has_own_numbers(self) -> bool:
-        """Always: its graphs contain no machine's numbers but those of `hydraulic`."""
-        return True
+    def symbolic(self) -> Self:
+        """Itself: the numbers of `hydraulic` are part of it."""
+        return self
 
     @property
     def n_task(self) -> int:

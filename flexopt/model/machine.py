@@ -272,7 +272,7 @@ class AnyMachine(BuiltByCall, Described, Structural):
             del vars(twin)[name]
         # JSON has one word, null, for NaN and for what is absent.
         known = [twin.content_hash, *(f"{name} {value}" for name, value, _ in twin.parameters)]
-        vars(twin).update(content_hash=hashlib.sha256("\n".join(known).encode()).hexdigest(), _twin=None)
+        vars(twin).update(content_hash=hashlib.sha256("\n".join(known).encode()).hexdigest())
         return twin
 
     def to_dict(self) -> Document:

@@ -17,7 +17,7 @@ import numpy as np
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import array_of, instance, public, public_class, words
-from flexopt.foundation.kept import Structural, by_machine, structural_property
+from flexopt.foundation.kept import Structural, structural_property
 from flexopt.model import AnyMachine
 from flexopt.model.hydraulics import Cylinder, pin_to_pin
 from flexopt.plant.plant import Plant, build_plant
@@ -281,7 +281,7 @@ def _column(entries: list[ca.SX]) -> ca.SX:
 
 @public()
 def build_hydraulics(machine: AnyMachine) -> Hydraulics:
-    """The hydraulics of a machine, planar or in space (built once for each machine and kept).
+    """The hydraulics of a machine, planar or in space (its graphs are built once for each structure and kept).
 
     A machine without cylinders has the maps of its motors: `lever` and `joint_efforts` from its speeds and efforts.
 
@@ -290,9 +290,4 @@ def build_hydraulics(machine: AnyMachine) -> Hydraulics:
         >>> [cylinder.name for cylinder in hydraulics.plant.machine.cylinders]
         ['boom cylinder', 'stick cylinder', 'bucket cylinder']
     """
-    return _built(machine)
-
-
-@by_machine
-def _built(machine: AnyMachine) -> Hydraulics:
     return Hydraulics(build_plant(machine))

@@ -16,7 +16,7 @@ import casadi as ca
 from flexopt import compiled
 from flexopt.foundation.boundary import instance, public, public_class
 from flexopt.foundation.control import Control
-from flexopt.foundation.kept import Structural, by_machine, structural_property
+from flexopt.foundation.kept import Structural, structural_property
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.singularity import screened
@@ -257,7 +257,7 @@ def _function(name: str, at: list[Any], outputs: Mapping[str, Any], *, cse: bool
 
 @public()
 def build_measures(machine: AnyMachine, control: Control = "inverse", gravity: bool = False) -> Measures:
-    """The measures of a machine (built once for each machine, controller and gravity option, and kept).
+    """The measures of a machine (their graphs are built once for each structure, and kept).
 
     Args:
         machine: from `flexopt.load`.
@@ -272,10 +272,4 @@ def build_measures(machine: AnyMachine, control: Control = "inverse", gravity: b
         >>> measures.plant.n_passive
         3
     """
-    return measures_of(build_plant(machine), control, gravity)
-
-
-@by_machine
-def measures_of(plant: Plant, control: Control, gravity: bool) -> Measures:
-    """`build_measures` of a plant: their graphs are of its symbols, which a plant built anew does not share."""
-    return Measures(plant, control, gravity)
+    return Measures(build_plant(machine), control, gravity)

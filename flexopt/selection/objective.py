@@ -26,7 +26,7 @@ from flexopt.robustness.measures import Measures, build_measures
 from flexopt.robustness.posture_margin import evaluate_margin
 from flexopt.robustness.residues import MIXED, residue_unit
 from flexopt.selection.constraints import constraint_labels
-from flexopt.selection.own import OwnGraphs, OwnTerm, own_faults, own_graphs, weights_of
+from flexopt.selection.own import OwnGraphs, OwnTerm, own_faults, weights_of
 
 # Two eigenvalues of XZ this close, in ε, both count where stationarity is checked.
 KINK = 1e-5
@@ -110,7 +110,7 @@ class Quantities:
 
     def own(self, term: OwnTerm) -> OwnGraphs:
         """The graphs of a Function of the user's."""
-        return own_graphs(self.measures.plant.machine, self.measures.control, self.measures.gravity, term.own)
+        return OwnGraphs(self.measures, term.own)
 
     def smooth(self, objective: Objective, bases: Vector, postures: Vector, w: Vector) -> Vector:
         """V (N,) without ε_max at points (n_b, N), (n, N) whose w_i are (m, N)."""

@@ -26,7 +26,7 @@ from flexopt.loop.closed import closed_loop
 from flexopt.loop.gains import rigid_gains_at
 from flexopt.loop.outcome import UNDAMPED, LoopPoint
 from flexopt.loop.rest import resting_rows
-from flexopt.loop.small_motions import small_motions
+from flexopt.loop.small_motions import SmallMotions
 from flexopt.loop.spectrum import EXACT, OwnMotion, SampledLoop, neutral_directions, spectrum
 from flexopt.loop.structure import LoopStructure
 from flexopt.loop.tangent import SelfMotion, Tangent, still, tangent
@@ -248,7 +248,7 @@ def where_held(scenario: Scenario) -> Vector | None:
     if known or s.options.feedback not in ("pd", "pid"):
         return s.resting
     integral = s.options.feedback == "pid"
-    motions = small_motions(s.machine, s.options.control, gravity=True, integral=integral, own_model=True)
+    motions = SmallMotions(s.machine, s.options.control, gravity=True, integral=integral, own_model=True)
     gains = {name: s.parts[name] for name in ("kp", "ki")[: 1 + integral]}
     at = {"base": s.base, "posture": s.posture, "p": s.p, "servo_gain": np.ones(1)}
     point = LoopPoint(motions, motions.numbers(at | gains), 0.0)

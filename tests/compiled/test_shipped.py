@@ -31,7 +31,7 @@ BATCHED: dict[str, Callable[[AnyMachine], Batch]] = {
     "w": lambda machine: flexopt.build_measures(machine).quick_batch,
     "w with gradient": lambda machine: flexopt.build_measures(machine).quick_batch_with_gradient,
     "distance from singularity": lambda machine: batch(build_plant(machine).singularity_sine_squared),
-    "measures of maps": lambda machine: batch(points._measure_function(flexopt.build_measures(machine))),
+    "measures of maps": lambda machine: batch(points._measures_of_many(flexopt.build_measures(machine)).function),
     "task at rest": lambda machine: batch(follow._task_at_rest(machine).function),
     "task as it sags": lambda machine: batch(follow._task_as_it_sags(machine).function),
 }

@@ -135,6 +135,16 @@ def changed(*keys: str | int, value: Any) -> Callable[[Data], None]:
     return change
 
 
+def swap(joint: Data) -> None:
+    joint["kind"] = "slide" if joint["kind"] == "hinge" else "hinge"
+
+
+def elastic(data: Data) -> None:
+    cylinders = [each for each in data["cylinders"] if each["joint"] != data["links"][-1]["name"]]
+    link = {key: value for key, value in data["links"][-1].items() if key not in ("limits", "effort", "speed")}
+    data |= {"cylinders": cylinders, "links": [*data["links"][:-1], link | SPRING]}
+
+
 SPRING = {"passive": True, "stiffness": 1e6, "damping": 10.0}
 DETAILS = {
     "axis": (101, changed("bodies", 0, "joint", "axis", value=[0.0, 0.6, 0.8])),
@@ -144,21 +154,11 @@ DETAILS = {
     "name of a joint": (101, changed("bodies", 0, "joint", "name", value="other")),
     "rotor": ("mobile-manipulator", changed("bodies", -1, "joint", "armature", value=0.0)),
     "rigid direction": ("excavator", lambda data: [data["base"][key].pop("x") for key in ("stiffness", "damping")]),
-    "elastic joint": ("boom-stick-bucket", lambda data: elastic(data)),
+    "elastic joint": ("boom-stick-bucket", elastic),
     "limits": ("excavator", changed("links", 0, "limits", value=[-1.0, 1.0])),
     "pin of a cylinder": ("boom-stick-bucket", changed("cylinders", 0, "base_point", value=[1.1, -0.3])),
     "volume": ("slewing-excavator", changed("capsules", 0, "radius", value=0.111)),
 }
-
-
-def swap(joint: Data) -> None:
-    joint["kind"] = "slide" if joint["kind"] == "hinge" else "hinge"
-
-
-def elastic(data: Data) -> None:
-    cylinders = [each for each in data["cylinders"] if each["joint"] != data["links"][-1]["name"]]
-    link = {key: value for key, value in data["links"][-1].items() if key not in ("limits", "effort", "speed")}
-    data |= {"cylinders": cylinders, "links": [*data["links"][:-1], link | SPRING]}
 
 
 @pytest.mark.parametrize("detail", DETAILS)

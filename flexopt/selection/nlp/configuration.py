@@ -15,7 +15,7 @@ import casadi as ca
 
 from flexopt.algebra.feasible import feasible_steps
 from flexopt.foundation.control import Control
-from flexopt.foundation.kept import Structural, by_machine, structural_property
+from flexopt.foundation.kept import Structural, structural_property
 from flexopt.model import AnyMachine
 from flexopt.robustness.expansion import Expansion
 from flexopt.robustness.measures import Measures, build_measures
@@ -142,11 +142,6 @@ class Configuration(Structural):
         return ca.Function(name, list(symbols.values()), dense, list(symbols), names)
 
 
-@by_machine
-def _configuration(machine: AnyMachine, control: Control, gravity: bool, extra: ConstraintRows | None) -> Configuration:
-    return Configuration(machine, control, gravity, extra)
-
-
 def build_configuration(
     machine: AnyMachine, control: Control = "inverse", gravity: bool = False, constraints: ConstraintSet | None = None
 ) -> Configuration:
@@ -160,4 +155,4 @@ def build_configuration(
     extra = None
     if constraints is not None and len(constraints):
         extra = ConstraintRows(constraints.structure, constraints.function)
-    return _configuration(machine, control, gravity, extra)
+    return Configuration(machine, control, gravity, extra)

@@ -22,7 +22,7 @@ from flexopt.model.own import OwnFunction
 from flexopt.robustness.margin import build_margin
 from flexopt.selection.nlp.configuration import Configuration
 from flexopt.selection.nlp.coupling import Coupling
-from flexopt.selection.own import OwnGraphs, OwnTerm, own_graphs
+from flexopt.selection.own import OwnGraphs, OwnTerm
 
 # Of objectives in order, of each its branches: values, or slopes by x (1, n_x).
 BranchGraphs = list[list[ca.MX]]
@@ -153,7 +153,7 @@ class MemberGraph:
 
     def _graphs(self, term: OwnTerm) -> OwnGraphs:
         c = self.configuration
-        return own_graphs(c.machine, c.control, c.gravity, term.own)
+        return OwnGraphs(c.measures, term.own)
 
     def _own_inputs(self, term: OwnTerm) -> list[ca.MX]:
         """What an own Function takes but `left`; what is held is asked for once."""

@@ -13,13 +13,11 @@ from typing import Any
 import casadi as ca
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.control import Control
-from flexopt.foundation.kept import Structural, by_machine, structural_property
-from flexopt.model import AnyMachine
+from flexopt.foundation.kept import Structural, structural_property
 from flexopt.model.own import OwnFunction
 from flexopt.plant.statics import left_over
 from flexopt.robustness.expansion import NO_DERIVATIVES
-from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
+from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures
 from flexopt.selection.own.quantities import KnownQuantity, Sight, known_quantities
 from flexopt.selection.own.reading import wrong_slopes
 
@@ -279,12 +277,6 @@ class OwnTerm:
     def weights(self) -> list[float]:
         """The c of `OwnGraphs`."""
         return [self.sign if k == self.row else 0.0 for k in range(int(self.own.function.numel_out(0)))]
-
-
-@by_machine
-def own_graphs(machine: AnyMachine, control: Control, gravity: bool, own: OwnFunction) -> OwnGraphs:
-    """The graphs of a Function for a machine, controller and gravity option (kept: a selection asks often)."""
-    return OwnGraphs(build_measures(machine, control, gravity), own)
 
 
 def _quick(name: str, symbols: list[ca.MX], outputs: list[ca.MX]) -> ca.Function:

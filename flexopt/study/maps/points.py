@@ -15,7 +15,7 @@ from flexopt.algebra import symmetric_eigen
 from flexopt.compiled import Economical
 from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.control import Control
-from flexopt.foundation.kept import by_machine, by_structure
+from flexopt.foundation.kept import by_structure
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.plant.singularity import CONDITION_MAX, conditions, inverse_condition, screened
@@ -110,18 +110,14 @@ class Batches:
 
 def expect_points(count: int, machine: AnyMachine, *, control: Control, gravity: bool, epsilon_max: bool) -> Batches:
     """The Functions that `evaluate_points` calls; those that are worth it for so many points begin to be compiled."""
-    batches = _batches(machine, control, gravity, epsilon_max)
+    measures, margin = build_measures(machine, control, gravity), build_margin(machine, control, gravity)
+    margins = _margins_of_many(margin) if epsilon_max else None
+    batches = Batches(measures, margin, _measures_of_many(measures), margins)
     # The one that takes longer first.
     if batches.margins is not None:
         batches.margins.expect(count)
     batches.values.expect(count)
     return batches
-
-
-@by_machine
-def _batches(machine: AnyMachine, control: Control, gravity: bool, epsilon_max: bool) -> Batches:
-    measures, margin = build_measures(machine, control, gravity), build_margin(machine, control, gravity)
-    return Batches(measures, margin, _measures_of_many(measures), _margins_of_many(margin) if epsilon_max else None)
 
 
 @by_structure
