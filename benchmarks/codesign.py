@@ -18,7 +18,7 @@ from scipy.optimize import differential_evolution
 
 import flexopt
 from flexopt.loop.outcome import LoopPoint
-from flexopt.loop.small_motions import small_motions
+from flexopt.loop.small_motions import SmallMotions
 
 EXCAVATOR, TARGET, RATE = flexopt.load("excavator"), (0.0, 1.6), 200.0
 KP, KV, DEAD_TIMES = (10.0, 1e7), (1.0, 1e5), (0.0, 0.005, 0.02, 0.05)
@@ -37,7 +37,7 @@ def decay(base: float, elbow: str, kp: float, kv: float, late: float, *, worst: 
         return UNREACHED
     if not STRAIGHT <= abs(math.remainder(float(posture[1]), math.tau)) <= math.pi - STRAIGHT:
         return UNREACHED
-    motions = small_motions(EXCAVATOR, "inverse")
+    motions = SmallMotions(EXCAVATOR, "inverse")
     names, nominal = motions.plant.parameter_names, motions.plant.parameter_values.full().ravel()
     springs = [k for k, name in enumerate(names) if name.startswith("base.stiffness")]
     values = list[float]()

@@ -21,6 +21,7 @@ import scipy.linalg
 import flexopt
 from benchmarks.batches import peers
 from benchmarks.timing import fresh_process, least_of, table
+from flexopt.foundation import kept
 from flexopt.foundation.turns import available_cores
 from flexopt.robustness.margin import build_margin
 from flexopt.study.maps import points
@@ -61,7 +62,7 @@ machine, size = flexopt.load("excavator"), int(sys.argv[1])
 start, before = time.perf_counter(), os.times()
 flexopt.map_workspace(machine, points=(size, size))
 seconds, after = time.perf_counter() - start, os.times()
-of_map = points._batches(machine, "inverse", False, True)
+of_map = points.expect_points(0, machine, control="inverse", gravity=False, epsilon_max=True)
 user = after.user - before.user, after.children_user - before.children_user
 print(f"{seconds:.1f} s; processor time {user[0]:.1f} s, of compilers {user[1]:.1f} s; compiled: "
       f"measures {of_map.values.compiled}, ε_max {of_map.margins.compiled}")
@@ -92,9 +93,9 @@ def main() -> None:
     reference = points.evaluate_points(machine, postures)
     with mock.patch.dict(os.environ, FLEXOPT_COMPILE="0"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        points._batches.cache_clear()
+        kept.forget_all()
         each["flexopt, all of a map, no compiler"] = seconds(lambda: points.evaluate_points(machine, postures)) / FEW
-    points._batches.cache_clear()
+    kept.forget_all()
     others = peers(flexopt.build_measures(machine), postures)
     each["NumPy eigh, batched: w_i only"] = seconds(others.numpy_batched) / FEW
     each["SciPy eigh, loop: w_i only"] = seconds(others.scipy_loop) / 500

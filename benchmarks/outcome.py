@@ -22,7 +22,7 @@ import flexopt
 from benchmarks.verdicts import DEAD_TIMES, HELD, POSTURES, intervals
 from flexopt.foundation.turns import available_cores
 from flexopt.loop.outcome import LoopPoint
-from flexopt.loop.small_motions import small_motions
+from flexopt.loop.small_motions import SmallMotions
 from tests.oracles.late_cases import SEED, draw_case, nonlinear_growth, slopes_off
 
 CASES, GRADIENTS = 500, 60
@@ -86,7 +86,7 @@ def redundancy(points: int) -> list[tuple[float, np.ndarray]]:
 
 def decay(posture: Any, kp: float, kv: float, dead_time: float, base: float = 0.0) -> float:
     """Of the excavator at 200 Hz, inverse control, 1/s."""
-    motions = small_motions(EXCAVATOR, "inverse")
+    motions = SmallMotions(EXCAVATOR, "inverse")
     numbers = {"base": [base], "posture": posture, "p": motions.plant.parameter_values.full(), "kp": [kp] * 2}
     numbers |= {"kv": [kv] * 2, "period": [0.005]}
     return LoopPoint(motions, motions.numbers(numbers), dead_time).decay().value

@@ -343,7 +343,7 @@ class ExtendedFunction:
         return Evaluated(self, values, shaped)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def extended(function: ca.Function) -> ExtendedFunction:
     """`function` in extended precision; translated once and kept."""
     return ExtendedFunction(function)

@@ -355,7 +355,7 @@ class TaylorFunction:
         return outputs
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def taylor(function: ca.Function) -> TaylorFunction:
     """`function` in Taylor models; translated once and kept."""
     return TaylorFunction(function)

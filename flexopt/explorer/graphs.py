@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from flexopt.loop.lag import lagged_modes
+from flexopt.loop.lag import LaggedModes
 from flexopt.loop.small_motions import SmallMotions
 from flexopt.plant.singularity import screened
 from flexopt.plant.statics import left_over
@@ -44,7 +44,7 @@ def explorer_functions(measures: Measures, motions: SmallMotions, *, frames: boo
         "skeleton": plant.skeleton,
         "unloaded": plant.rest,
         "motions": motions.matrices,
-        "first_order": lagged_modes(motions).of_known,
+        "first_order": LaggedModes(motions).of_known,
     } | {name: _function(name, at, names, outputs) for name, outputs in about.items()}
     if measures.gravity:
         found["sink"] = plant.static_step

@@ -23,7 +23,7 @@ from flexopt.foundation.arrays import Array
 from flexopt.loop.feedback import self_motion_damping
 from flexopt.loop.machine_step import machine_step
 from flexopt.loop.outcome import LoopPoint
-from flexopt.loop.small_motions import small_motions
+from flexopt.loop.small_motions import SmallMotions
 
 RATE_HZ, DURATION_S = 200, 12
 # How old the ROS 2 node's inputs may be, in samples: one may be lost.
@@ -109,7 +109,7 @@ def steady_hold(at: Context) -> Hold:
 def _decays(at: Context, posture: Array, gains: InverseGains) -> bool:
     """Whether the loop about rest does at both rates, the end-point's measurement one sample old."""
     plant, damped = at.plant, gains.nullspace_damping > 0
-    motions = small_motions(at.machine, "inverse", damped=damped)
+    motions = SmallMotions(at.machine, "inverse", damped=damped)
     each = np.ones(plant.n_task)
     given = {"kp": gains.kp * each, "kv": gains.kv * each, "nullspace_damping": np.array([gains.nullspace_damping])}
     given |= {"posture": posture, "p": plant.parameter_values.full()}

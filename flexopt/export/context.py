@@ -21,7 +21,7 @@ from flexopt.loop.settings import LoopSettings
 from flexopt.model import AnyMachine
 from flexopt.model.parameter_ranges import parameter_range
 from flexopt.plant import Plant, build_plant
-from flexopt.robustness.measures import Measures, measures_of
+from flexopt.robustness.measures import Measures
 
 # In single precision modes lose too many digits nearer than this to singular postures, degrees.
 SINGLE_MARGIN_DEG = 10.0
@@ -142,7 +142,7 @@ class Context:
     @cached_property
     def measures(self) -> Measures:
         """The measures w_i."""
-        return measures_of(self.plant, self.control, False)
+        return Measures(self.plant, self.control, False)
 
     @cached_property
     def placement_matters(self) -> bool:

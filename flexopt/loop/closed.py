@@ -8,13 +8,14 @@ of constants c, so loops of one structure share their compiled code; `baked` fol
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.algebra.layout import Layout
+from flexopt.foundation.kept import by_structure
 from flexopt.loop.directions import Carried, Computed, stacked
 from flexopt.loop.feedback import FeedbackLaw
 from flexopt.loop.flow import Flow
@@ -260,7 +261,7 @@ class ClosedLoop:
         return whole.expand(name, {"cse": True}) if self._short else whole
 
 
-@lru_cache(maxsize=64)
+@by_structure
 def closed_loop(structure: LoopStructure) -> ClosedLoop:
     """The graphs of a structure, kept."""
     return ClosedLoop(structure)

@@ -19,7 +19,7 @@ from flexopt.foundation.doubt import in_degrees
 from flexopt.foundation.plain import listed
 from flexopt.foundation.results import Result
 from flexopt.foundation.rounding import without_rounding
-from flexopt.loop.lag import LaggedModes, lagged_modes
+from flexopt.loop.lag import LaggedModes
 from flexopt.loop.outcome import MEASURES, LoopPoint
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.loop.spectrum import UNBRAKED, drifting_self_motion, from_sample_to_sample, slow_self_motion
@@ -358,7 +358,7 @@ def outcome_of(machine: AnyMachine, settings: LoopSettings, stand: Evaluation, *
     """What a loop of these numbers does in a configuration that was evaluated."""
     outcome = settings.outcome(machine, stand.base, stand.posture, gravity=gravity)
     of_modes: dict[str, Any]
-    modes_of_loop = lagged_modes(outcome.motions)
+    modes_of_loop = LaggedModes(outcome.motions)
     of_modes, gradient = modes_of_loop.at(outcome.numbers, settings.dead_time)
     hidden = unreached(stand.scale)
     unexcited = hidden | (without_rounding(stand.w, stand.scale) == 0)

@@ -5,10 +5,9 @@ In: signals and constants of a loop, and the command that is held. Out: the grap
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import casadi as ca
 
+from flexopt.foundation.kept import by_structure
 from flexopt.loop.directions import paired, stacked
 from flexopt.loop.integrators import State
 from flexopt.loop.sample import Layouts, SampleModel
@@ -105,7 +104,7 @@ class Flow(SampleModel):
         return self.through_dead_band(torque)
 
 
-@lru_cache(maxsize=64)
+@by_structure
 def _held_rates(structure: LoopStructure, layouts: Layouts) -> ca.Function:
     """Accelerations and rates of z while the command is held; the same for computed and carried directions."""
     shape, symbol = motion_of(structure.motion, {}), ca.SX.sym

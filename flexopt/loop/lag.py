@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.kept import Structural, structural_property
 from flexopt.loop.small_motions import BY, CONFIGURATION, DEAD_TIME, INPUTS, SmallMotions
 from flexopt.plant.control import task_to_joints_transposed
 from flexopt.robustness.evaluation import unreached
@@ -29,7 +30,7 @@ RealImaginary = tuple[ca.SX, ca.SX]
 
 
 @dataclass(frozen=True)
-class LaggedModes:
+class LaggedModes(Structural):
     """Functions of `INPUTS`, dead_time and period (1,), s; m modes.
 
     Outputs, (m,) each: `allowance`, `allowance_isotropic`: see `ModalGraphs`. `lag` ψ_i, rad: of the feedback of the
@@ -49,14 +50,14 @@ class LaggedModes:
         """Of the machine."""
         return build_measures(self.motions.machine, self.motions.control, self.motions.gravity)
 
-    @cached_property
+    @structural_property
     def _symbols(self) -> dict[str, ca.SX]:
         # Those of the measures' own plant: caches may have dropped the one that the motions were made of.
         at = self.measures.plant.graph
         of = self.motions.symbols | {"base": at.base, "posture": at.posture, "p": at.p}
         return {name: of[name] for name in (*INPUTS, "period")} | {DEAD_TIME: ca.SX.sym(DEAD_TIME)}
 
-    @cached_property
+    @structural_property
     def _graphs(self) -> dict[str, ca.SX]:
         modal, plant = ModalGraphs(self.measures.expansion), self.motions.plant
         (a, b), omega, jacobian = modal.factors, modal.omega, modal.expansion.point.rigid_jacobian
@@ -91,7 +92,7 @@ class LaggedModes:
         _, imaginary = _product(_dot(into, _times(self._law(w), a)), late)
         return own + imaginary / (2 * w)
 
-    @cached_property
+    @structural_property
     def of_known(self) -> ca.Function:
         """(own, omega (m,), a (r, m), joints (n, m), Jv, gains, drives, period, dead_time) -> `first_order_decay`.
 
@@ -139,12 +140,12 @@ class LaggedModes:
         found = inner.call([*inside.values(), *held.values()])
         return ca.Function(name, list(given.values()), found, list(given), list(outputs))
 
-    @cached_property
+    @structural_property
     def values(self) -> ca.Function:
         """-> the measures, by name."""
         return self._function("lagged_modes", self._graphs)
 
-    @cached_property
+    @structural_property
     def slopes(self) -> ca.Function:
         """-> the derivatives of each measure by each of `INPUTS` and dead_time: `allowance_posture` and the like."""
         s, found = self._symbols, dict[str, ca.SX]()
@@ -180,12 +181,6 @@ class LaggedModes:
         given = self._given(numbers, 0.0)
         own = self.values.call(given)[self.NAMES.index("first_order_decay")].full().ravel()[hidden]
         return bool(np.any(np.abs(own - decay) <= OWN * np.abs(own) + rounding))
-
-
-@lru_cache(maxsize=64)
-def lagged_modes(motions: SmallMotions) -> LaggedModes:
-    """The Functions of a loop (made once, and kept)."""
-    return LaggedModes(motions)
 
 
 def _times(x: RealImaginary, y: ca.SX) -> RealImaginary:

@@ -6,10 +6,9 @@ loop.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import casadi as ca
 
+from flexopt.foundation.kept import by_structure
 from flexopt.loop.closed import closed_loop
 from flexopt.loop.directions import Computed
 from flexopt.loop.flow import Flow
@@ -19,7 +18,7 @@ from flexopt.model import AnyMachine
 from flexopt.plant.machine_motion import constants_at, full_structure, motion_of
 
 
-@lru_cache(maxsize=16)
+@by_structure
 def machine_step(machine: AnyMachine, *, gravity: bool = False) -> ca.Function:
     """M(q) v̇ + h(q, v) + g(q) + K (q − q_rest) + D v = [0; τ_a] over one step of classical RK4, τ_a held.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache, partial
+from functools import partial
 from typing import NamedTuple
 
 import casadi as ca
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from flexopt.compiled import Economical
 from flexopt.foundation.arrays import Progress, Vector, in_columns
+from flexopt.foundation.kept import by_structure
 from flexopt.foundation.turns import available_cores
 from flexopt.loop.assembly import OneSample
 from flexopt.loop.outcome import LoopPoint
@@ -110,7 +111,7 @@ def _column(given: Mapping[str, Vector], name: str, size: int) -> Vector:
     return in_columns(np.atleast_1d(np.asarray(given.get(name, np.zeros(size)), dtype=np.float64)))
 
 
-@lru_cache(maxsize=16)
+@by_structure
 def _stacked_matrices(motions: SmallMotions) -> Economical:
     """`SmallMotions.matrices` with each as one column."""
     symbols = motions.symbols

@@ -6,16 +6,15 @@ are designed for the plant as the hold makes it, so the hold's delay is part of 
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 from flexopt.coprime import StateSpace, optimal_controller
 from flexopt.foundation.control import Control
+from flexopt.foundation.kept import by_machine
 from flexopt.loop.tangent import exponential
 from flexopt.model import AnyMachine
 from flexopt.robustness.margin import build_margin
 
 
-@lru_cache(maxsize=64)
+@by_machine
 def robust_law(
     machine: AnyMachine,
     posture: tuple[float, ...],

@@ -19,7 +19,7 @@ from flexopt.loop.borders import HIGH, LOW
 from flexopt.loop.gains import DAMPING_RATIO, SHARE, rigid_gains
 from flexopt.loop.levers import servo_gain_of_efforts
 from flexopt.loop.outcome import LoopPoint
-from flexopt.loop.small_motions import SmallMotions, damping_entries, small_motions
+from flexopt.loop.small_motions import SmallMotions, damping_entries
 from flexopt.model import AnyMachine
 from flexopt.model.loop import DEFAULT_LOOP, Drive, Loop, drive_of, rate_of
 from flexopt.plant import build_plant
@@ -153,7 +153,7 @@ class LoopSettings(Result):
 
     def motions(self, machine: AnyMachine, *, gravity: bool, own_model: bool = False) -> SmallMotions:
         """The Functions of this loop; `own_model` says something under gravity alone."""
-        return small_motions(
+        return SmallMotions(
             machine, self.control, gravity=gravity, integral=self.feedback == "pid",
             filtered=self.filter_hz is not None, lagging=self.bandwidth_hz is not None,
             damped=self.nullspace_damping > 0, served=self.drive == "velocity", own_model=gravity and own_model,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
@@ -19,6 +19,7 @@ from flexopt.algebra import solve_spd
 from flexopt.compiled import ArrayCall
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control, control_damping, control_method
+from flexopt.foundation.kept import Structural, structural_property
 from flexopt.loop.closed import ClosedLoop, closed_loop
 from flexopt.loop.rest import (
     ARRIVED,
@@ -105,7 +106,7 @@ class _Rest(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SmallMotions:
+class SmallMotions(Structural):
     """Functions of `INPUTS` (base (n_b,), posture (n,), p (n_par,), kp, kv, ki (n_task,), nullspace_damping,
     servo_gain, filter_hz (1,), bandwidth_hz (n,)), period (1,) and held; of what a loop lacks any numbers.
 
@@ -132,6 +133,11 @@ class SmallMotions:
     served: bool = False
     own_model: bool = False
 
+    @property
+    def has_own_numbers(self) -> bool:
+        """Whether the controller has the numbers of the machine's file."""
+        return self.own_model
+
     @cached_property
     def plant(self) -> Plant:
         """The machine's."""
@@ -153,12 +159,12 @@ class SmallMotions:
             own_model=self.own_model,
         )
 
-    @cached_property
+    @structural_property
     def loop(self) -> ClosedLoop:
         """Its graphs."""
         return closed_loop(self.structure)
 
-    @cached_property
+    @structural_property
     def symbols(self) -> dict[str, ca.SX]:
         """Of `INPUTS`, the period and what is held."""
         plant = self.plant
@@ -170,7 +176,7 @@ class SmallMotions:
             "base": g.base, "posture": g.posture, "p": g.p,
         }  # fmt: skip
 
-    @cached_property
+    @structural_property
     def hold(self) -> ca.Function:
         """(base, posture, p, and with `own_model` kp, ki, servo_gain) -> held, by iteration, no derivative.
 
@@ -224,11 +230,11 @@ class SmallMotions:
         """Kp and Ki that make forces of errors: of velocity-served joints, whose gains ask for rates, Kp by servos."""
         return (s["servo_gain"] if self.served else 1) * s["kp"], self.integral * s["ki"]
 
-    @cached_property
+    @structural_property
     def _change_of_rest(self) -> ca.Function:
         return change_of_rest(self.plant, self.control)
 
-    @cached_property
+    @structural_property
     def resting_rows(self) -> ca.Function:
         """(…, held) -> rows (m + n_task, n_q) along whose kernel it rests, too; … are `AT_REST`. See `resting_rows`."""
         s = {name: self.symbols[name] for name in (*AT_REST, "held")}
@@ -237,7 +243,7 @@ class SmallMotions:
         at = [self._rest(s, p).q, s["base"], sag, file, p, *self.into_forces(s)]
         return ca.Function("resting_rows", [*s.values()], self.rows_at_rest.call(at), [*s], ["rows"], {"cse": True})
 
-    @cached_property
+    @structural_property
     def rows_at_rest(self) -> ca.Function:
         """The like where it rests, q: see `flexopt.loop.rest.resting_rows`."""
         return resting_rows(self.plant, self.control)
@@ -258,14 +264,14 @@ class SmallMotions:
         law = held.force - kp * held.error if self.integral else None
         return _Rest(held.q, design.deflection, design.target, law, held.unheld)
 
-    @cached_property
+    @structural_property
     def drive_damping(self) -> Vector:
         """∂p/∂(servo gain), (n_par,): where among the parameters the actuated joints' damping stands."""
         found = np.zeros(len(self.plant.parameter_names))
         found[list(damping_entries(self.machine))] = 1.0
         return found
 
-    @cached_property
+    @structural_property
     def _graphs(self) -> dict[str, ca.SX]:
         s, plant, structure, loop = self.symbols, self.plant, self.structure, self.loop
         gain, p = (s["servo_gain"], s["p"] + self.drive_damping * s["servo_gain"]) if self.served else (1, s["p"])
@@ -294,14 +300,14 @@ class SmallMotions:
         found = (flow, drive, here["direct"][:, :n], here["spread"], here["by_force"][:, n:], here["by_law"][:, n:])
         return dict(zip(PARTS, (*found, here["by_queue"][:, :n]), strict=True))
 
-    @cached_property
+    @structural_property
     def matrices(self) -> ca.Function:
         """-> the fields of `Parts`, by name."""
         s, graphs = self.symbols, self._graphs
         dense = [ca.densify(graph) for graph in graphs.values()]
         return ca.Function("small_motions", list(s.values()), dense, list(s), list(graphs), {"cse": True})
 
-    @cached_property
+    @structural_property
     def slopes(self) -> ca.Function:
         """(inputs, ∂V/∂ each field of `Parts` as `by_…`) -> ∂V/∂ each of `INPUTS` as `V_…`."""
         s, graphs = self.symbols, self._graphs
@@ -313,7 +319,7 @@ class SmallMotions:
         given, names = s | pulls, [f"V_{name}" for name in INPUTS]
         return ca.Function("small_motion_slopes", list(given.values()), slopes, list(given), names, {"cse": True})
 
-    @cached_property
+    @structural_property
     def configuration(self) -> ca.Function:
         """(`AT_REST`, held) -> coordinates at rest (n_q,), what is unheld, carried and carried at most there (n,)."""
         s, names, plant = self.symbols, [*AT_REST, "held"], self.plant
@@ -323,7 +329,7 @@ class SmallMotions:
         given, told = [s[name] for name in names], ["q", "unheld", "carried", "most"]
         return ca.Function("configuration", given, found, names, told, {"cse": True})
 
-    @cached_property
+    @structural_property
     def _disturbed(self) -> tuple[dict[str, ca.SX], ca.SX]:
         """What B_d depends on, and it: rates of s by unit forces on the passive coordinates (n_s, n_p)."""
         s, plant, to_q = self.symbols, self.plant, self.loop.to_q
@@ -334,13 +340,13 @@ class SmallMotions:
         rest = closed_loop(self.structure).n_continuous - 2 * n
         return given, ca.densify(ca.vertcat(ca.SX.zeros(n, m), rates, ca.SX.zeros(rest, m)))
 
-    @cached_property
+    @structural_property
     def disturbance(self) -> ca.Function:
         """(`AT_REST`, held) -> B_d (n_s, n_p): rates of s by unit forces on the passive coordinates."""
         given, into = self._disturbed
         return ca.Function("disturbance", list(given.values()), [into], list(given), ["into"], {"cse": True})
 
-    @cached_property
+    @structural_property
     def disturbance_slopes(self) -> ca.Function:
         """(`AT_REST`, held, ∂V/∂B_d as `by_into`) -> ∂V/∂ each of `AT_REST` as `V_…`."""
         given, into = self._disturbed
@@ -349,15 +355,15 @@ class SmallMotions:
         symbols, names = given | {"by_into": by}, [f"V_{name}" for name in AT_REST]
         return ca.Function("disturbance_slopes", list(symbols.values()), slopes, list(symbols), names, {"cse": True})
 
-    @cached_property
+    @structural_property
     def _to_hold(self) -> ArrayCall:
         return ArrayCall(self.hold)
 
-    @cached_property
+    @structural_property
     def _to_parts(self) -> ArrayCall:
         return ArrayCall(self.matrices)
 
-    @cached_property
+    @structural_property
     def _to_slopes(self) -> ArrayCall:
         return ArrayCall(self.slopes)
 
@@ -377,20 +383,3 @@ class SmallMotions:
         pulls = [getattr(by, name) for name in PARTS]
         found = self._to_slopes(*(numbers[name] for name in self.symbols), *pulls)
         return {name: slope.ravel() for name, slope in zip(INPUTS, found, strict=True)}
-
-
-@lru_cache(maxsize=64)
-def small_motions(
-    machine: AnyMachine,
-    control: Control,
-    *,
-    gravity: bool = False,
-    integral: bool = False,
-    filtered: bool = False,
-    lagging: bool = False,
-    damped: bool = False,
-    served: bool = False,
-    own_model: bool = False,
-) -> SmallMotions:
-    """The Functions of a loop with these parts (made once, and kept)."""
-    return SmallMotions(machine, control, gravity, integral, filtered, lagging, damped, served, own_model)

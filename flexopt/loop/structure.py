@@ -7,9 +7,10 @@ states x, signals e and constants c.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 from flexopt.foundation.control import DAMPED, Control
+from flexopt.foundation.kept import Structural
 from flexopt.loop.feedback import FeedbackLaw, Law
 from flexopt.model import AnyMachine
 from flexopt.model.simulation import IntegrationMethod
@@ -18,7 +19,7 @@ from flexopt.plant.tree_structure import Skeleton
 
 
 @dataclass(frozen=True)
-class LoopStructure:
+class LoopStructure(Structural):
     """What parts a loop has; every number is a constant and not part of it.
 
     Attributes:
@@ -73,6 +74,11 @@ class LoopStructure:
     hydraulic: AnyMachine | None = None
     own_model: bool = False
     watched: bool = False
+
+    @property
+    def symbolic(self) -> Self:
+        """Itself: the numbers of `hydraulic` are part of it."""
+        return self
 
     @property
     def n_task(self) -> int:

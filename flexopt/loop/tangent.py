@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.kept import by_structure
 from flexopt.loop.closed import ClosedLoop, closed_loop
 from flexopt.loop.directions import Computed
 from flexopt.loop.flow import Flow
@@ -184,7 +185,7 @@ def still(structure: LoopStructure, here: Tangent, x: Vector) -> bool:
     return bool(np.all(moved[:n] <= REST) and np.all(moved[n:] <= REST * (1.0 + np.abs(x[n:]))))
 
 
-@lru_cache(maxsize=64)
+@by_structure
 def _between(structure: LoopStructure) -> ca.Function:
     """Rates of s and their derivatives by s and by the held command. Inputs s, command, e, c."""
     loop = closed_loop(structure)
@@ -199,7 +200,7 @@ def _between(structure: LoopStructure) -> ca.Function:
     return ca.Function("between", [s, command, e, c], dense, ["s", "command", "e", "c"], names, {"cse": True})
 
 
-@lru_cache(maxsize=64)
+@by_structure
 def _at(structure: LoopStructure) -> ca.Function:
     """Command, the law's states and the queue after a sample's start, and their derivatives by x. Inputs x, e, c.
 

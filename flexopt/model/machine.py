@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from abc import abstractmethod
+from collections.abc import Mapping
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 from pydantic import Field, PrivateAttr
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
 from flexopt.foundation.arrays import Document
+from flexopt.foundation.kept import Structural
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import (
     JOINT_VALUE,
@@ -21,6 +24,7 @@ from flexopt.model.file_model import BuiltByCall, Described
 from flexopt.model.hydraulics import Cylinder, JointFrame
 from flexopt.model.kinematic_tree import KinematicTree, units_of
 from flexopt.model.loop import Loop, loop_faults
+from flexopt.model.parameter_values import places
 from flexopt.model.strokes import CylinderTravel, usable_range
 from flexopt.model.tables import Capsule, Visual
 from flexopt.model.tree_quantities import axes_about, snapped_rows
@@ -38,7 +42,7 @@ class Parameter(NamedTuple):
 NamedParameter = tuple[str, Parameter]
 
 
-class AnyMachine(BuiltByCall, Described):
+class AnyMachine(BuiltByCall, Described, Structural):
     """What every machine has, planar or spatial; all that is computed downstream of the plant asks for no more.
 
     Attributes:
@@ -245,6 +249,32 @@ class AnyMachine(BuiltByCall, Described):
         absent |= {"visuals": True, "capsules": {"__all__": {"label"}}}
         return hashlib.sha256(self.model_dump_json(by_alias=True, exclude=absent).encode()).hexdigest()
 
+    @property
+    def described(self) -> Self:
+        """Itself."""
+        return self
+
+    def _build_twin(self) -> Self:
+        """The machine with NaN for all parameters that a key of its description holds alone.
+
+        Its hash is of what is left: names, joints, axes, limits, capsules, cylinders, controller, uncertainty.
+        """
+        told = self.model_dump(by_alias=True)
+        blank: dict[str | int, Any] = {}
+        for name, _, _ in self.parameters:
+            for *outer, last in places(told, name):
+                inside = blank
+                for key in outer:
+                    inside = inside.setdefault(key, {})
+                inside[last] = None
+        twin: Self = _blanked(self, blank)
+        for name in vars(twin).keys() - type(self).model_fields.keys():
+            del vars(twin)[name]
+        # JSON has one word, null, for NaN and for what is absent.
+        known = [twin.content_hash, *(f"{name} {value}" for name, value, _ in twin.parameters)]
+        vars(twin).update(content_hash=hashlib.sha256("\n".join(known).encode()).hexdigest())
+        return twin
+
     def to_dict(self) -> Document:
         """The machine as a dictionary, keys at their defaults left out: what it was validated from takes it back.
 
@@ -270,6 +300,16 @@ class AnyMachine(BuiltByCall, Described):
 
     def __str__(self) -> str:
         return repr(self)
+
+
+def _blanked(part: Any, keys: Mapping[str | int, Any] | None) -> Any:
+    """A part of a description with NaN at these keys."""
+    if keys is None:
+        return math.nan
+    if isinstance(part, tuple):
+        parts = cast("tuple[Any, ...]", part)
+        return tuple(_blanked(each, keys[i]) if i in keys else each for i, each in enumerate(parts))
+    return part.model_copy(update={key: _blanked(getattr(part, str(key)), below) for key, below in keys.items()})
 
 
 class OnMachine(BuiltByCall, Described):

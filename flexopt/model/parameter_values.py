@@ -6,12 +6,14 @@ In: a machine and values by the names of `Machine.parameters`. Out: the machine 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.nearest import hint
 from flexopt.model.kinematic_tree import INERTIA_ENTRIES
-from flexopt.model.machine import AnyMachine
+
+if TYPE_CHECKING:
+    from flexopt.model.machine import AnyMachine
 
 # Keys and indices from a description's top to a number.
 KeyPath = tuple[str | int, ...]
@@ -29,14 +31,14 @@ def with_parameters(machine: AnyMachine, values: Mapping[str, float]) -> AnyMach
         if name not in known:
             faults.append(Fault(name, f"is no parameter of {machine.name}{hint(name, known)}"))
             continue
-        places = list(_places(told, name))
-        for *outer, last in places:
+        found_at = list(places(told, name))
+        for *outer, last in found_at:
             inside: Any = told
             for key in outer:
                 inside[key] = list(inside[key]) if isinstance(inside[key], tuple) else inside[key]
                 inside = inside[key]
             inside[last] = float(value)
-        if not places:
+        if not found_at:
             faults.append(Fault(name, "cannot be set alone", f"{value:g}"))
     raise_if_any(InputError, "with_parameters", faults)
     found = type(machine)(**told)
@@ -46,7 +48,7 @@ def with_parameters(machine: AnyMachine, values: Mapping[str, float]) -> AnyMach
     return found
 
 
-def _places(told: dict[str, Any], name: str) -> Iterator[KeyPath]:
+def places(told: dict[str, Any], name: str) -> Iterator[KeyPath]:
     """Where a description holds a parameter."""
     if name == "payload.mass":
         yield ("payload", "mass")

@@ -173,9 +173,6 @@ def build_graph(machine: AnyMachine, zeros: Sequence[str] = ()) -> MachineGraph:
     Args:
         machine: from a reader, `machine_from_dict` or `tree_from_dict`.
         zeros: names of parameters to leave out as exactly zero; graphs are smaller and do not depend on them.
-
-    Raises:
-        ModelError: the joints are not independent: M is singular wherever the joints stand.
     """
     tree = machine.kinematic_tree
     names = [parameter.name for parameter in machine.parameters]
@@ -189,22 +186,23 @@ def build_graph(machine: AnyMachine, zeros: Sequence[str] = ()) -> MachineGraph:
     coordinate = [q[order.index(i)] if i in order else constant[f"rest{i}"] for i in range(len(tree.bodies))]
     along = [(ca.cos(angle), ca.sin(angle)) for angle in coordinate]
     at = Recursion(structure, constant, along, coordinate, coordinate)
-    graph = MachineGraph(q, v, base, posture, p, machine.coordinates, machine.coordinate_units, tree, at)
-    _check_mass(machine, graph)
-    return graph
+    return MachineGraph(q, v, base, posture, p, machine.coordinates, machine.coordinate_units, tree, at)
 
 
-def _check_mass(machine: AnyMachine, graph: MachineGraph) -> None:
-    """M must be regular somewhere: two slides along one line without mass between them, say, are one."""
-    function = ca.Function("mass", [graph.q, graph.p], [graph.mass])
+def check_mass(machine: AnyMachine, mass_at: ca.Function) -> None:
+    """Refuse a mass matrix that is singular everywhere: of two slides along one line without mass between them, say.
+
+    Raises:
+        ModelError: the joints are not independent.
+    """
     p = ca.DM([parameter.value for parameter in machine.parameters])
-    best, weak = 0.0, 0
-    for share in spread(PROBES, graph.q.shape[0]):
-        mass: Array = function.call([ca.DM(3.0 * share - 1.5), p])[0].full()
+    best, weak, base = 0.0, 0, ca.DM.zeros(mass_at.size1_in(1))
+    for share in spread(PROBES, mass_at.size1_in(0)):
+        mass: Array = mass_at.call([ca.DM(3.0 * share - 1.5), base, p])[0].full()
         scale = np.sqrt(np.maximum(np.diag(mass), np.finfo(float).tiny))
         values, vectors = np.linalg.eigh(mass / np.outer(scale, scale))
         if values[0] >= best:
             best, weak = float(values[0]), int(np.argmax(np.abs(vectors[:, 0])))
     if best <= SINGULAR:
         sentence = "moves no inertia of its own, wherever the joints stand: the mass matrix is singular"
-        raise_if_any(ModelError, machine.name, [Fault(f"joint {graph.coordinates[weak]}", sentence)])
+        raise_if_any(ModelError, machine.name, [Fault(f"joint {machine.coordinates[weak]}", sentence)])

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
 from typing import Literal, NamedTuple
 
 import casadi as ca
@@ -18,6 +17,7 @@ import numpy as np
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import array_of, instance, public, public_class, words
+from flexopt.foundation.kept import Structural, structural_property
 from flexopt.model import AnyMachine
 from flexopt.model.hydraulics import Cylinder, pin_to_pin
 from flexopt.plant.plant import Plant, build_plant
@@ -55,7 +55,7 @@ _SATURATION = words("none", "each", "uniform")
 
 @public_class(plant=instance(Plant, "a Plant, from flexopt.build_plant"))
 @dataclass(frozen=True)
-class Hydraulics:
+class Hydraulics(Structural):
     """The n_c cylinders of a machine with n actuated joints. Every Function takes its inputs by name.
 
     Postures (n,) are in rad or m, rates in rad/s or m/s, p (n_par,) are the machine's parameters, among them the pins.
@@ -84,7 +84,7 @@ class Hydraulics:
         names = self.plant.machine.joints
         return tuple(names.index(cylinder.joint) for cylinder in self.cylinders)
 
-    @cached_property
+    @structural_property
     def _lengths(self) -> ca.SX:
         g, machine = self.plant.graph, self.plant.machine
         value = {name: g.p[k] for k, name in enumerate(self.plant.parameter_names)}
@@ -95,18 +95,18 @@ class Hydraulics:
             found.append(reach.length)
         return _column(found)
 
-    @cached_property
+    @structural_property
     def _arms(self) -> list[ca.SX]:
         """r_i."""
         posture = self.plant.graph.posture
         return [ca.jacobian(self._lengths[i], posture[joint]) for i, joint in enumerate(self.joints)]
 
-    @cached_property
+    @structural_property
     def lengths(self) -> ca.Function:
         """L(q), (n_c,), m, pin to pin; NaN where a linkage does not close. Inputs posture, p."""
         return self._function("cylinder_lengths", {}, [self._lengths], ["L"])
 
-    @cached_property
+    @structural_property
     def ratios(self) -> ca.Function:
         """∂L/∂q, (n_c, n), m/rad or 1; r_i in row i. Inputs posture, p."""
         jacobian = ca.SX.zeros(len(self.cylinders), self.plant.n_actuated)
@@ -114,7 +114,7 @@ class Hydraulics:
             jacobian[i, joint] = arm
         return self._function("cylinder_ratios", {}, [jacobian], ["L_q"])
 
-    @cached_property
+    @structural_property
     def forces(self) -> ca.Function:
         """F_i = τ/r_i, (n_c,), N, positive where it pushes: the virtual work F δL is τ δq.
 
@@ -124,7 +124,7 @@ class Hydraulics:
         found = [torque[joint] / arm for joint, arm in zip(self.joints, self._arms, strict=True)]
         return self._function("cylinder_forces", {"torque": torque}, [_column(found)], ["force"])
 
-    @cached_property
+    @structural_property
     def joint_efforts(self) -> ca.Function:
         """Least and greatest torque or force of the joints, (n, 2), N m or N. Inputs posture, p.
 
@@ -139,7 +139,7 @@ class Hydraulics:
                 efforts[joint, :] = ca.horzcat(ca.fmin(pull, push), ca.fmax(pull, push))
         return self._function("joint_efforts", {}, [efforts], ["efforts"])
 
-    @cached_property
+    @structural_property
     def lever(self) -> ca.Function:
         """`lever_map` without saturation."""
         return self.lever_map()
@@ -202,7 +202,7 @@ class Hydraulics:
         lever = self.lever_map(saturation)(g.posture, rates, g.p)
         return self._function("driven_rates", {"rates": rates}, [self.rates(g.posture, lever, g.p)], ["driven"])
 
-    @cached_property
+    @structural_property
     def rates(self) -> ca.Function:
         """Joint rates (n,) that levers u (n,) give, the inverse of `lever`. Inputs posture, lever, p; output rates.
 
@@ -281,7 +281,7 @@ def _column(entries: list[ca.SX]) -> ca.SX:
 
 @public()
 def build_hydraulics(machine: AnyMachine) -> Hydraulics:
-    """The hydraulics of a machine, planar or in space (built once for each machine and kept).
+    """The hydraulics of a machine, planar or in space (its graphs are built once for each structure and kept).
 
     A machine without cylinders has the maps of its motors: `lever` and `joint_efforts` from its speeds and efforts.
 
@@ -290,9 +290,4 @@ def build_hydraulics(machine: AnyMachine) -> Hydraulics:
         >>> [cylinder.name for cylinder in hydraulics.plant.machine.cylinders]
         ['boom cylinder', 'stick cylinder', 'bucket cylinder']
     """
-    return _built(machine)
-
-
-@lru_cache(maxsize=32)
-def _built(machine: AnyMachine) -> Hydraulics:
     return Hydraulics(build_plant(machine))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from functools import lru_cache
 from typing import Any, cast
 
 import casadi as ca
@@ -21,6 +20,7 @@ from flexopt.errors import UnreachableTarget
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import BaseLike, TargetLike, Vector
 from flexopt.foundation.boundary import public
+from flexopt.foundation.kept import by_structure
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
 from flexopt.plant.plant import Plant, build_plant
@@ -176,7 +176,7 @@ def _nearest_turn(plant: Plant, postures: Vector) -> Vector:
     return turned
 
 
-@lru_cache(maxsize=32)
+@by_structure
 def reach_steps(machine: AnyMachine) -> ca.Function:
     """`feasible_steps` of the task at rest in z = [base, posture]; the last input is p."""
     g = build_plant(machine).graph
@@ -213,7 +213,7 @@ def solve_postures(plant: Plant, target: Vector, bases: Vector, starts: Vector) 
     return z[n_b:], left
 
 
-@lru_cache(maxsize=32)
+@by_structure
 def held_steps(machine: AnyMachine) -> ca.Function:
     """`feasible_steps` of what springs and weight leave over and of the task in z = [base, q]; the last input is p."""
     plant = build_plant(machine)

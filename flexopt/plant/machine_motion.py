@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
 
 import casadi as ca
 
+from flexopt.foundation.kept import by_machine, by_structure
 from flexopt.model import AnyMachine
 from flexopt.plant.chain_constants import chain_constants
 from flexopt.plant.chain_motion import ChainMotion
@@ -26,14 +26,14 @@ def motion_of(structure: Skeleton, value: Mapping[str, ca.SX]) -> Motion:
     return ChainMotion(structure, value) if structure.chain else TreeMotion(structure, value)
 
 
-@lru_cache(maxsize=64)
+@by_machine
 def structure_of(machine: AnyMachine) -> Skeleton:
     """A machine's structure, with the constants that are zero for its own parameters left out."""
     zeros = frozenset(name for name, value in constant_values(machine).items() if value == 0)
     return replace(full_structure(machine), zeros=zeros)
 
 
-@lru_cache(maxsize=64)
+@by_structure
 def full_structure(machine: AnyMachine) -> Skeleton:
     """A machine's structure with every constant kept that some parameters make other than zero."""
     graphs = _graphs(machine)[1]
@@ -41,7 +41,7 @@ def full_structure(machine: AnyMachine) -> Skeleton:
     return replace(skeleton(machine.kinematic_tree), constants=tuple(graphs), zeros=zeros, local=True)
 
 
-@lru_cache(maxsize=64)
+@by_structure
 def constants(machine: AnyMachine) -> ca.Function:
     """The constants from the parameters: input p (n_par,), output constants in the order of `constant_names`."""
     p, graphs = _graphs(machine)
@@ -65,13 +65,13 @@ def constant_values(machine: AnyMachine) -> dict[str, float]:
     return dict(_values(machine))
 
 
-@lru_cache(maxsize=64)
+@by_machine
 def _values(machine: AnyMachine) -> tuple[tuple[str, float], ...]:
     column = constants(machine).call([ca.DM([parameter.value for parameter in machine.parameters])])[0]
     return tuple(zip(constant_names(machine), column.full().ravel().tolist(), strict=True))
 
 
-@lru_cache(maxsize=64)
+@by_structure
 def _graphs(machine: AnyMachine) -> tuple[ca.SX, dict[str, ca.SX]]:
     """Parameters p as symbols, and the constants that they make."""
     names = [parameter.name for parameter in machine.parameters]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import casadi as ca
 
@@ -12,11 +12,12 @@ from flexopt.algebra import apply_pseudo_inverse, solve_spd
 from flexopt.errors import Fault, InputError
 from flexopt.foundation.boundary import instance, public, public_class
 from flexopt.foundation.control import Control, control_method
+from flexopt.foundation.kept import Structural, by_machine, by_structure, structural_property
 from flexopt.model import AnyMachine
 from flexopt.plant.closed_form import InverseKinematicsGraph, build_inverse_kinematics, has_closed_form
 from flexopt.plant.control import task_to_joints
 from flexopt.plant.frames import Frames, build_frames
-from flexopt.plant.graph import MachineGraph, build_graph
+from flexopt.plant.graph import MachineGraph, build_graph, check_mass
 from flexopt.plant.mass_centre import centre_of_mass, most_weight
 
 # Newton iterations for the static deflection; it converges quadratically from rest, in 4 or 5 for real machines.
@@ -46,7 +47,7 @@ _SX = instance(ca.SX, "a ca.SX")
 
 @public_class(graph=instance(MachineGraph, "the MachineGraph of a machine, as flexopt.build_plant makes it"))
 @dataclass(frozen=True)
-class Plant:
+class Plant(Structural):
     """The equations of one machine: M(q) v̇ + h(q, v) + g(q) + K (q − q_rest) + D v = τ (article, section 2).
 
     Coordinates q (n_q,) list the passive ones first, then the actuated ones, relative angles in rad and
@@ -109,12 +110,12 @@ class Plant:
         """The machine's own p (n_par, 1)."""
         return ca.DM([parameter.value for parameter in self.machine.parameters])
 
-    @cached_property
+    @structural_property
     def end_point(self) -> ca.Function:
         """r(q), (n_task,), m, inertial frame. Inputs q, base, p."""
         return self._of_configuration("end_point", self.graph.end_point, "r")
 
-    @cached_property
+    @structural_property
     def skeleton(self) -> ca.Function:
         """Ground point, every joint and the end-point in order, a column each, m: (2, n_bodies + 1) in the plane.
 
@@ -122,12 +123,12 @@ class Plant:
         """
         return self._of_configuration("skeleton", self.graph.skeleton, "points")
 
-    @cached_property
+    @structural_property
     def frames(self) -> Frames:
         """Frames of the bodies and of the end-point as SX graphs of the graph's q, base and p."""
         return build_frames(self.machine, self.graph)
 
-    @cached_property
+    @structural_property
     def body_frames(self) -> ca.Function:
         """Frames of all bodies in the order of `frames.names`, d = 2 in the plane, 3 in space. Inputs q, base, p.
 
@@ -138,29 +139,29 @@ class Plant:
         outputs = [ca.densify(ca.horzcat(*f.origins)), ca.densify(ca.horzcat(*f.rotations))]
         return self._function("body_frames", {"q": g.q, "base": g.base, "p": g.p}, outputs, ["origins", "rotations"])
 
-    @cached_property
+    @structural_property
     def end_rotation(self) -> ca.Function:
         """Axes of the end-point's frame in inertial ones, as columns (d, d). Inputs q, base, p."""
         return self._of_configuration("end_rotation", ca.densify(self.frames.tip_rotation), "R")
 
-    @cached_property
+    @structural_property
     def centre_of_mass(self) -> ca.Function:
         """Of all bodies and the payload, (d,), m, inertial frame. Inputs q, base, p."""
         expression = centre_of_mass(self.machine, self.graph.p, self.frames)
         return self._of_configuration("centre_of_mass", ca.densify(expression), "c")
 
-    @cached_property
+    @structural_property
     def jacobian(self) -> ca.Function:
         """J = ∂r/∂q, (n_task, n_q); article, section 3.3. Inputs q, base, p."""
         return self._of_configuration("jacobian", ca.densify(ca.jacobian(self.graph.end_point, self.graph.q)), "J")
 
-    @cached_property
+    @structural_property
     def rigid_jacobian(self) -> ca.Function:
         """Jv = ∂r/∂q_a, (n_task, n), the arm's Jacobian on rigid ground; article, section 3.2. Inputs q, base, p."""
         full = ca.jacobian(self.graph.end_point, self.graph.q)
         return self._of_configuration("rigid_jacobian", ca.densify(full[:, self.n_passive :]), "Jv")
 
-    @cached_property
+    @structural_property
     def base_jacobian(self) -> ca.Function:
         """J_B = ∂r/∂[base, posture] at rest, (n_task, n_b + n); article, section 4. Inputs base, posture, p."""
         g = self.graph
@@ -168,44 +169,44 @@ class Plant:
         jacobian = ca.densify(ca.jacobian(at_rest, ca.vertcat(g.base, g.posture)))
         return self._of_posture("base_jacobian", [jacobian], ["J_B"])
 
-    @cached_property
+    @structural_property
     def mass(self) -> ca.Function:
         """M(q), (n_q, n_q). Inputs q, base, p."""
         return self._of_configuration("mass", self.graph.mass, "M")
 
-    @cached_property
+    @structural_property
     def bias(self) -> ca.Function:
         """h(q, v), (n_q,): Coriolis and centrifugal terms, no gravity, no damping. Inputs q, v, base, p."""
         g = self.graph
         return self._function("bias", {"q": g.q, "v": g.v, "base": g.base, "p": g.p}, [g.bias], ["h"])
 
-    @cached_property
+    @structural_property
     def gravity(self) -> ca.Function:
         """g(q), (n_q,): generalised gravity force, the gradient of the potential. Inputs q, base, p."""
         return self._of_configuration("gravity", self.graph.gravity, "g")
 
-    @cached_property
+    @structural_property
     def most_weight(self) -> ca.Function:
         """The bound g √(m M_ii) ≥ |g_i|, (n_q,), N m or N, m of the whole machine. Inputs q, base, p."""
         most = most_weight(self.machine, self.graph.p, self.graph.mass)
         return self._of_configuration("most_weight", ca.densify(most), "most")
 
-    @cached_property
+    @structural_property
     def stiffness(self) -> ca.Function:
         """K, (n_q, n_q): springs of the passive coordinates, zero for the actuated ones. Input p."""
         return self._function("stiffness", {"p": self.graph.p}, [self.graph.stiffness], ["K"])
 
-    @cached_property
+    @structural_property
     def damping(self) -> ca.Function:
         """D, (n_q, n_q). Input p."""
         return self._function("damping", {"p": self.graph.p}, [self.graph.damping], ["D"])
 
-    @cached_property
+    @structural_property
     def rest(self) -> ca.Function:
         """q_rest, (n_q,): the springs' anchor with the arm at `posture`. Inputs base, posture, p."""
         return self._of_posture("rest", [self.graph.rest], ["q"])
 
-    @cached_property
+    @structural_property
     def singularity_sine_squared(self) -> ca.Function:
         """Distance from singular postures at rest: 0 where Jv loses rank, at most 1.
 
@@ -217,7 +218,7 @@ class Plant:
         at_rest = ca.substitute(g.singularity_sine_squared, g.q, g.rest)
         return self._of_posture("singularity_sine_squared", [at_rest], ["sine_squared"])
 
-    @cached_property
+    @structural_property
     def singularity_gradient(self) -> ca.Function:
         """Derivative of `singularity_sine_squared` by [base, posture], (1, n_b + n). Inputs base, posture, p."""
         g = self.graph
@@ -231,7 +232,7 @@ class Plant:
         """Whether postures on a target have a closed form (`posture_at`): see `closed_form.has_closed_form`."""
         return has_closed_form(self.graph.at.skeleton)
 
-    @cached_property
+    @structural_property
     def reaching(self) -> InverseKinematicsGraph:
         """Closed-form inverse kinematics.
 
@@ -243,7 +244,7 @@ class Plant:
             raise InputError(f"machine {self.machine.name!r} {sentence}", [Fault("machine", sentence)])
         return build_inverse_kinematics(self.graph)
 
-    @cached_property
+    @structural_property
     def posture_at(self) -> ca.Function:
         """Posture that puts the end-point on a target, closed form, passive joints at rest.
 
@@ -254,7 +255,7 @@ class Plant:
         inputs = {"target": t.target, "base": g.base, "unit": t.unit, "elbow": t.elbow, "p": g.p}
         return self._function("posture_at", inputs, [t.posture, t.cos_elbow], ["posture", "cos_elbow"])
 
-    @cached_property
+    @structural_property
     def arm_segments(self) -> ca.Function:
         """Where the first actuated joint sits at rest, (n_task,), m, and the lengths between joints, (n,), m.
 
@@ -264,27 +265,27 @@ class Plant:
         outputs = [t.first_joint_point, t.segment_lengths]
         return self._function("arm_segments", {"base": g.base, "p": g.p}, outputs, ["first_joint", "lengths"])
 
-    @cached_property
+    @structural_property
     def elbow(self) -> ca.Function:
         """Angle of the last segment from the one before, −π to π, in `posture_at`'s sense. Inputs base, posture, p."""
         t = self.reaching
         bend = ca.atan2(ca.sin(t.bend), ca.cos(t.bend))
         return self._of_posture("elbow", [bend], ["bend"])
 
-    @cached_property
+    @structural_property
     def gravity_stiffness(self) -> ca.Function:
         """∂g_p/∂q_p, (m, m): gravity's stiffness in the passive block. Inputs q, base, p."""
         g, m = self.graph, self.n_passive
         block = ca.jacobian(g.gravity[:m], g.q[:m])
         return self._of_configuration("gravity_stiffness", ca.densify(block), "K_g")
 
-    @cached_property
+    @structural_property
     def _gravity_coupling(self) -> ca.Function:
         """∂g_p/∂q of the actuated joints, (m, n). Inputs q, base, p."""
         g, m = self.graph, self.n_passive
         return self._of_configuration("gravity_coupling", ca.densify(ca.jacobian(g.gravity[:m], g.q[m:])), "K_c")
 
-    @cached_property
+    @structural_property
     def deflected(self) -> ca.Function:
         """Passive coordinates (m,) at static equilibrium under gravity, the actuators holding `posture`.
 
@@ -298,7 +299,7 @@ class Plant:
             q_p = self._newton_step(q_p, g.base, g.posture, g.p)
         return self._of_posture("deflected", [q_p], ["q_p"])
 
-    @cached_property
+    @structural_property
     def static_step(self) -> ca.Function:
         """One of the Newton steps of `deflected`: from q_p (m,) to the next. Inputs q_p, base, posture, p."""
         g, q_p = self.graph, ca.SX.sym("q_p", self.n_passive)
@@ -306,7 +307,7 @@ class Plant:
         inputs = {"q_p": q_p, "base": g.base, "posture": g.posture, "p": g.p}
         return self._function("static_step", inputs, [ca.densify(stepped)], ["next"])
 
-    @cached_property
+    @structural_property
     def held(self) -> ca.Function:
         """The posture (n,), turned by Jv⁺ so that the end-point of the machine as it sags is on a target (n_task,).
 
@@ -325,7 +326,7 @@ class Plant:
         inputs = {"base": g.base, "posture": g.posture, "p": g.p, "target": target}
         return self._function("held", inputs, [ca.densify(q[m:]), ca.densify(q[:m])], ["held", "q_p"])
 
-    @cached_property
+    @structural_property
     def held_step(self) -> ca.Function:
         """One more step of `held`, by Jv⁺ where it begins: from q (n_q,) to the next. Inputs q, base, p, target."""
         g, target = self.graph, ca.SX.sym("target", self.n_task)
@@ -333,13 +334,13 @@ class Plant:
         inputs = {"q": g.q, "base": g.base, "p": g.p, "target": target}
         return self._function("held_step", inputs, [ca.densify(stepped)], ["next"])
 
-    @cached_property
+    @structural_property
     def held_rows(self) -> ca.SX:
         """[K_p (q_p − q_p,rest) + g_p; r], (m + n_task,): what springs and weight leave over, and the end-point."""
         g, m = self.graph, self.n_passive
         return ca.vertcat(self._static_force(g.q[:m], g.base, g.q[m:], g.p), g.end_point)
 
-    @cached_property
+    @structural_property
     def sagging_jacobian(self) -> ca.Function:
         """∂r/∂q_a where springs hold the weight and give way as the arm turns, (n_task, n).
 
@@ -475,7 +476,7 @@ class Plant:
 
 @public()
 def build_plant(machine: AnyMachine) -> Plant:
-    """The plant of a machine (built once for each machine and kept).
+    """The plant of a machine (its graphs are built once for each structure and kept).
 
     Args:
         machine: from `flexopt.load`.
@@ -491,9 +492,17 @@ def build_plant(machine: AnyMachine) -> Plant:
     return _built(machine)
 
 
-@lru_cache(maxsize=32)
+@by_machine
 def _built(machine: AnyMachine) -> Plant:
-    return Plant(machine, build_graph(machine))
+    plant = Plant(machine, _graph(machine))
+    if machine is not machine.symbolic:
+        check_mass(machine, plant.mass)
+    return plant
+
+
+@by_structure
+def _graph(machine: AnyMachine) -> MachineGraph:
+    return build_graph(machine)
 
 
 def moving_end_point(plant: Plant, entries: Sequence[int]) -> str:
@@ -502,10 +511,10 @@ def moving_end_point(plant: Plant, entries: Sequence[int]) -> str:
     return ", ".join(plant.machine.parameters[i].name for i in sorted(moving)[:NAMED])
 
 
-@lru_cache(maxsize=32)
+@by_structure
 def _end_point_entries(machine: AnyMachine) -> frozenset[int]:
     """Entries of p on which the end-point at rest depends; asked for every interval of every call."""
-    plant = _built(machine)
+    plant = build_plant(machine)
     g = plant.graph
     point = plant.end_point(plant.rest(g.base, g.posture, g.p), g.base, g.p)
     return frozenset(ca.jacobian_sparsity(point, g.p).get_triplet()[1])

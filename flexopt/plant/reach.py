@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
 from flexopt.errors import UnreachableTarget
 from flexopt.foundation.arrays import Interval, Vector
+from flexopt.foundation.kept import by_structure
 from flexopt.foundation.rounding import without_rounding
 from flexopt.model import AnyMachine
 from flexopt.plant.plant import Plant, build_plant
@@ -115,7 +115,7 @@ def unreachable(
     return UnreachableTarget(where + by + advice, miss=miss, base_intervals=intervals)
 
 
-@lru_cache(maxsize=32)
+@by_structure
 def path_to_end_point(machine: AnyMachine) -> tuple[ca.Function, tuple[str, ...]]:
     """Where the first joint on the way to the end-point sits (3,) and how long the way is, m, from p; the slides on it.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Any, cast
 
 import casadi as ca
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from flexopt.errors import SingularPosture
 from flexopt.foundation.arrays import Vector, spread
 from flexopt.foundation.control import Control, control_damping
+from flexopt.foundation.kept import by_machine
 from flexopt.model.file_model import quoted
 from flexopt.plant.plant import Plant
 from flexopt.plant.reach import arm_length, sampled_ranges
@@ -99,7 +99,7 @@ def conditions(stacked: Vector, n_actuated: int) -> tuple[Vector, Vector]:
     return np.where(np.isnan(ratio), np.inf, ratio), values[:, 0]
 
 
-@lru_cache(maxsize=64)
+@by_machine
 def movable_rows(plant: Plant) -> tuple[str, ...]:
     """The task's rows; where no posture of a sample moves them all, the first of them that one moves together."""
     low, high = sampled_ranges(plant.machine, arm_length(plant)).T

@@ -19,7 +19,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal, getcontext
-from functools import lru_cache
 from typing import cast
 
 import casadi as ca
@@ -31,6 +30,7 @@ from flexopt.coprime.decimals import Complex, solve_complex, symmetric, symmetri
 from flexopt.errors import InputError, NoSolutionFound
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
+from flexopt.foundation.kept import by_structure
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.control import task_to_joints
@@ -290,7 +290,7 @@ def _newton(outputs: Sequence[Exact], pole: complex, vector: NDArray[np.complex1
     return _Mode(outputs, lam, u, max(relative, 10.0 ** (22 - getcontext().prec)))
 
 
-@lru_cache(maxsize=32)
+@by_structure
 def _matrices(machine: AnyMachine, control: Control, gravity: bool) -> ca.Function:
     """(base, posture, p, deflection) -> M, D, K, J, and the map E from forces to joints."""
     plant = build_plant(machine)

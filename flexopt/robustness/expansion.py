@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Any
 
 import casadi as ca
 
 from flexopt.foundation.control import Control
+from flexopt.foundation.kept import Structural, structural_property
 from flexopt.plant import Plant
 from flexopt.plant.plant import OperatingPoint
 from flexopt.robustness.mode_terms import ModeTerms, mode_terms
@@ -37,7 +37,7 @@ HeldGraphs = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Expansion:
+class Expansion(Structural):
     """Functions of base (n_b,), posture (n,), p (n_par,), `held`, and alpha (m,), the weights of V = Σ αi wi.
 
     `held` is, one below the other, the static deflection (under gravity), ω², Φ, clusters, and f = F Φ (2r, m), a_i
@@ -57,14 +57,19 @@ class Expansion:
     baked: bool = False
     compact: bool = False
 
-    @cached_property
+    @property
+    def has_own_numbers(self) -> bool:
+        """Whether p is baked in."""
+        return self.baked
+
+    @structural_property
     def held_parts(self) -> dict[str, ca.SX]:
         """Symbols of the parts of `held`, by name."""
         m, r = self.plant.n_passive, self.plant.n_task
         shapes = {"deflection": (m if self.gravity else 0, 1), "omega_squared": (m, 1), "modes": (m, m)}
         return {name: ca.SX.sym(name, *shape) for name, shape in (shapes | {"same": (m, m), "f": (2 * r, m)}).items()}
 
-    @cached_property
+    @structural_property
     def held(self) -> ca.SX:
         """All of them as one vector symbol."""
         return ca.veccat(*self.held_parts.values())
@@ -103,7 +108,7 @@ class Expansion:
 
     # The machine: y and its derivatives.
 
-    @cached_property
+    @structural_property
     def inputs(self) -> dict[str, ca.SX]:
         """Inputs of the machine's Functions by name."""
         g = self.plant.graph
@@ -126,35 +131,35 @@ class Expansion:
             dense = ca.substitute(dense, [symbol], [constant])
         return ca.Function(name, symbols, dense, {"cse": self.compact})
 
-    @cached_property
+    @structural_property
     def _deflected(self) -> ca.Function:
         g = self.plant.graph
         given = [x for name, x in self.inputs.items() if name != "deflection"]
         return self._of("deflected", given, [self.plant.deflected(g.base, g.posture, g.p)])
 
-    @cached_property
+    @structural_property
     def point(self) -> OperatingPoint:
         """The plant about the deflection."""
         g = self.plant.graph
         return self.plant.operating_point(g.base, g.posture, g.p, self.inputs.get("deflection"))
 
-    @cached_property
+    @structural_property
     def pencil(self) -> ReducedPencil:
         """The pencil there."""
         return reduced_pencil(self.point, self.plant.n_passive)
 
-    @cached_property
+    @structural_property
     def graphs(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """K_p, M̄ (m, m) and F (2r, m)."""
         pencil = self.pencil
         return pencil.stiffness, pencil.mass, residue_factors(self.point, pencil, self.control)
 
-    @cached_property
+    @structural_property
     def reduced(self) -> ca.Function:
         """-> K_p, M̄ (m, m) and F (2r, m)."""
         return self.of_machine("reduced", [], self.graphs)
 
-    @cached_property
+    @structural_property
     def _z(self) -> ca.SX:
         return ca.vertcat(self.plant.graph.base, self.plant.graph.posture)
 
@@ -169,23 +174,23 @@ class Expansion:
         """Functions of the modes."""
         return self._y_terms[0]
 
-    @cached_property
+    @structural_property
     def _y_terms(self) -> tuple[ModeTerms, ca.SX]:
         return self._terms_by(self._z)
 
-    @cached_property
+    @structural_property
     def _moving(self) -> list[int]:
         """Numbers of the z that y depends on: x and y of the placement are not among them."""
         return [k for k, depends in enumerate(ca.which_depends(self._y_terms[1], self._z, 1, False)) if depends]
 
-    @cached_property
+    @structural_property
     def _machine_slope(self) -> ca.Function:
         """(inputs, G) -> ∂(G·y)/∂z (n_z,)."""
         y = self._y_terms[1]
         pull = ca.SX.sym("G", y.shape[0])
         return self.of_machine("machine_slope", [pull], [ca.gradient(ca.dot(pull, y), self._z)])
 
-    @cached_property
+    @structural_property
     def _machine_curvature(self) -> ca.Function:
         """(inputs, G) -> ∂(G·y)/∂z (n_z,), ∂²(G·y)/∂z² (n_z, n_z), and the columns of Y that are not zero."""
         y, n_z = self._y_terms[1], self._z.shape[0]
@@ -195,12 +200,12 @@ class Expansion:
         both = ca.jacobian(ca.vertcat(slope, y), self._z)
         return self.of_machine("machine_curvature", [pull], [slope, both[:n_z, :], both[n_z:, self._moving]])
 
-    @cached_property
+    @structural_property
     def _machine_jacobian(self) -> ca.Function:
         """(inputs) -> the columns of Y that are not zero."""
         return self.of_machine("machine_jacobian", [], [ca.jacobian(self._y_terms[1], self._z)[:, self._moving]])
 
-    @cached_property
+    @structural_property
     def _spread(self) -> ca.Function:
         """(second derivatives by z, by the moving z) -> their sum, symmetric."""
         n_z, k = self._z.shape[0], len(self._moving)
@@ -261,19 +266,19 @@ class Expansion:
         here = ca.fmax(1, ca.cos(ca.sum(ca.vertcat(*at[:2]))))
         return symbols, parts, here * ca.dot(alpha, w), by_f
 
-    @cached_property
+    @structural_property
     def value(self) -> ca.Function:
         """-> V."""
         symbols, _, value, _ = self._begun()
         return _function("value", symbols, {"V": value})
 
-    @cached_property
+    @structural_property
     def slope(self) -> ca.Function:
         """-> V and ∂V/∂z (n_z,)."""
         symbols, parts, value, by_f = self._begun()
         return _function("slope", symbols, {"V": value, "V_z": self.gradient(symbols[:3], parts, by_f)})
 
-    @cached_property
+    @structural_property
     def curvature(self) -> ca.Function:
         """-> ∂²V/∂z² (n_z, n_z)."""
         symbols, parts, _, by_f = self._begun()

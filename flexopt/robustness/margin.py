@@ -18,7 +18,7 @@ are told, with bounds on their errors, go through `posture_margin`.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Any
 
@@ -28,6 +28,7 @@ from flexopt import compiled
 from flexopt.algebra import apply_pseudo_inverse, diagonal, safe_norm, solve_spd
 from flexopt.algebra.riccati import lyapunov, riccati_pair, top_eigenpairs
 from flexopt.foundation.control import Control
+from flexopt.foundation.kept import Structural, by_machine, structural_property
 from flexopt.model import AnyMachine
 from flexopt.plant.control import task_to_joints
 from flexopt.plant.plant import OperatingPoint, Plant, build_plant
@@ -40,7 +41,7 @@ WEAKEST = 1e-4
 
 
 @dataclass(frozen=True)
-class Margin:
+class Margin(Structural):
     """ε_max of one machine under one controller.
 
     Functions take base (n_b,), posture (n,), p (n_par,) and kr (1,). The state is [velocities; positions], passive
@@ -76,7 +77,7 @@ class Margin:
     def _expansion(self) -> Expansion:
         return Expansion(self.plant, self.control, self.gravity, compact=self.compact)
 
-    @cached_property
+    @structural_property
     def hold(self) -> ca.Function:
         """(base, posture, p, kr) -> held: deflection, time scale, and the scales of the state (see `_scaling`)."""
         expansion, pencil, m = self._expansion, self._expansion.pencil, self.plant.n_passive
@@ -94,7 +95,7 @@ class Margin:
         held = self._scales.call([at[3], *deflection, parts["omega_squared"], parts["modes"], *y[1:]])
         return ca.Function("hold_margin", at, held, names, ["held"], {"is_diff_out": [False]})
 
-    @cached_property
+    @structural_property
     def _scales(self) -> ca.Function:
         """(kr, deflection under gravity, ω², Φ, M̄, F, |R_0|, diagonal of M̂) -> what is held."""
         m, r, n = self.plant.n_passive, self.plant.n_task, self.plant.n_actuated
@@ -136,7 +137,7 @@ class Margin:
         backward = ca.diagcat(v_back / rate, ca.diag(1 / (rate * arm_rate)), v_back, ca.diag(1 / arm))
         return deflection, rate, forward, backward
 
-    @cached_property
+    @structural_property
     def scaled_plant(self) -> ca.Function:
         """(base, posture, p, kr, held) -> A, B, C of the scaled plant, kr in B; differentiable."""
         g, kr = self.plant.graph, ca.SX.sym("kr")
@@ -174,7 +175,7 @@ class Margin:
         c = ca.horzcat(ca.SX.zeros(r, k + m), ca.SX.eye(r))
         return a, b, c
 
-    @cached_property
+    @structural_property
     def plant_at(self) -> ca.Function:
         """(base, posture, p, deflection) -> A, B, C in physical units without the gain; differentiable.
 
@@ -186,7 +187,7 @@ class Margin:
         names = ["base", "posture", "p", "deflection"]
         return ca.Function("plant_at", [g.base, g.posture, g.p, deflection], outputs, names, list("ABC"), {"cse": True})
 
-    @cached_property
+    @structural_property
     def physical_plant(self) -> ca.Function:
         """(base, posture, p) -> A, B, C in physical units, self-motion left out, without the gain."""
         plant, g = self.plant, self.plant.graph
@@ -195,14 +196,14 @@ class Margin:
         outputs = self.plant_at.call([*given, deflection])
         return ca.Function("physical_plant", given, outputs, ["base", "posture", "p"], list("ABC"), {"cse": True})
 
-    @cached_property
+    @structural_property
     def coordinates(self) -> ca.Function:
         """From held: deflection (m,), time scale, and T (n_states, n_states), physical state = T · scaled state."""
         held = ca.SX.sym("held", sum(self._held_sizes))
         deflection, rate, forward, _ = self._scaling(held)
         return ca.Function("coordinates", [held], [deflection, rate, ca.densify(forward)])
 
-    @cached_property
+    @structural_property
     def values(self) -> ca.Function:
         """(base, posture, p, kr) -> epsilon (2, 1), rest, residual.
 
@@ -223,13 +224,13 @@ class Margin:
         """The same in the form for C."""
         return replace(self, compact=True)
 
-    @cached_property
+    @structural_property
     def batched(self) -> compiled.Batch:
         """`values` at many points at once, (rows, N) each: the form made for C, or this one where nothing compiles."""
         compact = compiled.batch(self.compacted.values)
         return compact if compact.compiled else compiled.batch(self.values)
 
-    @cached_property
+    @structural_property
     def gradients(self) -> ca.Function:
         """(base, posture, p, kr) -> epsilon (2, 1) and its exact derivatives, three rows each.
 
@@ -264,7 +265,7 @@ class Margin:
         names = ["epsilon", "epsilon_z", "epsilon_p", "epsilon_kr"]
         return self._function("margin_gradients", symbols, outputs, names)
 
-    @cached_property
+    @structural_property
     def _reverse_sweep(self) -> ca.Function:
         """(base, posture, p, kr, held, X, Z, P_X, P_Z) -> gradient of tr(P_X F_X) + tr(P_Z F_Z), a row."""
         n, g, kr = self.n_states, self.plant.graph, ca.SX.sym("kr")
@@ -295,7 +296,7 @@ class Margin:
         return ca.Function(name, symbols, outputs, self._symbols()[0], names)
 
 
-@lru_cache(maxsize=64)
+@by_machine
 def build_margin(
     machine: AnyMachine,
     control: Control = "inverse",

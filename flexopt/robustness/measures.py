@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -16,6 +16,7 @@ import casadi as ca
 from flexopt import compiled
 from flexopt.foundation.boundary import instance, public, public_class
 from flexopt.foundation.control import Control
+from flexopt.foundation.kept import Structural, structural_property
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.singularity import screened
@@ -33,7 +34,7 @@ SOLVE_TOLERANCE = 1e-8
 
 @public_class(plant=instance(Plant, "a Plant, from flexopt.build_plant"))
 @dataclass(frozen=True)
-class Measures:
+class Measures(Structural):
     """Measures of one machine under one controller.
 
     Functions take base (n_b,), posture (n,) and p (n_par,). The number of modes is m = `plant.n_passive`.
@@ -58,7 +59,7 @@ class Measures:
         """Where derivatives come from."""
         return Expansion(self.plant, self.control, self.gravity)
 
-    @cached_property
+    @structural_property
     def hold(self) -> ca.Function:
         """(base, posture, p) -> `held` of `Expansion`: deflection and modes by iteration, and no derivative.
 
@@ -70,7 +71,7 @@ class Measures:
         options = {"is_diff_out": [False], "never_inline": called}
         return ca.Function("hold", symbols, held, NAMES, ["held"], options)
 
-    @cached_property
+    @structural_property
     def values(self) -> ca.Function:
         """(base, posture, p) -> the measures by name. m modes, r task rows.
 
@@ -95,14 +96,14 @@ class Measures:
         }
         return _function("measures", self._symbols, self._behind_hold(outputs) | {"w": self._w}, cse=False)
 
-    @cached_property
+    @structural_property
     def w(self) -> ca.Function:
         """(base, posture, p) -> w (m, 1), with |a_i||b_i| beside it as `scale` (m, 1)."""
         outputs = {"w": self._w, "scale": self.expansion.sizes(self._held)}
         outputs |= self._behind_hold({"end_point": self.expansion.point.end_point})
         return _function("w", self._symbols, outputs)
 
-    @cached_property
+    @structural_property
     def gradients(self) -> ca.Function:
         """(base, posture, p) -> exact derivatives, z = [base, posture].
 
@@ -115,7 +116,7 @@ class Measures:
         outputs = {"w_z": slopes[:, :n_z], "w_p": slopes[:, n_z:], "end_point_z": self.end_point_gradient.call(at)[0]}
         return _function("gradients", at, outputs, cse=False)
 
-    @cached_property
+    @structural_property
     def weighted_gradient(self) -> ca.Function:
         """(base, posture, p, alpha (m,)) -> exact ∂(Σ αi wi)/∂z (1, n_z), z = [base, posture]."""
         slope = self.expansion.slope
@@ -123,7 +124,7 @@ class Measures:
         outputs = [slope.call([*at, *self.hold.call(at), alpha])[1].T]
         return ca.Function("weighted_gradient", [*at, alpha], outputs, [*NAMES, "alpha"], ["V_z"])
 
-    @cached_property
+    @structural_property
     def factors(self) -> ca.Function:
         """(base, posture, p) -> `f` = [a_i; b_i] (2r, m), exact slopes of its columns by z as `f_z`, and `same`.
 
@@ -134,7 +135,7 @@ class Measures:
         slopes = self.expansion.factor_slopes(at, held)
         return _function("factors", at, {"f": held["f"], "f_z": slopes, "same": held["same"]})
 
-    @cached_property
+    @structural_property
     def end_point_gradient(self) -> ca.Function:
         """(base, posture, p) -> exact ∂r/∂z (n_task, n_z), z = [base, posture]."""
         g = self.plant.graph
@@ -143,14 +144,14 @@ class Measures:
             return _function("end_point_gradient", self.inputs, outputs)
         return _function("end_point_gradient", self._symbols, self._behind_hold(outputs))
 
-    @cached_property
+    @structural_property
     def w_with_gradient(self) -> ca.Function:
         """(base, posture, p) -> w (m, 1), exact ∂w/∂posture (m, n) as `w_posture`."""
         at, held = self._symbols, self._held
         slopes = self.expansion.jacobian(self.plant.graph.posture, at, held)
         return _function("w_with_gradient", at, {"w": self._w, "w_posture": slopes})
 
-    @cached_property
+    @structural_property
     def quick(self) -> ca.Function:
         """(base, posture, p) -> w (m, 1) and `gap`: for many points, by `quick_batch`.
 
@@ -160,24 +161,24 @@ class Measures:
         w, gap, _ = self._quickly
         return _function("quick", self.inputs, {"w": w, "gap": gap})
 
-    @cached_property
+    @structural_property
     def quick_with_gradient(self) -> ca.Function:
         """(base, posture, p) -> the outputs of `quick`, and exact ∂w/∂posture (m, n) as `w_posture`."""
         w, gap, held = self._quickly
         slopes = self.expansion.jacobian(self.plant.graph.posture, self.inputs, held)
         return _function("quick_with_gradient", self.inputs, {"w": w, "gap": gap, "w_posture": slopes})
 
-    @cached_property
+    @structural_property
     def quick_batch(self) -> compiled.Batch:
         """`quick` at many points."""
         return compiled.batch(self.quick)
 
-    @cached_property
+    @structural_property
     def quick_batch_with_gradient(self) -> compiled.Batch:
         """`quick_with_gradient` at many points."""
         return compiled.batch(self.quick_with_gradient)
 
-    @cached_property
+    @structural_property
     def sound(self) -> ca.Function:
         """(base, posture, p) -> what tells the points that have no measures; see `flexopt.robustness.batches`.
 
@@ -193,12 +194,12 @@ class Measures:
             outputs["least_pivot"] = ca.mmin(ca.ldl(ca.densify(at.stiffness[:m, :m]))[0])
         return _function("sound", self.inputs, outputs)
 
-    @cached_property
+    @structural_property
     def sound_batch(self) -> compiled.Batch:
         """`sound` at many points."""
         return compiled.batch(self.sound)
 
-    @cached_property
+    @structural_property
     def _quickly(self) -> tuple[ca.SX, ca.SX, HeldGraphs]:
         """The w_i (m, 1), the gap, and what `hold` would give."""
         expansion = self.expansion
@@ -216,19 +217,19 @@ class Measures:
         g = self.plant.graph
         return [g.base, g.posture, g.p]
 
-    @cached_property
+    @structural_property
     def _symbols(self) -> list[Any]:
         """`inputs`, or the like for graphs of calls."""
         if self.plant.n_passive <= WRITTEN_OUT:
             return self.inputs
         return [ca.MX.sym(name, x.shape[0]) for name, x in zip(NAMES, self.inputs, strict=True)]
 
-    @cached_property
+    @structural_property
     def _held(self) -> HeldGraphs:
         """What `hold` gives there."""
         return self.expansion.parts(self.hold.call(self._symbols)[0])
 
-    @cached_property
+    @structural_property
     def _w(self) -> Any:
         """The w_i there."""
         return self.expansion.slopes(self._held, ca.DM.ones(self.plant.n_passive))[0]
@@ -256,7 +257,7 @@ def _function(name: str, at: list[Any], outputs: Mapping[str, Any], *, cse: bool
 
 @public()
 def build_measures(machine: AnyMachine, control: Control = "inverse", gravity: bool = False) -> Measures:
-    """The measures of a machine (built once for each machine, controller and gravity option, and kept).
+    """The measures of a machine (their graphs are built once for each structure, and kept).
 
     Args:
         machine: from `flexopt.load`.
@@ -271,10 +272,4 @@ def build_measures(machine: AnyMachine, control: Control = "inverse", gravity: b
         >>> measures.plant.n_passive
         3
     """
-    return measures_of(build_plant(machine), control, gravity)
-
-
-@lru_cache(maxsize=64)
-def measures_of(plant: Plant, control: Control, gravity: bool) -> Measures:
-    """`build_measures` of a plant: their graphs are of its symbols, which a plant built anew does not share."""
-    return Measures(plant, control, gravity)
+    return Measures(build_plant(machine), control, gravity)

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import suppress
-from functools import lru_cache
 
 import numpy as np
 
 from flexopt.errors import ImplausibleMachine
 from flexopt.foundation.arrays import Array, spread
+from flexopt.foundation.kept import by_machine
 from flexopt.foundation.warned import warn_user
 from flexopt.model import AnyMachine
 from flexopt.model.file_model import quoted
@@ -29,7 +29,7 @@ POSTURES = 4
 OUT_OF_PLANE = 1e-3
 
 
-@lru_cache(maxsize=64)
+@by_machine
 def implausibilities(machine: AnyMachine) -> tuple[ImplausibleNumber, ...]:
     """Everything about the machine that is allowed but hardly meant."""
     found = implausible_numbers(machine)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
+from flexopt.foundation.kept import by_machine
 from flexopt.model import AnyMachine
 from flexopt.model.choices import OUTCOMES
 from flexopt.model.constraints import Constraints
@@ -26,7 +26,7 @@ from flexopt.robustness.measures import Measures, build_measures
 from flexopt.robustness.posture_margin import evaluate_margin
 from flexopt.robustness.residues import MIXED, residue_unit
 from flexopt.selection.constraints import constraint_labels
-from flexopt.selection.own import OwnGraphs, OwnTerm, own_faults, own_graphs, weights_of
+from flexopt.selection.own import OwnGraphs, OwnTerm, own_faults, weights_of
 
 # Two eigenvalues of XZ this close, in ε, both count where stationarity is checked.
 KINK = 1e-5
@@ -110,7 +110,7 @@ class Quantities:
 
     def own(self, term: OwnTerm) -> OwnGraphs:
         """The graphs of a Function of the user's."""
-        return own_graphs(self.measures.plant.machine, self.measures.control, self.measures.gravity, term.own)
+        return OwnGraphs(self.measures, term.own)
 
     def smooth(self, objective: Objective, bases: Vector, postures: Vector, w: Vector) -> Vector:
         """V (N,) without ε_max at points (n_b, N), (n, N) whose w_i are (m, N)."""
@@ -178,7 +178,7 @@ class Quantities:
         )
 
 
-@lru_cache(maxsize=64)
+@by_machine
 def quantities(machine: AnyMachine, control: Control, gravity: bool, gain: float) -> Quantities:
     """The Functions for a problem (put together once, and kept: a selection asks thousands of times)."""
     return Quantities(build_measures(machine, control, gravity), build_margin(machine, control, gravity), gain)

@@ -6,14 +6,13 @@ is known before anything is solved, and an area may be narrower than the spacing
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from flexopt.algebra.feasible import feasible_steps, repeated
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.kept import by_structure
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant
 from flexopt.plant.inverse_kinematics import low_discrepancy
@@ -88,7 +87,7 @@ def _bounds(areas: ConstraintSet) -> tuple[Vector, Vector, Vector]:
     return lower, upper, scale
 
 
-@lru_cache(maxsize=32)
+@by_structure
 def _steps(plant: Plant, areas: ConstraintRows) -> ca.Function:
     """`feasible_steps` of the placement into areas, which no posture matters to; its last inputs are p and c."""
     g, c = plant.graph, ca.SX.sym("c", areas.function.size1_in(3))

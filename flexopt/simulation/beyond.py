@@ -7,7 +7,6 @@ modelled, and drives saturate only where the run's options say so.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +14,7 @@ from numpy.typing import ArrayLike
 from flexopt.compiled.threaded import Interpreter
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import limit_unit
+from flexopt.foundation.kept import by_structure
 from flexopt.model import AnyMachine
 from flexopt.plant.hydraulics import build_hydraulics
 
@@ -94,7 +94,7 @@ def _cylinder_rates(machine: AnyMachine, joints: Vector, rates: Vector) -> tuple
     return np.einsum("jck,jk->ck", each, rates), -speeds[:, :1], speeds[:, 1:]
 
 
-@lru_cache(maxsize=64)
+@by_structure
 def _ratios(machine: AnyMachine) -> Interpreter:
     return Interpreter(build_hydraulics(machine).ratios)
 
@@ -109,6 +109,6 @@ def _efforts(machine: AnyMachine, joints: Vector) -> Vector:
     return np.stack([values[:n], values[n:]], axis=-1)
 
 
-@lru_cache(maxsize=64)
+@by_structure
 def _joint_efforts(machine: AnyMachine) -> Interpreter:
     return Interpreter(build_hydraulics(machine).joint_efforts)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, Unpack
 
 import casadi as ca
@@ -20,13 +19,14 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import PostureLike, Vector
 from flexopt.foundation.boundary import Keywords, number, public
 from flexopt.foundation.control import Control
+from flexopt.foundation.kept import by_structure
 from flexopt.foundation.results import Result
 from flexopt.loop.borders import HIGH, LOW, stable_intervals
 from flexopt.loop.closed import closed_loop
 from flexopt.loop.gains import rigid_gains_at
 from flexopt.loop.outcome import UNDAMPED, LoopPoint
 from flexopt.loop.rest import resting_rows
-from flexopt.loop.small_motions import small_motions
+from flexopt.loop.small_motions import SmallMotions
 from flexopt.loop.spectrum import EXACT, OwnMotion, SampledLoop, neutral_directions, spectrum
 from flexopt.loop.structure import LoopStructure
 from flexopt.loop.tangent import SelfMotion, Tangent, still, tangent
@@ -204,7 +204,7 @@ def _spectrum(scenario: Scenario, x: Vector, matrix: Vector, integrator: str) ->
     return spectrum(matrix, s.period, most, excess, own, integrator)
 
 
-@lru_cache(maxsize=16)
+@by_structure
 def _resting_rows(machine: AnyMachine, control: Control) -> ca.Function:
     return resting_rows(build_plant(machine), control)
 
@@ -248,7 +248,7 @@ def where_held(scenario: Scenario) -> Vector | None:
     if known or s.options.feedback not in ("pd", "pid"):
         return s.resting
     integral = s.options.feedback == "pid"
-    motions = small_motions(s.machine, s.options.control, gravity=True, integral=integral, own_model=True)
+    motions = SmallMotions(s.machine, s.options.control, gravity=True, integral=integral, own_model=True)
     gains = {name: s.parts[name] for name in ("kp", "ki")[: 1 + integral]}
     at = {"base": s.base, "posture": s.posture, "p": s.p, "servo_gain": np.ones(1)}
     point = LoopPoint(motions, motions.numbers(at | gains), 0.0)
@@ -294,7 +294,7 @@ def bare_scenario(
     return build_scenario(machine, options.model_copy(update=update), zeros, exact=exact, delays=delays)
 
 
-@lru_cache(maxsize=64)
+@by_structure
 def _derivative(structure: LoopStructure) -> ca.Function:
     """Φ = ∂x_{k+1}/∂x_k of an integrator's own step. Inputs x, e, c."""
     step = closed_loop(structure).step

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any, Unpack, cast
 
 import numpy as np
@@ -19,6 +18,7 @@ from flexopt.foundation.arrays import PostureLike, Vector
 from flexopt.foundation.boundary import public
 from flexopt.foundation.control import control_damping
 from flexopt.foundation.documents import provenance
+from flexopt.foundation.kept import by_structure
 from flexopt.foundation.warned import warn_user
 from flexopt.loop.closed import baked, closed_loop
 from flexopt.loop.levers import feeble_levers
@@ -141,7 +141,7 @@ def moves(scenario: Scenario) -> bool:
     return scenario.options.base_path is not None or scenario.options.target_path is not None
 
 
-@lru_cache(maxsize=64)
+@by_structure
 def _runner(structure: LoopStructure, brief: bool) -> tuple[Recurrence, Batch]:
     loop = closed_loop(structure)
     fast = loop.fast
@@ -164,7 +164,7 @@ def runners(
     return _baked_runner(structure, tuple(constants.tolist())), shown, True
 
 
-@lru_cache(maxsize=16)
+@by_structure
 def _baked_runner(structure: LoopStructure, constants: tuple[float, ...]) -> Recurrence:
     loop, c = closed_loop(structure), np.array(constants)
     fast = loop.fast
@@ -365,7 +365,7 @@ def _closest_to_singular(s: Scenario, plant: Plant, joints: Vector) -> tuple[flo
     return float(values[index]) / start, float(s.times[index])
 
 
-@lru_cache(maxsize=16)
+@by_structure
 def _singularity(machine: AnyMachine) -> Interpreter:
     # Of a run's samples: compiling it would take longer than evaluating it at a million.
     return Interpreter(build_plant(machine).singularity_sine_squared)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, cast
 
 import casadi as ca
@@ -19,6 +19,7 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import Keywords
 from flexopt.foundation.control import Control, control_damping, control_method
+from flexopt.foundation.kept import by_machine, by_structure
 from flexopt.loop.closed import ClosedLoop, closed_loop
 from flexopt.loop.levers import with_servo_gain
 from flexopt.loop.rest import design_constants, placed, state_at_rest
@@ -317,7 +318,7 @@ class _Design:
     damper: float
 
 
-@lru_cache(maxsize=256)
+@by_machine
 def _reaching(
     machine: AnyMachine, end_point: tuple[float, ...], elbow: Any, base: tuple[float, ...], gravity: bool
 ) -> tuple[float, ...]:
@@ -335,7 +336,7 @@ def design_configuration(
     return _reaching(machine, end_point, options.elbow, base, options.gravity), base
 
 
-@lru_cache(maxsize=256)
+@by_machine
 def _design(
     machine: AnyMachine, posture: tuple[float, ...], base: tuple[float, ...], gravity: bool, control: Control
 ) -> _Design:
@@ -414,7 +415,7 @@ def start_states(
     return x
 
 
-@lru_cache(maxsize=64)
+@by_structure
 def _at_rest(machine: AnyMachine, structure: LoopStructure) -> ca.Function:
     """The state at rest. Inputs q, base, p; output x."""
     plant = build_plant(machine)

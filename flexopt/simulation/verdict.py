@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Literal, Protocol
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.doubt import with_doubt
+from flexopt.foundation.kept import by_machine
 from flexopt.loop.loop_motions import NOWHERE_HELD, falling
 from flexopt.loop.spectrum import CAUSES, from_sample_to_sample, too_much
 from flexopt.loop.tangent import Tangent, at_rest
@@ -180,7 +180,7 @@ def _essential(options: SimulationOptions) -> SimulationOptions:
     return options.model_copy(update=start)
 
 
-@lru_cache(maxsize=256)
+@by_machine
 def _about_design(machine: AnyMachine, options: SimulationOptions, without: tuple[str, ...]) -> SampledLoop | str:
     try:
         bare = bare_scenario(machine, options)

@@ -12,6 +12,7 @@ import pytest
 
 import flexopt
 from flexopt.compiled import Batch, batch, find_compiler, lanes, recurrence
+from flexopt.foundation import kept
 from flexopt.model import AnyMachine, shipped_names
 from flexopt.plant import build_plant
 from flexopt.robustness.margin import build_margin
@@ -30,7 +31,7 @@ BATCHED: dict[str, Callable[[AnyMachine], Batch]] = {
     "w": lambda machine: flexopt.build_measures(machine).quick_batch,
     "w with gradient": lambda machine: flexopt.build_measures(machine).quick_batch_with_gradient,
     "distance from singularity": lambda machine: batch(build_plant(machine).singularity_sine_squared),
-    "measures of maps": lambda machine: batch(points._measure_function(flexopt.build_measures(machine))),
+    "measures of maps": lambda machine: batch(points._measures_of_many(flexopt.build_measures(machine)).function),
     "task at rest": lambda machine: batch(follow._task_at_rest(machine).function),
     "task as it sags": lambda machine: batch(follow._task_as_it_sags(machine).function),
 }
@@ -85,7 +86,7 @@ def test_closed_loop(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for maker in (batch, recurrence):
         keep = lambda *given, maker=maker, **options: made.append(maker(*given, **options)) or made[-1]  # noqa: E731
         monkeypatch.setattr(run, maker.__name__, keep)
-    run._runner.cache_clear()
+    kept.forget_all()
     flexopt.simulate(flexopt.load(name), REGULAR[name], duration=0.1)
     assert len(made) >= 2
     assert [each.compiled for each in made] == [find_compiler() is not None] * len(made)

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.loop.lag import BY, lagged_modes
+from flexopt.foundation import kept
+from flexopt.loop.lag import BY, LaggedModes
 from flexopt.loop.settings import loop_settings
 from flexopt.model import tree_from_dict
 from flexopt.model.loop import Loop
-from flexopt.plant import plant as plant_room
-from flexopt.robustness import measures as measures_room
 from tests.oracles.slopes import differences
 from tests.oracles.spatial import in_space
 from tests.simulation.loops import EXCAVATOR, POSTURE_A, POSTURE_B
@@ -152,7 +151,7 @@ def test_the_generalised_measure_is_an_eigenvalue():
 def test_gradients(name, gravity):
     """Beside differences of sixth order, each input in units of its own size."""
     _, settings, outcome = stand(name, gravity=gravity)
-    modes = lagged_modes(outcome.motions)
+    modes = LaggedModes(outcome.motions)
     at = dict(outcome.numbers) | {"dead_time": np.array([settings.dead_time])}
     values, slopes = modes.at(outcome.numbers, settings.dead_time)
     names = list(modes.values.name_in())
@@ -176,7 +175,7 @@ def test_gradients(name, gravity):
 
 def test_names_of_inputs_and_outputs():
     _, _, outcome = stand("excavator")
-    modes = lagged_modes(outcome.motions)
+    modes = LaggedModes(outcome.motions)
     assert set(modes.values.name_in()) == {*BY, "period"}
     assert tuple(modes.values.name_out()) == modes.NAMES
     assert set(modes.slopes.name_out()) == {f"{name}_{by}" for name in modes.NAMES for by in BY}
@@ -186,12 +185,11 @@ def test_names_of_inputs_and_outputs():
 def test_a_plant_that_the_cache_has_dropped():
     """Motions keep the plant that they were made of; measures asked for later may be of a plant built anew."""
     evaluation, settings, here = stand("boom-stick-bucket")
-    # As where 64 other machines were looked at in between.
-    for cached in (plant_room._built, measures_room.measures_of, lagged_modes):
-        cached.cache_clear()
-    found = lagged_modes(here.motions).at(here.numbers, settings.dead_time)[0]
+    # As where many other machines were looked at in between.
+    kept.forget_all()
+    found = LaggedModes(here.motions).at(here.numbers, settings.dead_time)[0]
     again = stand("boom-stick-bucket")[2]
-    assert np.array_equal(found["lag"], lagged_modes(again.motions).at(again.numbers, settings.dead_time)[0]["lag"])
+    assert np.array_equal(found["lag"], LaggedModes(again.motions).at(again.numbers, settings.dead_time)[0]["lag"])
     assert found["lag"].size == evaluation.w.size
 
 
@@ -231,13 +229,13 @@ def test_what_no_feedback_excites_decays_as_the_machine_does() -> None:
     found = flexopt.evaluate(tree_from_dict(data), (0.9929, -2.6306), loop=loop)
     point = found.outcome.settings.outcome(tree_from_dict(data), found.base, found.posture, gravity=False)
     rate = found.damping_ratios[1] * math.tau * found.frequencies_hz[1]
-    modes, rounding = lagged_modes(point.motions), point.loop.rounding
+    modes, rounding = LaggedModes(point.motions), point.loop.rounding
     assert modes.is_unseen(point.numbers, rate, rounding)
     assert not modes.is_unseen(point.numbers, 1.001 * rate, rounding)
     assert np.min(np.abs(np.log(np.abs(point.loop.multipliers)) / point.period + rate)) < 1e-9
     settings = flexopt.outcome(EXCAVATOR, POSTURE_B, loop=loop).settings
     plain = settings.outcome(EXCAVATOR, np.zeros(1), np.array(POSTURE_B), gravity=False)
-    assert not lagged_modes(plain.motions).is_unseen(plain.numbers, plain.decay().value, 0.0)
+    assert not LaggedModes(plain.motions).is_unseen(plain.numbers, plain.decay().value, 0.0)
 
 
 @pytest.mark.long

@@ -15,7 +15,7 @@ from flexopt.article.loop_findings import _rate_near
 from flexopt.loop.assembly import OneSample
 from flexopt.loop.disturbance import left_over, summed, summed_to_rounding
 from flexopt.loop.outcome import MEASURES, LoopPoint
-from flexopt.loop.small_motions import AT_REST, small_motions
+from flexopt.loop.small_motions import AT_REST, SmallMotions
 from flexopt.loop.spectrum import SampledLoop, spectrum
 from flexopt.loop.tangent import exponential
 from flexopt.selection.outcomes.branches import rates_of
@@ -29,13 +29,13 @@ THIRD = (0.992, -1.4056)
 
 
 def outcome(machine, posture, dead_time=0.0, *, kp=1e4, kv=1e3, rate=200.0, control="inverse", ki=0.0, **more):
-    """A loop at numbers; flags of `small_motions` and further numbers by name."""
+    """A loop at numbers; flags of `SmallMotions` and further numbers by name."""
     flags = {
         name: more.pop(name)
         for name in ("gravity", "integral", "filtered", "lagging", "damped", "served")
         if name in more
     }
-    motions = small_motions(machine, control, **flags)
+    motions = SmallMotions(machine, control, **flags)
     r = motions.plant.n_task
     numbers = {"posture": posture, "p": motions.plant.parameter_values.full().ravel(), "period": [1 / rate]}
     numbers |= {"kp": np.resize(kp, r), "kv": np.resize(kv, r), "ki": np.resize(ki, r)}

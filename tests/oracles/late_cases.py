@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.verdicts import draw
 from flexopt.loop.loop_motions import Measured
 from flexopt.loop.outcome import LoopPoint
-from flexopt.loop.small_motions import SmallMotions, small_motions
+from flexopt.loop.small_motions import SmallMotions
 from flexopt.loop.spectrum import eigenvectors
 from flexopt.loop.standard_move import SETTLED
 from tests.oracles.late_loop import LateLoop, NonlinearRun, directional
@@ -46,7 +46,7 @@ def draw_case(number: int) -> Case:
     n, r, period = len(machine.joints), len(machine.task_rows), 1 / drawn.options["rate"]
     late = (int(rng.integers(0, 5)) + float(rng.uniform(0.02, 0.98))) * period
     bandwidth = 10 ** rng.uniform(0.3, 1.7, n) if rng.random() < 0.5 else None
-    motions = small_motions(machine, o["control"], lagging=bandwidth is not None)
+    motions = SmallMotions(machine, o["control"], lagging=bandwidth is not None)
     kp, kv = np.full(r, o["kp"]), np.full(r, o["kv"])
     numbers = {"posture": drawn.posture, "p": motions.plant.parameter_values.full().ravel(), "kp": kp, "kv": kv}
     numbers |= {"period": [period]} | ({} if bandwidth is None else {"bandwidth_hz": bandwidth})

@@ -444,7 +444,7 @@ def test_dependent_slides_are_refused():
     data["bodies"][1]["parent"] = "first"
     data["end_point"]["rows"] = ["x", "z"]
     with pytest.raises(ModelError, match="mass matrix is singular"):
-        build_graph(tree_from_dict(data))
+        build_plant(tree_from_dict(data))
 
 
 def broken(change):

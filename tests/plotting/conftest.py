@@ -6,17 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from flexopt.loop import many
-from flexopt.plant import plant
-from flexopt.robustness import margin, measures
-from flexopt.simulation import run
-from flexopt.study.maps import follow, points
-
-# What holds graphs that are compiled, or now are not: other rooms in this process make their own.
-HELD = (
-    measures.measures_of, margin.build_margin, plant._built, points._batches, run._runner, run._baked_runner,
-    follow._task_at_rest, follow._task_as_it_sags, many._stacked_matrices,
-)  # fmt: skip
+from flexopt.foundation import kept
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -24,5 +14,5 @@ def _interpreted() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FLEXOPT_COMPILE", "0")
         yield
-    for held in HELD:
-        held.cache_clear()
+    # Other rooms in this process make their own graphs, which may be compiled.
+    kept.forget_all()

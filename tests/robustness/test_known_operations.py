@@ -8,6 +8,7 @@ import flexopt
 from flexopt.compiled import extended as module
 from flexopt.compiled.extended import extended
 from flexopt.errors import FlexoptWarning, NoSolutionFound
+from flexopt.foundation import kept
 from flexopt.model import shipped_names
 from flexopt.robustness import damped
 from flexopt.robustness.margin import build_margin
@@ -46,12 +47,11 @@ def test_trees_with_every_kind_of_row(rows, control):
 @pytest.fixture
 def built_anew():
     """Graphs are translated anew within a test, and again after it."""
-    caches = (extended, build_margin, damped._matrices)
-    for cached in caches:
-        cached.cache_clear()
+    extended.cache_clear()
+    kept.forget_all()
     yield
-    for cached in caches:
-        cached.cache_clear()
+    extended.cache_clear()
+    kept.forget_all()
 
 
 @pytest.mark.usefixtures("built_anew")

@@ -13,7 +13,7 @@ import numpy as np
 
 import flexopt
 from flexopt.loop.certified.region import stability_radius
-from flexopt.loop.lag import lagged_modes
+from flexopt.loop.lag import LaggedModes
 from flexopt.loop.settings import LoopSettings, loop_settings
 from flexopt.loop.uncertain import UncertainLoop
 from flexopt.loop.uncertainty_box import UncertaintyBox
@@ -56,7 +56,7 @@ def told(name: str, x: float, posture: Posture, loop: Mapping[str, float]) -> fl
         uncertain = UncertainLoop(settings, base, held, False, UncertaintyBox(EXCAVATOR, GROUND, settings.dead_time))
         return stability_radius(uncertain, 16) if point.loop.stable else -math.inf
     if name == "allowance":
-        return float(np.min(lagged_modes(point.motions).at(point.numbers, 0.0)[0][name]))
+        return float(np.min(LaggedModes(point.motions).at(point.numbers, 0.0)[0][name]))
     return float(getattr(point, name)().value)
 
 

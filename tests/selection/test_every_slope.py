@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import flexopt
-from flexopt.loop.lag import lagged_modes
+from flexopt.loop.lag import LaggedModes
 from flexopt.loop.outcome import MEASURES, LoopPoint
 from flexopt.loop.settings import loop_settings
 from flexopt.loop.small_motions import BY, DEAD_TIME
@@ -579,7 +579,7 @@ def test_what_modes_get_to_feel():
     stand = flexopt.evaluate(machine, (0.3, -1.7))
     settings = loop_settings(machine, flexopt.Loop(kp=3e2, kv=30.0, dead_time=0.0137, bandwidth_hz=8.0), stand)
     here = settings.outcome(machine, stand.base, stand.posture, gravity=False)
-    modes = lagged_modes(here.motions)
+    modes = LaggedModes(here.motions)
     given = dict(here.numbers) | {"dead_time": np.array([settings.dead_time])}
     values, slopes = modes.at(here.numbers, settings.dead_time)
     for by in BY:

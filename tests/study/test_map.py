@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 
 import flexopt
+from flexopt.foundation import kept
 from flexopt.study.maps import points
 from flexopt.study.maps.planes import Plane
 from tests.study.machines import limited, three_links
@@ -134,11 +135,11 @@ def test_threads_change_nothing(excavator):
 def test_without_a_compiler(excavator, monkeypatch):
     fast = flexopt.map_workspace(excavator, points=(11, 11))
     monkeypatch.setenv("FLEXOPT_COMPILE", "0")
-    points._batches.cache_clear()
+    kept.forget_all()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         slow = flexopt.map_workspace(excavator, points=(11, 11))
-    points._batches.cache_clear()
+    kept.forget_all()
     for name in ("w", "epsilon_max", "frequency_hz"):
         np.testing.assert_allclose(slow.array(name), fast.array(name), rtol=1e-9, atol=1e-14)
 

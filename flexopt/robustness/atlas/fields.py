@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -23,6 +23,7 @@ import numpy as np
 from flexopt.compiled import Economical
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
+from flexopt.foundation.kept import by_structure, structural_property
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.singularity import conditions
@@ -343,13 +344,13 @@ class _Smooth(Expansion):
     Of a square Jv that is x_i itself, the actuated part of the mode; of a redundant arm b_i times det Jv Jvᵀ.
     """
 
-    @cached_property
+    @structural_property
     def divided(self) -> ca.SX:
         """S: Jv, or Jv Jvᵀ."""
         jv = self.point.rigid_jacobian
         return jv if jv.is_square() else jv @ jv.T
 
-    @cached_property
+    @structural_property
     def graphs(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """K_p, M̄ (m, m) and F (2r, m)."""
         stiffness, mass, factors = super().graphs
@@ -365,7 +366,7 @@ class _Smooth(Expansion):
         return stiffness, mass, ca.vertcat(factors[:r, :], cofactors @ (jv @ follow))
 
 
-@lru_cache(maxsize=16)
+@by_structure
 def _function(machine: AnyMachine, control: Control, gravity: bool) -> Economical:
     """(base, posture, p) -> what `SliceValues` is made of, by name; matrices are stacked by columns.
 

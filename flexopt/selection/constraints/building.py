@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import casadi as ca
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.kept import by_structure
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
 from flexopt.model.uncertainty import parameters_of
@@ -207,7 +208,7 @@ def without_corners(machine: AnyMachine, constraints: ConstraintSet) -> Constrai
     )
 
 
-@lru_cache(maxsize=32)
+@by_structure
 def _functions(machine: AnyMachine, structure: Structure, gravity: bool) -> tuple[ca.Function, ca.Function]:
     """The rows as a solver sees them, and as people do."""
     plant = build_plant(machine)

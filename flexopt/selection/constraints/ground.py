@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from flexopt.foundation.kept import by_machine
 from flexopt.model import AnyMachine, Capsule
 from flexopt.model.constraints import Constraints
 from flexopt.plant import Plant, build_plant
@@ -62,7 +62,7 @@ def standing_height(machine: AnyMachine) -> float:
     return 0.0 if machine.support_points else min([0.0, *(height for _, height in lowest(machine))])
 
 
-@lru_cache(maxsize=32)
+@by_machine
 def lowest(machine: AnyMachine) -> tuple[tuple[Capsule, float], ...]:
     """Capsules of bodies that no actuated joint moves, and how low each reaches, m, the machine at rest."""
     plant = build_plant(machine)
@@ -77,7 +77,7 @@ def lowest(machine: AnyMachine) -> tuple[tuple[Capsule, float], ...]:
     return tuple(zip(still, found.tolist(), strict=True))
 
 
-@lru_cache(maxsize=32)
+@by_machine
 def _above(machine: AnyMachine) -> tuple[tuple[int, ...], tuple[str, ...]]:
     """Capsules (their numbers) and bodies (their joints) whose height some actuated joint changes."""
     plant, tree = build_plant(machine), machine.kinematic_tree

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any, cast
 
 import casadi as ca
 import numpy as np
 
 from flexopt.errors import Fault
+from flexopt.foundation.kept import by_machine
 from flexopt.model import AnyMachine
 from flexopt.model.constraints import Constraints
 from flexopt.model.tables import Capsule
@@ -38,7 +38,7 @@ Pairs = tuple[tuple[int, int], ...]
 LOOKED = 512
 
 
-@lru_cache(maxsize=32)
+@by_machine
 def meeting_pairs(machine: AnyMachine) -> Pairs:
     """Numbers of capsules that a choice of posture may bring together."""
     bodies = {body.name: body for body in machine.kinematic_tree.bodies}
@@ -67,7 +67,7 @@ def meeting_pairs(machine: AnyMachine) -> Pairs:
     return tuple((i, j) for j in range(len(names)) for i in range(j) if meet(names[i], names[j]))
 
 
-@lru_cache(maxsize=32)
+@by_machine
 def overlapping_pairs(machine: AnyMachine) -> Pairs:
     """Those of `meeting_pairs` that overlap in each of `LOOKED` postures, spread evenly over the limits."""
     pairs = meeting_pairs(machine)

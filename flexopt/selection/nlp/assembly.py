@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import chain
 from typing import Any, Literal
 
@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.kept import by_structure
 from flexopt.selection.nlp.configuration import Configuration
 from flexopt.selection.nlp.coupling import Coupling, alone
 from flexopt.selection.nlp.member_graph import BranchGraphs, MemberGraph, ObjectiveForm, parameters_of
@@ -58,7 +59,7 @@ COUPLED_OPTIONS: dict[str, Any] = {"max_iter": 120, "tol": 1e-9, "constr_viol_to
 Goal = Literal["weighted", "worst", "motion"]
 
 
-@lru_cache(maxsize=48)
+@by_structure
 def build_solver(
     configuration: Configuration,
     coupling: Coupling,
@@ -117,7 +118,7 @@ class Branched:
     pulls: ca.Function | None = None
 
 
-@lru_cache(maxsize=48)
+@by_structure
 def build_branched(configuration: Configuration, forms: tuple[ObjectiveForm, ...], *, compiled: bool) -> Branched:
     """The Functions of one configuration; `compiled`: ε_max by compiled code, where there is a compiler."""
     plant = configuration.measures.plant

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 
 from flexopt.algebra.feasible import feasible_steps
 from flexopt.foundation.control import Control
+from flexopt.foundation.kept import Structural, structural_property
 from flexopt.model import AnyMachine
 from flexopt.robustness.expansion import Expansion
 from flexopt.robustness.measures import Measures, build_measures
@@ -31,7 +32,7 @@ class ConstraintRows:
 
 
 @dataclass(frozen=True)
-class Configuration:
+class Configuration(Structural):
     """Objective and constraints of one configuration. n_z = n_b + n; k constraint rows; m modes.
 
     Rows are those of the task r (n_task,), then the distance from singular postures, then the constraint rows:
@@ -63,14 +64,14 @@ class Configuration:
         """Number of constants c."""
         return self.row_values.size1_in(3)
 
-    @cached_property
+    @structural_property
     def _symbols(self) -> dict[str, ca.SX]:
         g = self.measures.plant.graph
         count = 0 if self.extra is None else self.extra.function.size1_in(3)
         inputs = {"base": g.base, "posture": g.posture, "p": g.p}
         return inputs | {"c": ca.SX.sym("c", count), "held": self.expansion.held}
 
-    @cached_property
+    @structural_property
     def _z(self) -> ca.SX:
         return ca.vertcat(self._symbols["base"], self._symbols["posture"])
 
@@ -79,11 +80,11 @@ class Configuration:
         """V = Σ αi wi with its derivatives by z, from (base, posture, p, held, alpha)."""
         return self.measures.expansion
 
-    @cached_property
+    @structural_property
     def _rows(self) -> ca.SX:
         return self._rows_of(self.measures.expansion.point.end_point) if self.gravity else self._rows_alone
 
-    @cached_property
+    @structural_property
     def _rows_alone(self) -> ca.SX:
         plant = self.measures.plant
         g = plant.graph
@@ -98,27 +99,27 @@ class Configuration:
             parts += self.extra.function.call([*at, s["c"]])
         return ca.densify(ca.vertcat(*parts))
 
-    @cached_property
+    @structural_property
     def rows_alone(self) -> ca.Function:
         """(base, posture, p, c) -> rows (n_rows,), the deflection found with them."""
         return self._function("rows_alone", ("base", "posture", "p", "c"), {}, [self._rows_alone], ["rows"])
 
-    @cached_property
+    @structural_property
     def feasible(self) -> ca.Function:
         """`feasible_steps` of `rows_alone` in z; its last inputs are p and c."""
         return feasible_steps(self._rows_alone, self._z, [self._symbols["p"], self._symbols["c"]])
 
-    @cached_property
+    @structural_property
     def row_values(self) -> ca.Function:
         """(base, posture, p, c, held) -> rows (n_rows,)."""
         return self._of_rows("row_values", {}, [self._rows], ["rows"])
 
-    @cached_property
+    @structural_property
     def row_slopes(self) -> ca.Function:
         """(base, posture, p, c, held) -> rows (n_rows,) and ∂rows/∂z (n_rows, n_z)."""
         return self._of_rows("row_slopes", {}, [self._rows, ca.jacobian(self._rows, self._z)], ["rows", "rows_z"])
 
-    @cached_property
+    @structural_property
     def row_curvature(self) -> ca.Function:
         """(base, posture, p, c, held, multipliers (n_rows,)) -> Σ multiplier_i ∂²row_i/∂z² (n_z, n_z)."""
         multipliers = ca.SX.sym("multipliers", self._rows.shape[0])
@@ -141,11 +142,6 @@ class Configuration:
         return ca.Function(name, list(symbols.values()), dense, list(symbols), names)
 
 
-@lru_cache(maxsize=32)
-def _configuration(machine: AnyMachine, control: Control, gravity: bool, extra: ConstraintRows | None) -> Configuration:
-    return Configuration(machine, control, gravity, extra)
-
-
 def build_configuration(
     machine: AnyMachine, control: Control = "inverse", gravity: bool = False, constraints: ConstraintSet | None = None
 ) -> Configuration:
@@ -159,4 +155,4 @@ def build_configuration(
     extra = None
     if constraints is not None and len(constraints):
         extra = ConstraintRows(constraints.structure, constraints.function)
-    return _configuration(machine, control, gravity, extra)
+    return Configuration(machine, control, gravity, extra)

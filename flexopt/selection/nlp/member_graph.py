@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Literal
 
 import casadi as ca
@@ -17,11 +17,12 @@ import numpy as np
 
 from flexopt.algebra.layout import Layout
 from flexopt.compiled import accelerate
+from flexopt.foundation.kept import by_structure
 from flexopt.model.own import OwnFunction
 from flexopt.robustness.margin import build_margin
 from flexopt.selection.nlp.configuration import Configuration
 from flexopt.selection.nlp.coupling import Coupling
-from flexopt.selection.own import OwnGraphs, OwnTerm, own_graphs
+from flexopt.selection.own import OwnGraphs, OwnTerm
 
 # Of objectives in order, of each its branches: values, or slopes by x (1, n_x).
 BranchGraphs = list[list[ca.MX]]
@@ -152,7 +153,7 @@ class MemberGraph:
 
     def _graphs(self, term: OwnTerm) -> OwnGraphs:
         c = self.configuration
-        return own_graphs(c.machine, c.control, c.gravity, term.own)
+        return OwnGraphs(c.measures, term.own)
 
     def _own_inputs(self, term: OwnTerm) -> list[ca.MX]:
         """What an own Function takes but `left`; what is held is asked for once."""
@@ -217,7 +218,7 @@ class MemberGraph:
         return epsilon, slopes
 
 
-@lru_cache(maxsize=48)
+@by_structure
 def _margin(configuration: Configuration, *, compiled: bool) -> tuple[ca.Function, ca.Function]:
     """`Margin.values` and `gradients`, or the compiled gradients for both, where there is a compiler."""
     c = configuration

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 
 import casadi as ca
 import numpy as np
 
 from flexopt.compiled.cost import compilation_seconds, evaluation_seconds
 from flexopt.foundation.arrays import Vector
+from flexopt.foundation.kept import by_structure
 from flexopt.model import AnyMachine
 from flexopt.selection.ascent.member import AscentMember
 from flexopt.selection.ascent.steps import STUCK, Ascent
@@ -415,7 +416,7 @@ def _branched_local(member: Linearisation) -> Local:
     return Local(float(last[0]), last_slopes[0], np.concatenate(g), np.vstack(jacobian))
 
 
-@lru_cache(maxsize=32)
+@by_structure
 def _extra_slopes(machine: AnyMachine, rows: ConstraintRows) -> ca.Function:  # noqa: ARG001 - with the rows a key
     """(base, posture, p, c) -> derivatives of the constraint rows by z, (k, n_z)."""
     f = rows.function

@@ -7,11 +7,11 @@ is compared with the independent numbers: a solver that is told a wrong slope st
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -68,8 +68,8 @@ def told(solver: ca.Function, parameters: Vector, x: Vector) -> Local:
     return Local(float(f), gradient.full().ravel(), g.full().ravel(), jacobian.full())
 
 
-# Programs with their parameters whose slopes were right.
-_confirmed: OrderedDict[tuple[ca.Function, bytes], None] = OrderedDict()
+# Of each program, the parameters with which its slopes were right.
+_confirmed: WeakKeyDictionary[ca.Function, set[bytes]] = WeakKeyDictionary()
 
 
 def run(
@@ -104,12 +104,12 @@ def confirm_once(
     bounds: Bounds,
 ) -> None:
     """`confirm`, the first time that a function is climbed with these parameters."""
-    key = (function, parameters.tobytes())
-    if key not in _confirmed:
+    known, key = _confirmed.setdefault(function, set()), parameters.tobytes()
+    if key not in known:
         confirm(function, parameters, given, independent, np.clip(start, bounds.x_lower, bounds.x_upper), bounds)
-        _confirmed[key] = None
-        while len(_confirmed) > REMEMBERED:
-            _confirmed.popitem(last=False)
+        if len(known) == REMEMBERED:
+            known.clear()
+        known.add(key)
 
 
 def confirm(

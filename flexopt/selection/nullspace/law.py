@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import cast
 
 import casadi as ca
@@ -19,6 +18,7 @@ from flexopt.algebra.feasible import shortest_steps
 from flexopt.compiled import accelerate
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.control import Control
+from flexopt.foundation.kept import by_structure
 from flexopt.model import AnyMachine
 from flexopt.plant.inverse_kinematics import inside_limits
 from flexopt.plant.plant import Plant
@@ -213,7 +213,7 @@ def retime(
     return timed, cut
 
 
-@lru_cache(maxsize=32)
+@by_structure
 def _functions(machine: AnyMachine, control: Control, gravity: bool) -> tuple[ca.Function, ca.Function]:
     """(base, posture, p) -> w, ∂w/∂z, r, ∂r/∂z, sine_squared in one Function; and r, ∂r/∂z in another."""
     measures = build_measures(machine, control, gravity)
@@ -230,7 +230,7 @@ def _functions(machine: AnyMachine, control: Control, gravity: bool) -> tuple[ca
     )
 
 
-@lru_cache(maxsize=32)
+@by_structure
 def _margin_gradients(machine: AnyMachine, control: Control, gravity: bool) -> ca.Function:
     """(base, posture, p, kr) -> epsilon, ∂epsilon/∂z, compiled where that can be."""
     gradients = build_margin(machine, control, gravity).gradients

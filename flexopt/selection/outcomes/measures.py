@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from flexopt.foundation.arrays import Vector
-from flexopt.loop.lag import lagged_modes
+from flexopt.loop.lag import LaggedModes
 from flexopt.loop.loop_motions import SLOWEST_MOTIONS, Measured
 from flexopt.loop.many import decays
 from flexopt.loop.outcome import LoopPoint
@@ -158,7 +158,7 @@ class Allowance(Measure):
 
 def _allowances(point: LoopPoint) -> tuple[Vector, dict[str, Vector]]:
     """κ_i, infinite where nothing excites a mode, and their slopes."""
-    values, slopes = lagged_modes(point.motions).at(point.numbers, point.dead_time)
+    values, slopes = LaggedModes(point.motions).at(point.numbers, point.dead_time)
     return values[ALLOWANCE], slopes[ALLOWANCE]
 
 

@@ -6,7 +6,6 @@ parameters, with exact slopes and second derivatives, and how it pulls at every 
 
 from flexopt.selection.own.graphs import OwnGraphs as OwnGraphs
 from flexopt.selection.own.graphs import OwnTerm as OwnTerm
-from flexopt.selection.own.graphs import own_graphs as own_graphs
 from flexopt.selection.own.quantities import known_quantities as known_quantities
 from flexopt.selection.own.reading import own_faults as own_faults
 from flexopt.selection.own.reading import weights_of as weights_of

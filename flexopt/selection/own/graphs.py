@@ -8,18 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
 
 from flexopt.foundation.arrays import Vector
-from flexopt.foundation.control import Control
-from flexopt.model import AnyMachine
+from flexopt.foundation.kept import Structural, structural_property
 from flexopt.model.own import OwnFunction
 from flexopt.plant.statics import left_over
 from flexopt.robustness.expansion import NO_DERIVATIVES
-from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures, build_measures
+from flexopt.robustness.measures import SOLVE_TOLERANCE, Measures
 from flexopt.selection.own.quantities import KnownQuantity, Sight, known_quantities
 from flexopt.selection.own.reading import wrong_slopes
 
@@ -29,7 +27,7 @@ INPUTS = ("base", "posture", "p", "held", "static", "c", "left")
 
 
 @dataclass(frozen=True)
-class OwnGraphs:
+class OwnGraphs(Structural):
     """An own Function f (k,) for a machine. m modes, z = [base, posture].
 
     No Function can be differentiated by CasADi, to which what is held would be constant: ask for the next one.
@@ -42,7 +40,7 @@ class OwnGraphs:
     measures: Measures
     own: OwnFunction
 
-    @cached_property
+    @structural_property
     def quantities(self) -> tuple[KnownQuantity, ...]:
         """What f takes, in its order."""
         known = known_quantities(self.measures.plant.machine)
@@ -67,11 +65,11 @@ class OwnGraphs:
     def _z(self) -> ca.SX:
         return ca.vertcat(*self.measures.inputs[:2])
 
-    @cached_property
+    @structural_property
     def _own_static(self) -> bool:
         return not self.measures.gravity and any(quantity.static for quantity in self.quantities)
 
-    @cached_property
+    @structural_property
     def static(self) -> ca.Function:
         """(base, posture, p) -> static deflection (m,), where it is needed and `held` has none; no derivative.
 
@@ -90,7 +88,7 @@ class OwnGraphs:
         options = {"is_diff_out": [False], "never_inline": True}
         return ca.Function("static", at, [found], list(INPUTS[:3]), ["static"], options)
 
-    @cached_property
+    @structural_property
     def _explicit(self) -> tuple[list[ca.SX], ca.SX]:
         """Symbols of base, posture, p, held and static; and the quantities but w as one graph of them."""
         expansion = self.measures.expansion
@@ -102,21 +100,21 @@ class OwnGraphs:
     def _inner(self, name: str, more: Sequence[ca.SX], output: ca.SX) -> ca.Function:
         return ca.Function(name, [*self._explicit[0], *more], [ca.densify(output)], {"cse": True})
 
-    @cached_property
+    @structural_property
     def _inner_value(self) -> ca.Function:
         return self._inner("quantities", [], self._explicit[1])
 
-    @cached_property
+    @structural_property
     def _inner_slope(self) -> ca.Function:
         return self._inner("quantity_slopes", [], ca.jacobian(self._explicit[1], self._z))
 
-    @cached_property
+    @structural_property
     def _inner_curvature(self) -> ca.Function:
         pull = ca.SX.sym("pull", self._explicit[1].shape[0])
         bent = ca.hessian(ca.dot(pull, self._explicit[1]), self._z)[0]
         return self._inner("quantity_curvature", [pull], bent)
 
-    @cached_property
+    @structural_property
     def _w_slope(self) -> ca.Function:
         """(base, posture, p, held) -> ∂w/∂z (m, n_z)."""
         expansion, held = self.measures.expansion, ca.MX.sym("held", self.measures.expansion.held.shape[0])
@@ -126,7 +124,7 @@ class OwnGraphs:
 
     # The Function itself, of the quantities but w as one vector, and of w.
 
-    @cached_property
+    @structural_property
     def _outer(self) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX]:
         """Symbols of the quantities, u, of w and of c; and f as a graph of u and w."""
         m = self.measures.plant.n_passive if self.takes_w else 0
@@ -142,13 +140,13 @@ class OwnGraphs:
             first += 0 if quantity.modes else quantity.size
         return given
 
-    @cached_property
+    @structural_property
     def _outer_value(self) -> ca.Function:
         """(u, w, c) -> f (k,)."""
         u, w, c, f = self._outer
         return _quick("own", [u, w, c], [f])
 
-    @cached_property
+    @structural_property
     def _outer_slope(self) -> ca.Function:
         """(u, w, c) -> cᵀ f, its slopes by u and by w."""
         u, w, c, f = self._outer
@@ -156,7 +154,7 @@ class OwnGraphs:
         slopes = [ca.densify(ca.gradient(total, u)), ca.densify(ca.gradient(total, w))]
         return _quick("own_slopes", [u, w, c], [total, *slopes])
 
-    @cached_property
+    @structural_property
     def _outer_curvature(self) -> ca.Function:
         """(u and w, c) -> second derivatives of cᵀ f by both, one below the other."""
         u, w, c, f = self._outer
@@ -167,7 +165,7 @@ class OwnGraphs:
 
     # Both together.
 
-    @cached_property
+    @structural_property
     def _begun(self) -> tuple[dict[str, ca.MX], ca.MX, ca.MX]:
         """Symbols of all inputs by name; u and w as graphs of them."""
         m, sizes = self.measures.plant.n_passive, [x.shape[0] for x in self._explicit[0]]
@@ -185,19 +183,19 @@ class OwnGraphs:
         s, u, w = self._begun
         return list[Any](self._outer_slope.call([u, w, s["c"]]))
 
-    @cached_property
+    @structural_property
     def values(self) -> ca.Function:
         """-> f (k,)."""
         s, u, w = self._begun
         return _function("own_values", s, {"f": self._outer_value.call([u, w, s["c"]])[0]})
 
-    @cached_property
+    @structural_property
     def value(self) -> ca.Function:
         """-> U."""
         s, _, _ = self._begun
         return _function("own_value", s, {"U": self._pulls()[0]})
 
-    @cached_property
+    @structural_property
     def slope(self) -> ca.Function:
         """-> U, ∂U/∂z (n_z,), and the pulls f_w (m,)."""
         s, _, _ = self._begun
@@ -210,7 +208,7 @@ class OwnGraphs:
             slope += self.measures.expansion.slope.call([*at[:4], pulls * (1 - s["left"])])[1]
         return _function("own_slope", s, {"U": value, "U_z": slope, "U_w": pulls})
 
-    @cached_property
+    @structural_property
     def curvature(self) -> ca.Function:
         """-> ∂²U/∂z² (n_z, n_z)."""
         s, u, w = self._begun
@@ -251,12 +249,12 @@ class OwnGraphs:
         held = self.measures.hold.call(list(at))[0] if needed else ca.DM.zeros(*self._explicit[0][3].shape)
         return [held, self.static.call(list(at))[0]]
 
-    @cached_property
+    @structural_property
     def values_at(self) -> ca.Function:
         """(base, posture, p, c, left) -> f (k,)."""
         return self._whole(self.values)
 
-    @cached_property
+    @structural_property
     def slope_at(self) -> ca.Function:
         """(base, posture, p, c, left) -> U, ∂U/∂z (n_z,), and the pulls f_w (m,)."""
         return self._whole(self.slope)
@@ -279,12 +277,6 @@ class OwnTerm:
     def weights(self) -> list[float]:
         """The c of `OwnGraphs`."""
         return [self.sign if k == self.row else 0.0 for k in range(int(self.own.function.numel_out(0)))]
-
-
-@lru_cache(maxsize=64)
-def own_graphs(machine: AnyMachine, control: Control, gravity: bool, own: OwnFunction) -> OwnGraphs:
-    """The graphs of a Function for a machine, controller and gravity option (kept: a selection asks often)."""
-    return OwnGraphs(build_measures(machine, control, gravity), own)
 
 
 def _quick(name: str, symbols: list[ca.MX], outputs: list[ca.MX]) -> ca.Function:

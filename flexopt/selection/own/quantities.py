@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from types import MappingProxyType
 
 import casadi as ca
 
+from flexopt.foundation.kept import by_structure
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_hydraulics, build_plant
 from flexopt.robustness.measures import Measures
@@ -117,7 +118,7 @@ class KnownQuantity:
         return f"{self.name} ({self.size},){unit}: {self.sentence}"
 
 
-@lru_cache(maxsize=64)
+@by_structure
 def known_quantities(machine: AnyMachine) -> Mapping[str, KnownQuantity]:
     """All quantities of a machine, by name."""
     plant = build_plant(machine)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from flexopt.compiled import Economical
 from flexopt.foundation.arrays import Mask, Vector
+from flexopt.foundation.kept import by_structure
 from flexopt.model import AnyMachine
 from flexopt.plant import Plant, build_plant
 from flexopt.plant.inverse_kinematics import solve_postures
@@ -250,7 +250,7 @@ class Solver:
         return towards, along
 
 
-@lru_cache(maxsize=16)
+@by_structure
 def _task_at_rest(machine: AnyMachine) -> Economical:
     """(base, posture, p) -> r and the stacked columns of Jv."""
     plant = build_plant(machine)
@@ -262,7 +262,7 @@ def _task_at_rest(machine: AnyMachine) -> Economical:
     return Economical(ca.Function("task_at_rest", inputs, dense, ["base", "posture", "p"], ["r", "Jv"], {"cse": True}))
 
 
-@lru_cache(maxsize=16)
+@by_structure
 def _task_as_it_sags(machine: AnyMachine) -> Economical:
     """(base, posture, p) -> r and the stacked columns of ∂r/∂q_a and Jv under the weight, and what tells that it holds.
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -16,6 +15,7 @@ from flexopt.algebra import symmetric_eigen
 from flexopt.compiled import Economical
 from flexopt.foundation.arrays import Progress, Vector
 from flexopt.foundation.control import Control
+from flexopt.foundation.kept import by_structure
 from flexopt.foundation.turns import available_cores
 from flexopt.model import AnyMachine
 from flexopt.plant.singularity import CONDITION_MAX, conditions, inverse_condition, screened
@@ -110,7 +110,9 @@ class Batches:
 
 def expect_points(count: int, machine: AnyMachine, *, control: Control, gravity: bool, epsilon_max: bool) -> Batches:
     """The Functions that `evaluate_points` calls; those that are worth it for so many points begin to be compiled."""
-    batches = _batches(machine, control, gravity, epsilon_max)
+    measures, margin = build_measures(machine, control, gravity), build_margin(machine, control, gravity)
+    margins = _margins_of_many(margin) if epsilon_max else None
+    batches = Batches(measures, margin, _measures_of_many(measures), margins)
     # The one that takes longer first.
     if batches.margins is not None:
         batches.margins.expect(count)
@@ -118,15 +120,13 @@ def expect_points(count: int, machine: AnyMachine, *, control: Control, gravity:
     return batches
 
 
-@lru_cache(maxsize=16)
-def _batches(machine: AnyMachine, control: Control, gravity: bool, epsilon_max: bool) -> Batches:
-    measures, margin = build_measures(machine, control, gravity), build_margin(machine, control, gravity)
-    compact = build_margin(machine, control, gravity, compact=True)
-    margins = Economical(margin.values, compact.values) if epsilon_max else None
-    return Batches(measures, margin, Economical(_measure_function(measures)), margins)
+@by_structure
+def _margins_of_many(margin: Margin) -> Economical:
+    return Economical(margin.values, margin.compacted.values)
 
 
-def _measure_function(measures: Measures) -> ca.Function:
+@by_structure
+def _measures_of_many(measures: Measures) -> Economical:
     """(base, posture, p) -> the measures as in `PointValues`, Jv, and what the static deflection left over.
 
     With a task of one row also the Jacobian of the position, with which the row is compared; see `plant.singularity`.
@@ -149,7 +149,8 @@ def _measure_function(measures: Measures) -> ca.Function:
         "left_over": left_over(plant, v["q"], v["static_residual"]) if measures.gravity else ca.SX(0),
     }
     dense = [ca.densify(output) for output in outputs.values()]
-    return ca.Function("map_measures", inputs, dense, ["base", "posture", "p"], list(outputs), {"cse": True})
+    names = ["base", "posture", "p"], list(outputs)
+    return Economical(ca.Function("map_measures", inputs, dense, *names, {"cse": True}))
 
 
 def _measured(

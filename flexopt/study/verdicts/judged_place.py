@@ -12,7 +12,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.loop.evaluation import swing_unit
-from flexopt.loop.lag import lagged_modes
+from flexopt.loop.lag import LaggedModes
 from flexopt.loop.standard_move import MOVE
 from flexopt.loop.uncertain import FEW, SENSES, UncertainLoop
 from flexopt.loop.uncertainty_box import member_in_words
@@ -139,7 +139,7 @@ def _too_weak(place: PlaceLoops, members: Sequence[Vector | None]) -> str:
 def _is_unseen(loop: UncertainLoop, slowest: Slowest) -> bool:
     """Whether the slowest motion is a mode that neither moves the end-point nor is excited by it, whatever the loop."""
     point = loop.outcome(slowest.member)
-    return lagged_modes(point.motions).is_unseen(point.numbers, slowest.decay, point.loop.rounding)
+    return LaggedModes(point.motions).is_unseen(point.numbers, slowest.decay, point.loop.rounding)
 
 
 def _rows(each: Sequence[Vector]) -> Vector:
