@@ -552,9 +552,7 @@ def left_out(machine: LoggedMachine, low: float, high: float, elbow: int, why: s
         turn = 2 * arb.pi()
         # How many whole turns bring an angle into its limits, at least and at most.
         return any(
-            bool(
-                ((arb(high) - angle) / (2 * arb.pi())).upper().floor() < ((low - angle) / (2 * arb.pi())).lower().ceil()
-            )
+            bool(((high - angle) / turn).upper().floor() < ((low - angle) / turn).lower().ceil())
             for angle, (low, high) in zip(map(span, found), log["bounds"][1:], strict=True)
             if low is not None and high is not None
         )
@@ -695,10 +693,11 @@ def _answer(log: dict[str, Any]) -> Answer:
     assumed = sum(why == "constraint" for *_, why in log["cells"])
     if assumed:
         faults.append(f"{assumed} cells are left out for constraints that the log does not carry")
-    # What costs little first.
+    # What costs little first, and no cell after one that fails.
     for side, low, high, why in [] if faults else log["cells"]:
         if not holds(machine, (low, high, int(side), why), log["upper"] + rounding if not why else math.inf):
             faults.append(f"[{low}, {high}], elbow {side:g}: not shown to be {why or 'below the bound'}")
+            break
     return Answer(faults, float(value), scales[last])
 
 
