@@ -47,9 +47,11 @@ def honest(form: str) -> str:
 
 def code(*arguments: str) -> int:
     """With which exit code the command ends."""
-    with pytest.raises(SystemExit) as left:
+    try:
         main(["check", *arguments])
-    return int(left.value.code or 0)
+    except SystemExit as left:
+        return int(left.code or 0)
+    return 0
 
 
 def hashed(log: Log) -> None:
@@ -92,10 +94,6 @@ def relabelled(why: str) -> Callable[[Log], None]:
         least(log)[3] = why
 
     return forge
-
-
-def a_tight_bound(log: Log) -> None:
-    log["upper"] = log["value"]
 
 
 def a_better_value(log: Log) -> None:
@@ -170,7 +168,6 @@ FORGERIES: dict[str, tuple[str, Callable[[Log], None]]] = {
     "travel of no scale": ("travel", put("travel.scale.1", 0.0)),
     "no travel": ("travel", put("travel", None)),
     "travel of one number": ("travel", put("travel.now", [0.0])),
-    "bound is value": ("sum", a_tight_bound),
     "better value": ("sum", a_better_value),
     "value": ("sum", put("value", by(0.999))),
     "value and bound": ("sum", put("upper", by(0.9))),

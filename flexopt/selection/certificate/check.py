@@ -11,8 +11,8 @@ It needs no start and no solver, and believes no result that it can compute.
 - The scale of an objective is the median of Σ |α_i| |a_i||b_i| / μ_i over `SAMPLES` placements within bounds, in the
   middles of as many equal parts, with either elbow inside the margin, and over the configuration. `ROUNDING` of it is
   what doubles may have done to V.
-- The configuration is one that reaches the target, with its joints to within `NEAR`; it is inside bounds and margin, V
-  there is `value`, and earlier objectives have what is `kept`.
+- The configuration is one that reaches the target, with its joints to within `NEAR`. It is inside bounds and margin, V
+  there is `value` or up to `NEAR` of the scale more, and earlier objectives have what is `kept`.
 - The cells cover every placement within bounds once, with either elbow. Those that are left out hold no allowed
   configuration; in all others V stays below `upper`, which is at most `gap` above `value`. A log needs no cells where
   no α_i is negative and `upper` is 0: no w_i is positive, and travel costs something.
@@ -681,7 +681,7 @@ def _answer(log: dict[str, Any]) -> Answer:
         for j, least in enumerate(log["kept"])
         if not values[j] >= least - ROUNDING * scales[j]
     ]
-    if not abs(value - log["value"]) <= rounding:
+    if not -rounding <= value - log["value"] <= NEAR * scales[last]:
         faults.append(f"value: the configuration has {float(value):.9g}")
     if not -rounding <= log["upper"] - log["value"] <= log["gap"] + rounding:
         faults.append("upper: is not between value and value + gap")
@@ -705,7 +705,7 @@ def statement(log: dict[str, Any], answer: Answer) -> str:
     """What was shown of a log, or what was not."""
     if answer.faults:
         return "\n".join(["not proven:", *(f"  {fault}" for fault in answer.faults)])
-    machine, share = log["machine"], 100 * max(log["upper"] - log["value"], 0) / (answer.scale or 1)
+    machine, share = log["machine"], 100 * max(log["upper"] - answer.value, 0) / (answer.scale or 1)
     rows, ends = [f"{weights}" for weights in log["weights"]], log["bounds"][0]
     kept = [f", at least {least:.9g} of the sum with {row}" for row, least in zip(rows, log["kept"], strict=False)]
     return "\n".join([
