@@ -217,7 +217,7 @@ FORGERIES: dict[str, tuple[str, Callable[[Log], None]]] = {
     "joints in another order": ("sum", both_at_once),
     "hash": ("sum", put("machine.sha256", "0" * 64)),
     "name, old hash": ("sum", put("machine.name", "another")),
-    "kept": ("order", put("kept.0", lambda x: 0.5 * x)),
+    "kept": ("order", put("kept.0", by(0.5))),
     "kept is NaN": ("order", put("kept.0", math.nan)),
     "kept less, so cells lack": ("order", put("kept.0", by(100.0))),
     "no cells": ("sum", put("cells", [])),
@@ -256,6 +256,12 @@ FORGERIES: dict[str, tuple[str, Callable[[Log], None]]] = {
     "format": ("sum", put("format", "flexopt certificate 1")),
     "format is a list": ("sum", put("format", [])),
 }
+# One of each kind.
+QUICK = {
+    "scale", "upper is NaN", "gap without end", "better value", "posture", "wider", "limit far away", "margin", "mass",
+    "mass, old hash", "weights below 0", "no cells, V = 0 claimed", "no cells elsewhere", "gap between", "called margin",
+    "all constraints", "true", "huge integer", "format",
+}  # fmt: skip
 TEXTS: dict[str, Callable[[str], str]] = {
     "key twice": lambda text: text.replace('"value":', '"upper": 1e9, "value":', 1),
     "integer of 5,000 digits": lambda text: text.replace('"gap":', f'"gap": {"9" * 5000}, "g":', 1),
@@ -268,6 +274,7 @@ TEXTS: dict[str, Callable[[str], str]] = {
 }
 
 
+@pytest.mark.long("order", "travel")
 @pytest.mark.parametrize("form", FORMS)
 def test_honest_logs(form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "proof.json"
@@ -280,6 +287,7 @@ def test_honest_logs(form: str, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert code(str(path), "--machine", "boom-stick-bucket") == 3
 
 
+@pytest.mark.long(*sorted(FORGERIES.keys() - QUICK))
 @pytest.mark.parametrize("name", FORGERIES)
 def test_forgeries(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     form, forge = FORGERIES[name]
@@ -313,7 +321,10 @@ def test_all_faults_of_shape_are_told_at_once(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("flexopt.cli.checking.find_spec", lambda name: None)
+    def nothing(name: str) -> None:
+        """Finds no module."""
+
+    monkeypatch.setattr("flexopt.cli.checking.find_spec", nothing)
     path = tmp_path / "proof.json"
     path.write_text("{}", encoding="utf-8")
     assert code(str(path)) == 2

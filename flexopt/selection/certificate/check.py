@@ -35,7 +35,7 @@ import sys
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from flexopt.selection.certificate.balls import (
     DEGREE,
@@ -150,18 +150,24 @@ def read(path: str) -> dict[str, Any]:
 
 def misfits(value: Any, shape: Any, at: str) -> list[str]:
     """Sentences about what of a value has another shape."""
+    pairs: list[tuple[str, Any, Any]] = []
+    found: list[str] = []
     if isinstance(shape, tuple):
-        return [] if value is None else misfits(value, shape[1], at)
+        return [] if value is None else misfits(value, cast(tuple[None, Any], shape)[1], at)
     if isinstance(shape, dict):
         if not isinstance(value, dict):
             return [f"{at}: must be a table"]
-        pairs = [(f"{at}.{key}", value.get(key), of) for key, of in shape.items() if key in value]
-        found = [f"{at}: {key!r} is {'unknown' if key in value else 'missing'}" for key in value.keys() ^ shape.keys()]
+        table, keys = cast(dict[str, Any], value), cast(dict[str, Any], shape)
+        pairs = [(f"{at}.{key}", table[key], of) for key, of in keys.items() if key in table]
+        wrong = sorted(table.keys() ^ keys.keys())
+        found = [f"{at}: {key[:40]!r} is {'unknown' if key in table else 'missing'}" for key in wrong]
     elif isinstance(shape, list):
-        if not isinstance(value, list) or len(shape) not in (1, len(value)):
-            return [f"{at}: must be a list{f' of {len(shape)}' if len(shape) > 1 else ''}"]
-        of = shape * len(value) if len(shape) == 1 else shape
-        pairs, found = [(f"{at}[{k}]", each, kind) for k, (each, kind) in enumerate(zip(value, of, strict=True))], []
+        kinds = cast(list[Any], shape)
+        if not isinstance(value, list) or len(kinds) not in (1, len(cast(list[Any], value))):
+            return [f"{at}: must be a list{f' of {len(kinds)}' if len(kinds) > 1 else ''}"]
+        entries = cast(list[Any], value)
+        of_each = kinds * len(entries) if len(kinds) == 1 else kinds
+        pairs = [(f"{at}[{k}]", each, kind) for k, (each, kind) in enumerate(zip(entries, of_each, strict=True))]
     elif shape is float:
         return [] if type(value) in (int, float) and abs(value) <= MOST else [f"{at}: must be a finite number"]
     else:
@@ -694,7 +700,8 @@ def _answer(log: dict[str, Any]) -> Answer:
     if assumed:
         faults.append(f"{assumed} cells are left out for constraints that the log does not carry")
     # What costs little first, and no cell after one that fails.
-    for side, low, high, why in [] if faults else log["cells"]:
+    cells: list[Any] = [] if faults else log["cells"]
+    for side, low, high, why in cells:
         if not holds(machine, (low, high, int(side), why), log["upper"] + rounding if not why else math.inf):
             faults.append(f"[{low}, {high}], elbow {side:g}: not shown to be {why or 'below the bound'}")
             break
