@@ -50,7 +50,8 @@ def examine(case: Case, points: int, checked: bool) -> dict[str, Any] | str:
     seconds = time.process_time() - start
     wrong, best = contradictions(selection, certificate, points) if points else (0, -math.inf)
     begin = time.process_time()
-    faults, trusted = check(json.loads(json.dumps(certificate.log))) if checked and certificate.proven else ([], 0)
+    answered = checked and certificate.proven
+    faults = check(json.loads(json.dumps(certificate.log, allow_nan=False))).faults if answered else []
     return {
         "verdict": certificate.verdict,
         "gap": certificate.gap / certificate.scale,
@@ -60,7 +61,7 @@ def examine(case: Case, points: int, checked: bool) -> dict[str, Any] | str:
         "wrong": wrong,
         "beyond": (best - certificate.value) / certificate.scale,
         "faults": faults,
-        "trusted": trusted,
+        "accepted": answered and not faults,
         "checking": time.process_time() - begin,
         "status": certificate.status,
     }
@@ -101,6 +102,7 @@ def main() -> int:
     checking = np.array([row["checking"] for row in found])
     wrong, faults = sum(row["wrong"] for row in found), sum(len(row["faults"]) for row in found)
     print(f"problems {len(found)}: {dict(Counter(row['verdict'] for row in found))}; points each {options.points}")
+    print(f"logs accepted by the other program: {sum(row['accepted'] for row in found)} of {len(found)}")
     print(f"contradictions: {wrong} by the scans, {faults} by the other program ({checking.max():.1f} s at most)")
     print(f"best of a scan beyond the best selected: {max(row['beyond'] for row in found):.2e} of the scale at most")
     print(f"gap: one w_i {max(single, default=0):.1e} (bar {BAR_ONE:g}), sums {max(sums, default=0):.1e} (bar {BAR:g})")

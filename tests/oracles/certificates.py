@@ -68,7 +68,7 @@ def machine_modes(machine: Any) -> int:
 
 def contradictions(selection: flexopt.Selection, certificate: flexopt.Certificate, points: int) -> tuple[int, float]:
     """Allowed points that have more than their cell's bound allows, or than the certificate's; the best V seen."""
-    problem, log = selection.problem, certificate.log
+    problem, covering = selection.problem, certificate.covering
     plant, variable = problem.measures.plant, problem.variables[0]
     x = np.linspace(variable.lower, variable.upper, max(2, points // 2))
     wrong, best, rounding = 0, -math.inf, ROUNDING * problem.objective_scale
@@ -81,11 +81,10 @@ def contradictions(selection: flexopt.Selection, certificate: flexopt.Certificat
         if problem.travel is not None:
             z = np.vstack([x[None, allowed], posture[:, allowed]]).T
             value = value - problem.travel_cost(problem.objective, z)[0]
-        cells = [(low, high, why, bound) for side, low, high, why, bound in log["cells"] if side == elbow]
         limit = np.full(value.size, certificate.upper)
-        if cells:
-            lows = np.array([cell[0] for cell in cells])
-            bounds = np.array([-math.inf if cell[2] else math.inf if cell[3] is None else cell[3] for cell in cells])
+        if covering is not None:
+            side = covering.elbow == elbow
+            lows, bounds = covering.low[side], covering.bound[side]
             number = np.searchsorted(lows, x[allowed], side="right") - 1
             # A point on the edge of two cells, or within rounding of bounds, may count for either.
             beside = (np.searchsorted(lows, x[allowed] + shift, side="right") - 1 for shift in (1e-9, -1e-9))

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -47,11 +46,6 @@ def log_of_sum() -> str:
     return json.dumps(flexopt.certify(selected(**SUM, base_range=(-1.0, 0.3))).log, allow_nan=False)
 
 
-@cache
-def faults_of_sum() -> tuple[str, ...]:
-    return tuple(checking.check(json.loads(log_of_sum()))[0])
-
-
 def holds(certificate: flexopt.Certificate, selection: flexopt.Selection, gap: float) -> None:
     assert certificate.proven
     assert 0 <= certificate.gap <= gap * certificate.scale
@@ -61,7 +55,7 @@ def holds(certificate: flexopt.Certificate, selection: flexopt.Selection, gap: f
     wrong, best = contradictions(selection, certificate, POINTS)
     assert wrong == 0
     assert best <= certificate.upper + 1e-11 * certificate.scale
-    assert checking.check(json.loads(json.dumps(certificate.log, allow_nan=False)))[0] == []
+    assert checking.check(json.loads(json.dumps(certificate.log, allow_nan=False))).faults == []
 
 
 @pytest.mark.long("nearly straight", "in order", "sum", "edge")
@@ -83,7 +77,7 @@ def test_the_article(options: dict[str, Any], gap: float) -> None:
     if "," in options.get("objective", ""):
         # A scan knows nothing of what is kept.
         assert certificate.proven
-        assert checking.check(json.loads(json.dumps(certificate.log)))[0] == []
+        assert checking.check(json.loads(json.dumps(certificate.log))).faults == []
     else:
         holds(certificate, selection, gap)
 
@@ -130,9 +124,10 @@ def test_constraints_leave_cells_out() -> None:
     certificate = flexopt.certify(selection)
     assert certificate.proven
     assert "distance inside region" in selection.best.active
-    faults, trusted = checking.check(json.loads(json.dumps(certificate.log)))
-    assert faults == []
-    assert trusted == sum(cell[3] == "constraint" for cell in certificate.log["cells"]) > 0
+    assert "rest on constraints" in certificate.status
+    left = sum(cell[3] == "constraint" for cell in certificate.log["cells"])
+    (fault,) = checking.check(json.loads(json.dumps(certificate.log))).faults
+    assert fault.startswith(f"{left} cells are left out for constraints")
 
 
 @pytest.mark.long
@@ -163,8 +158,7 @@ def test_w_over_cells(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_checker_leaves_the_precision_of_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ctx, "prec", 77)
-    faults, _ = checking.check(json.loads(json.dumps(flexopt.certify(selected(**SUM)).log)))
-    assert not faults
+    assert not checking.check(json.loads(log_of_sum())).faults
     assert ctx.prec == 77
 
 
@@ -215,48 +209,6 @@ def test_an_arm_with_a_slide_is_told_that_proofs_need_hinges() -> None:
         flexopt.certify(selection)
 
 
-def _without_a_cell(log: dict[str, Any]) -> None:
-    del log["cells"][len(log["cells"]) // 3]
-
-
-def _shorter(log: dict[str, Any]) -> None:
-    log["cells"] = log["cells"][:-1]
-
-
-def _lower_bound(log: dict[str, Any]) -> None:
-    log["upper"] = log["value"] - 0.01 * log["scale"]
-    for cell in log["cells"]:
-        cell[4] = None if cell[4] is None else min(cell[4], log["upper"])
-
-
-def _called_straight(log: dict[str, Any]) -> None:
-    cell = max((cell for cell in log["cells"] if not cell[3]), key=lambda cell: cell[4])
-    cell[3], cell[4] = "margin", None
-
-
-def _lighter(log: dict[str, Any]) -> None:
-    log["machine"]["bodies"][-1]["mass"] *= 0.9
-
-
-def _beyond(log: dict[str, Any]) -> None:
-    log["bounds"][0][1] += 1e-9
-
-
-def _no_cells(log: dict[str, Any]) -> None:
-    log["cells"] = []
-
-
-@pytest.mark.long("_without_a_cell", "_shorter", "_lower_bound", "_called_straight", "_lighter")
-@pytest.mark.parametrize(
-    "spoil", [_without_a_cell, _shorter, _lower_bound, _called_straight, _lighter, _beyond, _no_cells]
-)
-def test_a_log_that_was_tampered_with_is_found(spoil: Callable[[dict[str, Any]], None]) -> None:
-    log = json.loads(log_of_sum())
-    assert faults_of_sum() == ()
-    spoil(log)
-    assert checking.check(log)[0]
-
-
 @pytest.mark.long
 def test_the_command_and_the_other_program(tmp_path: Path) -> None:
     """`flexopt select --certify --proof`, then the program on the log, in processes of their own."""
@@ -277,7 +229,7 @@ def test_the_command_and_the_other_program(tmp_path: Path) -> None:
     assert told["gap"] <= told["gap_asked"] == 1e-5 * told["scale"]
     program = [sys.executable, "-m", "flexopt.selection.certificate.check", str(log)]
     answer = subprocess.run(program, capture_output=True, check=True, text=True, encoding="utf-8")
-    assert f"{told['cells']} cells: no allowed configuration has more than" in answer.stdout
+    assert f"proven by {told['cells']} cells: no configuration has more than" in answer.stdout
     text = json.loads(log.read_text(encoding="utf-8"))
     text["cells"].pop()
     log.write_text(json.dumps(text), encoding="utf-8")

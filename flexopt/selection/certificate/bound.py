@@ -50,13 +50,9 @@ class Covering:
         """What the objective is at most anywhere; −∞ where no configuration is allowed."""
         return float(self.bound.max(initial=-np.inf))
 
-    def rows(self) -> list[tuple[float, float, float, str, float]]:
-        """Elbow, ends, why it is left out, and bound of every cell, by elbow and placement."""
-        return list(
-            zip(
-                *(x.tolist() for x in (self.elbow, self.low, self.high)), self.outside, self.bound.tolist(), strict=True
-            )
-        )
+    def rows(self) -> list[tuple[float, float, float, str]]:
+        """Elbow, ends, and why it is left out, of every cell, by elbow and placement."""
+        return list(zip(*(x.tolist() for x in (self.elbow, self.low, self.high)), self.outside, strict=True))
 
 
 def branch_and_bound(curve: RedundancyCurve, sought: float) -> Covering:

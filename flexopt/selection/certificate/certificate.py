@@ -6,6 +6,7 @@ In: a selection. Out: a `Certificate`: the verdict, the bound, and a log of cell
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -23,13 +24,15 @@ from flexopt.foundation.boundary import instance, number, path, public
 from flexopt.foundation.documents import json_ready, package_version
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
+from flexopt.model import AnyMachine
 from flexopt.plant.inverse_kinematics import ELBOW_SIGN, branch
+from flexopt.plant.plant import build_plant
 from flexopt.selection.certificate.bound import Covering, branch_and_bound
-from flexopt.selection.certificate.curve import RedundancyCurve
+from flexopt.selection.certificate.curve import CONSTRAINT, RedundancyCurve
 from flexopt.selection.problem import SelectionProblem, value_at
 from flexopt.selection.result import Selection
 
-FORMAT = "flexopt certificate 1"
+FORMAT = "flexopt certificate 2"
 # The gap that is asked for, as a share of the objective's scale: of a single mode, and of sums.
 GAP_OF_ONE, GAP = 1e-8, 1e-5
 ProofStatus = Literal["proven", "undecided", "refuted"]
@@ -46,10 +49,10 @@ class Certificate(Result):
         value: V of the selection's best, a lower bound.
         upper: what V is at most anywhere; infinite where some cell could not be bounded.
         gap: upper − value, at least 0;  gap_asked: the largest that counts as proven;  scale: of the objective.
-        cells: how many the redundancy was covered by; 0 where V = 0, the most there is, is reached.
         better: a better configuration z = [base, posture], (n_z,), or None.
-        where: the middles of a few cells that could not be decided, placement and elbow (−1 up, +1 down).
-        log: what an independent program needs to check it: machine, target, bounds, and every cell with its bound.
+        covering: the cells with their bounds; None where V = 0, the most there is, is reached.
+        log: what an independent program needs to check it: machine, target, bounds, and every cell. Constraints of
+            one's own are not in it: `flexopt check` calls nothing proven that rests on them.
 
     Example:
         >>> selection = flexopt.select(flexopt.load("excavator"), (0.0, 1.6), starts=8)
@@ -67,9 +70,8 @@ class Certificate(Result):
     gap: float
     gap_asked: float
     scale: float
-    cells: int
     better: Vector | None
-    where: tuple[tuple[float, float], ...]
+    covering: Covering | None = field(repr=False, compare=False)
     _log: Any = field(repr=False, compare=False)
 
     @property
@@ -78,15 +80,31 @@ class Certificate(Result):
         return self.verdict == "proven"
 
     @property
+    def cells(self) -> int:
+        """How many the redundancy was covered by; 0 where V = 0, the most there is, is reached."""
+        return 0 if self.covering is None else self.covering.low.size
+
+    @property
+    def where(self) -> tuple[tuple[float, float], ...]:
+        """The middles of a few cells that could not be decided, placement and elbow (−1 up, +1 down)."""
+        cells = self.covering
+        if cells is None:
+            return ()
+        loose = np.flatnonzero(~(cells.bound <= self.value + self.gap_asked))[:3]
+        return tuple((float((cells.low[k] + cells.high[k]) / 2), float(cells.elbow[k])) for k in loose)
+
+    @property
     def status(self) -> str:
         """A sentence."""
         share = f"{100 * self.gap / self.scale:.2g} % of its scale"
         if self.verdict == "proven" and not self.cells:
             return f"proven: no configuration has a larger {self.objective}: 0 is the most there is, and is reached"
         if self.verdict == "proven":
+            own = 0 if self.covering is None else self.covering.outside.count(CONSTRAINT)
             return (
                 f"proven: no configuration that keeps what was asked has a larger {self.objective} by more than "
                 f"{self.gap:.2g} ({share}), by {self.cells} cells over the whole redundancy"
+                + (f"; {own} of them rest on constraints, which flexopt check cannot check" if own else "")
             )
         if self.better is not None:
             at = ", ".join(f"{x:.6g}" for x in self.better)
@@ -102,7 +120,7 @@ class Certificate(Result):
 
     @public(path=path(".json", parent=True))
     def write_log(self, path: str | os.PathLike[str]) -> None:
-        """Write the log as JSON: `python -m flexopt.selection.certificate.check PATH` checks it.
+        """Write the log as JSON: `flexopt check PATH` checks it.
 
         Raises:
             WriteError: the file cannot be written.
@@ -180,32 +198,18 @@ def certify(selection: Selection, *, gap: float | None = None) -> Certificate:
     single = sum(alpha > 0 for alpha in problem.objective.alpha) == 1 and problem.travel is None
     asked = (gap or (GAP_OF_ONE if single else GAP)) * scale
     name = problem.objective.name
+    cells: Covering | None = None
     if best.unsurpassed:
-        value = value_at(problem, best.z)
-        short = max(-value, 0.0)
-        return Certificate(
-            "proven",
-            name,
-            value,
-            0.0,
-            short,
-            asked,
-            scale,
-            0,
-            None,
-            (),
-            lambda: _log(problem, best.z, value, 0.0, None),
-        )
-    curve = RedundancyCurve(problem)
-    value = _value(curve, best.z)
-    cells = branch_and_bound(curve, value + asked)
-    upper = max(cells.upper, value)
-    verdict: ProofStatus = "refuted" if cells.better is not None else "proven" if cells.decided else "undecided"
-    loose = np.flatnonzero(~(cells.bound <= value + asked))[:3]
-    where = tuple((float((cells.low[k] + cells.high[k]) / 2), float(cells.elbow[k])) for k in loose)
+        value, upper, better, verdict = value_at(problem, best.z), 0.0, None, "proven"
+    else:
+        curve = RedundancyCurve(problem)
+        value = _value(curve, best.z)
+        cells = branch_and_bound(curve, value + asked)
+        upper, better = max(cells.upper, value), cells.better
+        verdict = "refuted" if better is not None else "proven" if cells.decided else "undecided"
     return Certificate(
-        verdict, name, value, upper, upper - value, asked, scale, cells.low.size, cells.better, where,
-        lambda: _log(problem, best.z, value, upper, cells),
+        verdict, name, value, upper, max(upper - value, 0.0), asked, scale, better, cells,
+        lambda: _log(problem, best.z, value, upper, asked, cells),
     )  # fmt: skip
 
 
@@ -221,39 +225,49 @@ def _value(curve: RedundancyCurve, z: Vector) -> float:
     return float(curve.see(x, x, np.array([elbows[int(np.argmin(away))]]), precise=True).low[0])
 
 
-def _log(problem: SelectionProblem, z: Vector, value: float, upper: float, cells: Covering | None) -> dict[str, Any]:
-    """All that the proof stands on."""
-    machine, tree = problem.machine, problem.machine.kinematic_tree
-    bodies = [body.model_dump(mode="json") | {"held": i in tree.held} for i, body in enumerate(tree.bodies)]
-    stiffness = problem.measures.plant.stiffness.call([problem.measures.plant.parameter_values])[0].full()
-    m = problem.measures.plant.n_passive
-    travel = problem.travel
+def _log(
+    problem: SelectionProblem, z: Vector, value: float, upper: float, gap: float, cells: Covering | None
+) -> dict[str, Any]:
+    """All that the proof stands on: the format is told in `flexopt.selection.certificate.check`."""
+    count, travel = len(problem.kept) + 1, problem.travel
+    sizes = problem.objective_scales[:count]
     return {
         "format": FORMAT,
         "flexopt": package_version("flexopt"),
-        "machine": {
-            "name": machine.name,
-            "sha256": machine.content_hash,
-            "bodies": bodies,
-            "end_point": tree.end_point.model_dump(mode="json"),
-            "placement": tree.placement,
-            "up": "xyz"[tree.up],
-            "payload": next(each.value for each in machine.parameters if each.name == tree.entries["payload"]),
-            "passive": [body.name for body in tree.passive],
-            "actuated": [body.name for body in tree.actuated],
-            "stiffness": stiffness[:m, :m],
-        },
+        "machine": logged_machine(problem.machine),
         "target": problem.target,
         "control": problem.control,
-        "weights": [objective.weights for objective in problem.objectives[: len(problem.kept) + 1]],
+        "weights": [objective.weights for objective in problem.objectives[:count]],
         "kept": problem.kept,
-        "scale": problem.objective_scale,
         "margin": problem.singularity_margin,
         "bounds": [(variable.lower, variable.upper) for variable in problem.variables],
-        "travel": travel and {"cost": travel.cost * problem.objective_scale, "now": travel.now, "scale": problem.scale},
-        "constraints": 0 if problem.constraint_set is None else len(problem.constraint_set),
+        "travel": travel and {"cost": [travel.cost * s for s in sizes], "now": travel.now, "scale": problem.scale},
         "configuration": z,
         "value": value,
         "upper": upper,
+        "gap": gap,
         "cells": [] if cells is None else cells.rows(),
     }
+
+
+def logged_machine(machine: AnyMachine) -> dict[str, Any]:
+    """A machine's numbers as a log has them, with the SHA-256 of their JSON: keys sorted, no spaces, ASCII."""
+    tree, plant = machine.kinematic_tree, build_plant(machine)
+    tip, m = tree.end_point, plant.n_passive
+    numbers = {
+        "name": machine.name,
+        "bodies": [
+            {key: getattr(body, key) for key in ("name", "parent", "position", "rotation", "mass", "com", "inertia")}
+            | {key: getattr(body.joint, key) for key in ("kind", "axis", "passive", "rest", "armature")}
+            for body in tree.bodies
+        ],
+        "end_point": {"body": tip.body, "position": tip.position, "rows": tip.rows},
+        "placement": tree.placement,
+        "payload": next(each.value for each in machine.parameters if each.name == tree.entries["payload"]),
+        "passive": [body.name for body in tree.passive],
+        "actuated": [body.name for body in tree.actuated],
+        "stiffness": plant.stiffness.call([plant.parameter_values])[0].full()[:m, :m],
+    }
+    numbers = json_ready(numbers)
+    text = json.dumps(numbers, sort_keys=True, separators=(",", ":"))
+    return numbers | {"sha256": hashlib.sha256(text.encode()).hexdigest()}
