@@ -98,9 +98,12 @@ def _compared(case: str, name: str, before: Kept, now: Any) -> list[Difference]:
         return [Difference(name, old, now, np.inf)]
     allowed = tolerance(case, name)
     a, b = entries(old), entries(now)
-    if (np.isfinite(a) != np.isfinite(b)).any() or (a[np.isinf(a)] != b[np.isinf(b)]).any():
+    # Kept whole before and sampled now, or not finite at other places.
+    if a.shape != b.shape or not np.array_equal(a[~np.isfinite(a)], b[~np.isfinite(b)], equal_nan=True):
         return [Difference(name, old, now, np.inf)]
     finite = np.isfinite(a)
+    if (finite != np.isfinite(b)).any():
+        return [Difference(name, old, now, np.inf)]
     a, b = a[finite], b[finite]
     if not a.size:
         return []

@@ -14,7 +14,7 @@ import numpy as np
 
 DIGITS = 12
 # Entries of an array that is kept whole, and of the sample of a longer array.
-MAX_WHOLE, SAMPLE = 60, 24
+MAX_WHOLE, SAMPLE = 40, 12
 # Provenance, and text keyed by machine and version.
 NEVER = frozenset({"provenance", "sources", "schema"})
 
