@@ -25,7 +25,7 @@ CRANE = "truck-crane --posture 1.2,0.8,-0.9,1.5"
 AT = "excavator --end-point 0,1.6 --base 0 --starts 1"
 LOOP = "--loop kp=1e4 --loop kv=1e3"
 
-# A file of its own for each; a line that begins with "#" is a file that is written before.
+# Commands run one after another in a folder that has `bad.toml`, `own.toml`, `small.toml` and `swing.csv`.
 LINES: dict[str, tuple[str, ...]] = {
     "atlas": ("atlas excavator --x-range 0.5,1.5 --y-range -2,-1 --cells 8,8",),
     "check": (
@@ -37,8 +37,8 @@ LINES: dict[str, tuple[str, ...]] = {
         "check nowhere",
     ),
     "compare": (
-        f"evaluate {EXCAVATOR} --out one.json",
-        "evaluate excavator --posture 0.5,-1.5 --out two.json",
+        f"evaluate {EXCAVATOR} --json > one.json",
+        "evaluate excavator --posture 0.5,-1.5 --json > two.json",
         "compare one.json two.json",
     ),
     "completion": ("completion bash",),
@@ -60,12 +60,12 @@ LINES: dict[str, tuple[str, ...]] = {
     ),
     "identify": ("identify excavator swing.csv --posture 1,-2 --unknown base.*.rotation",),
     "map": (
-        "map excavator --points 4,3 --no-epsilon-max",
-        f"map {EXCAVATOR} --vary kp=1e3,1e5 --points 3",
+        "map excavator --points 4,3",
+        f"map {EXCAVATOR} --vary kp=1e3,1e5 --vary kv=1e2,1e4 --points 3,3",
     ),
     "new": ("new digger.toml --yes",),
     "region": (f"region {EXCAVATOR} --boxes 0", f"region {BUCKET} --boxes 0"),
-    "report": (f"report {AT} --points 3 --out report",),
+    "report": ("report own.toml --points 3 --out report", "report nowhere --out report"),
     "schema": ("schema study --out study.json",),
     "select": (
         "select article --starts 2",
@@ -82,7 +82,11 @@ LINES: dict[str, tuple[str, ...]] = {
         f"simulate {BUCKET} --loop default --duration 0.2",
     ),
     "study": ("study run small.toml --out folder", "study status folder", "study export folder --out small.csv"),
-    "verdict": (f"verdict {AT} {LOOP} --members 2 --runs 0", "verdict excavator --end-point 0,1.6"),
+    "verdict": (
+        f"verdict own.toml {LOOP} --members 2 --runs 1 --duration 1",
+        "verdict own.toml --loop default --members 2 --runs 0",
+        "verdict excavator --end-point 0,1.6",
+    ),
     "verify": ("verify nowhere",),
     "help": ("--help", *(f"{name} --help" for name in sorted(COMMANDS))),
 }
@@ -92,6 +96,15 @@ name = "bad"
 [base]
 length = -0.5
 mass = "heavy"
+"""
+OWN = """schema = 1
+name = "own"
+machine = "excavator"
+[target]
+end_point = [0.0, 1.6]
+[selection]
+base = [0.0]
+starts = 2
 """
 STUDY = """schema = 1
 name = "small"
@@ -105,16 +118,16 @@ value = [0.5, 1.0]
 count = 2
 """
 # Of `doctor`: what is found on this machine.
-FOUND_HERE = re.compile(r"^(\s*\S+ C compiler: ).*$", re.MULTILINE)
+FOUND_HERE = re.compile(r"^\s*\S+\s+(C compiler: ).*$", re.MULTILINE)
 PROGRESS = re.compile(r"^\w+ \d+/\d+$")
-NUMBER = re.compile(r"[-+±−]?(?<![A-Za-z_])\d[\d.]*(?:e[-+]?\d+)?(?:[-.]\d+)*")
+NUMBER = re.compile(r"(?<!\w)[-+±−]?\d+(?:\.\d+)*(?:e[-+]?\d+)?")
 
 
 def printed(snapshot: str) -> str:
     """What the commands of a snapshot print, masked."""
     with TemporaryDirectory() as folder, chdir(folder):
         _write_inputs(Path(folder))
-        return "\n".join(f"$ flexopt {line}\n{masked(_run(line), folder)}" for line in LINES[snapshot])
+        return "\n".join(f"$ flexopt {line}\n{_run(line, folder)}" for line in LINES[snapshot])
 
 
 def masked(text: str, folder: str = "") -> str:
@@ -123,12 +136,13 @@ def masked(text: str, folder: str = "") -> str:
         text = text.replace(found, word) if found else text
     text = FOUND_HERE.sub(r"\1…", text)
     text = NUMBER.sub("#", text)
-    text = re.sub(r"([ ─━═█▇#–-])\1+", r"\1", text)
+    text = re.sub(r"([ ─━═█▇#])\1+", r"\1", text)
     return "\n".join(line.strip() for line in text.splitlines()) + "\n"
 
 
-def _run(line: str) -> str:
-    """Standard output, then standard error without progress, then the exit status where it is not 0."""
+def _run(line: str, folder: str) -> str:
+    """Standard output, then standard error without progress, both masked, then the exit status where it is not 0."""
+    line, _, file = line.partition(" > ")
     out, err, code = io.StringIO(), io.StringIO(), 0
     environment = {"COLUMNS": "80", "LINES": "24", "FLEXOPT_COMPILE": "0", "NO_COLOR": "1"}
     with (
@@ -143,12 +157,15 @@ def _run(line: str) -> str:
         except SystemExit as leave:
             code = leave.code if isinstance(leave.code, int) else 0
     told = [each for each in err.getvalue().splitlines() if not PROGRESS.match(each)]
-    status = [f"exit {'ABCDEFGHIJ'[min(code, 9)]}"] if code else []
-    return out.getvalue() + "".join(f"{each}\n" for each in [*told, *status])
+    if file:
+        Path(file).write_text(out.getvalue(), encoding="utf-8")
+    text = ("" if file else out.getvalue()) + "".join(f"{each}\n" for each in told)
+    return (masked(text, folder) if text else "") + (f"exit status {code}\n" if code else "")
 
 
 def _write_inputs(folder: Path) -> None:
     (folder / "bad.toml").write_text(BAD, encoding="utf-8")
+    (folder / "own.toml").write_text(OWN, encoding="utf-8")
     (folder / "small.toml").write_text(STUDY, encoding="utf-8")
     t = np.arange(200) / 100
     noise = 1e-5 * np.random.default_rng(1).standard_normal(t.size)
