@@ -53,9 +53,7 @@ def main() -> int:
 
 
 def _asked(name: str, patterns: list[str]) -> bool:
-    return not patterns or any(
-        fnmatchcase(name, pattern) or name.partition("-")[0] == pattern for pattern in patterns
-    )
+    return not patterns or any(fnmatchcase(name, pattern) or name.partition("-")[0] == pattern for pattern in patterns)
 
 
 sys.exit(main())

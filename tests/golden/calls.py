@@ -13,10 +13,11 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import chdir
+from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
-from unittest.mock import patch
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
@@ -48,6 +49,7 @@ PROBLEMS = ("article", "article-transpose", "pipe-laying", "stations", "trench")
 EXPERIMENTS = ("article-a", "article-b", "article-move")
 STUDIES = ("excavator-study",)
 PLANAR = ("excavator", "boom-stick-bucket")
+IN_SPACE = ("slewing-excavator", "truck-crane", "mobile-manipulator")
 WITH_CYLINDERS = ("boom-stick-bucket", "slewing-excavator", "truck-crane")
 
 # A torque loop with all that [loop] may say, and a velocity loop.
@@ -73,21 +75,41 @@ class Case(NamedTuple):
     long: bool
 
 
+# Cases that take more than a second of a processor; the quick ones take a minute together.
+LONG = (
+    "verdict-article",
+    "verdict-[pst]*",
+    "verdict_runs-*",
+    "report-*",
+    "select_outcome-boom-stick-bucket:*",
+    "select_outcome-excavator:allowed_gain",
+    "select-*:epsilon_max",
+    "solve_problem-[pst]*",
+    "export_c-[bstm]*",
+    "export_fmu-*",
+    "plan_base-boom-stick-bucket",
+    *(f"evaluate-{name}:loop" for name in IN_SPACE),
+    *(f"outcome-{name}:[tvg]*" for name in IN_SPACE),
+    *(f"select-{name}:w1" for name in IN_SPACE),
+    *(
+        f"{call}-{name}"
+        for name in IN_SPACE
+        for call in ("stable_region", "select_stand", "plan_base", "simulate_loop", "sensitivity", "atlas")
+    ),
+    "study-truck-crane:outcome",
+)
 CASES: dict[str, Case] = {}
 
 
-def case(
-    covers: str, subjects: Iterable[str] = ("",), *, long: Iterable[str] | bool = False, name: str = ""
-) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Make a case of a function for each subject; `long` names the long ones, or True."""
+def case(covers: str, subjects: Iterable[str], *, name: str = "") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Make a case of a function for each subject."""
 
     def add(function: Callable[..., Any]) -> Callable[..., Any]:
         call = name or function.__name__.rstrip("_")
         for subject in subjects:
-            full = f"{call}-{subject}" if subject else f"{call}-plain"
-            arguments = (subject,) if subject else ()
-            is_long = long if isinstance(long, bool) else subject in set(long)
-            CASES[full] = Case(lambda arguments=arguments: function(*arguments), frozenset(covers.split()), is_long)
+            full = f"{call}-{subject}"
+            is_long = any(fnmatchcase(full, pattern) for pattern in LONG)
+            CASES[full] = Case(lambda subject=subject: function(subject), frozenset(covers.split()), is_long)
         return function
 
     return add
@@ -150,7 +172,7 @@ def from_dict(name: str) -> Any:
     return {each.name: each.value for each in made.parameters}
 
 
-@case("load_robot", [name for name in SUBJECTS if name not in PLANAR])
+@case("load_robot", IN_SPACE)
 def load_robot(name: str) -> Any:
     return {each.name: each.value for each in flexopt.load_robot(ROOT / "models" / f"{name}.toml").parameters}
 
@@ -329,8 +351,10 @@ OUTCOMES: dict[str, dict[str, Any]] = {
 def outcome(subject: str) -> Any:
     name, _, variant = subject.partition(":")
     given = OUTCOMES[variant]
-    if variant == "velocity" and name == "excavator":
-        given = {"loop": VELOCITY_LOOP | {"servo_gain": 1e4}}
+    if name == "excavator":
+        # It names no speeds; and the gradients of peaks of a resonance without damping depend on rounding.
+        other = {"velocity": VELOCITY_LOOP | {"servo_gain": 1e4}, "transpose": {"kp": 1e3, "kv": 5e2}}
+        given = given | ({"loop": other[variant]} if variant in other else {})
     return flexopt.outcome(**at(name), **given).to_dict()
 
 
@@ -358,7 +382,7 @@ def arrays(dataset: Any) -> dict[str, Any]:
     return {name: values for name, values in found.items() if values.dtype.kind in "fiub"}
 
 
-MAPS = [*_pairs(PLANAR, ["end_point", "posture"]), *_pairs([name for name in SUBJECTS if name not in PLANAR], ["base"])]
+MAPS = [*_pairs(PLANAR, ["end_point", "posture"]), *_pairs(IN_SPACE, ["base"])]
 
 
 @case("map_workspace", MAPS)
@@ -382,10 +406,23 @@ def map_workspace(subject: str) -> Any:
 # --- selection --------------------------------------------------------------------------------------------------------
 
 # Of a configuration in a selection: what it is, and how good.
-OF_BEST = (
-    "base posture end_point objective w scale frequencies_hz damping_ratios epsilon_max rigid dimension constraints "
-    "loop gains target"
-).split()
+OF_BEST = [
+    "base",
+    "posture",
+    "end_point",
+    "objective",
+    "w",
+    "scale",
+    "frequencies_hz",
+    "damping_ratios",
+    "epsilon_max",
+    "rigid",
+    "dimension",
+    "constraints",
+    "loop",
+    "gains",
+    "target",
+]
 
 
 def configuration(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -449,7 +486,7 @@ def select(subject: str) -> Any:
     return answer(flexopt.select(machine(name), own.target, **given, workers=1).to_dict())
 
 
-@case("select", [*_pairs(PLANAR, ["decay"]), "excavator:settling", "excavator:allowed_gain"], name="select_outcome")
+@case("select", [*_pairs(PLANAR, ["decay"]), "excavator:allowed_gain"], name="select_outcome")
 def select_outcome(subject: str) -> Any:
     name, _, objective = subject.partition(":")
     given = _present(name) | {"starts": 1, "workers": 1, "objective": objective, "loop": {}}
@@ -481,9 +518,7 @@ def certify_bound(name: str) -> Any:
 def select_stand(name: str) -> Any:
     own = SUBJECTS[name]
     given = _present(name) | _search(name) | _objective(name, "V")
-    return answer(
-        flexopt.select_stand(machine(name), [own.target, own.second_target], **given, workers=1).to_dict()
-    )
+    return answer(flexopt.select_stand(machine(name), [own.target, own.second_target], **given, workers=1).to_dict())
 
 
 @case("plan_base", SUBJECTS)
@@ -508,9 +543,22 @@ def nullspace_trajectory(name: str) -> Any:
 # --- decisions --------------------------------------------------------------------------------------------------------
 
 # Of a place in a verdict.
-OF_PLACE = (
-    "base posture w drive turn decay stable_share slowest_hz drift rests_off allowed_gain delay_margin settling swing"
-).split()
+OF_PLACE = [
+    "base",
+    "posture",
+    "w",
+    "drive",
+    "turn",
+    "decay",
+    "stable_share",
+    "slowest_hz",
+    "drift",
+    "rests_off",
+    "allowed_gain",
+    "delay_margin",
+    "settling",
+    "swing",
+]
 
 
 def decision(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -546,7 +594,7 @@ def verdict_runs(name: str) -> Any:
     return decision(document) | {"runs": runs}
 
 
-@case("report", PROBLEMS)
+@case("report", ["article", "trench"])
 def report(name: str) -> Any:
     document = flexopt.report(
         problem(name), loop={}, simulation={"duration": 0.5}, points=3, members=2, runs=0
@@ -559,7 +607,7 @@ def report(name: str) -> Any:
 
 @case("explore", SUBJECTS)
 def explore(name: str) -> Any:
-    return _page(flexopt.explore(**at(name)))
+    return _page(flexopt.explore(machine(name), SUBJECTS[name].posture, base=SUBJECTS[name].base))
 
 
 @case("explore", ["article"], name="explore_problem")
@@ -571,7 +619,9 @@ def _page(explorer: Any) -> Any:
     """The numbers that the page computes with."""
     found = re.search(r"^const DATA = (\{.*\});$", explorer.page, re.MULTILINE)
     assert found is not None
-    return numbers(json.loads(found[1]), drop=("meshes", "palettes")) | {"configurations": explorer.to_dict()["configurations"]}
+    return numbers(json.loads(found[1]), drop=("meshes", "palettes")) | {
+        "configurations": explorer.to_dict()["configurations"]
+    }
 
 
 # --- runs -------------------------------------------------------------------------------------------------------------
@@ -606,17 +656,28 @@ RUNS: dict[str, dict[str, Any]] = {
 def trajectory(found: Any) -> dict[str, Any]:
     """A run: its measures and its samples."""
     document = found.to_dict()
-    measures = (
-        "growth_rate growth_rate_error linear_growth_rate settling_time overshoot end_error peak_base_rotation "
-        "residual_oscillation frequencies_hz"
-    ).split()
-    return {key: document[key] for key in measures} | {
-        "converges": document["verdict"] == "converges",
-        "grows": document["verdict"] == "grows",
-    } | {key: np.asarray(getattr(found, key)) for key in ("q", "error", "torque", "energy", "base")}
+    measures = [
+        "growth_rate",
+        "growth_rate_error",
+        "linear_growth_rate",
+        "settling_time",
+        "overshoot",
+        "end_error",
+        "peak_base_rotation",
+        "residual_oscillation",
+        "frequencies_hz",
+    ]
+    return (
+        {key: document[key] for key in measures}
+        | {
+            "converges": document["verdict"] == "converges",
+            "grows": document["verdict"] == "grows",
+        }
+        | {key: np.asarray(getattr(found, key)) for key in ("q", "error", "torque", "energy", "base")}
+    )
 
 
-@case("simulate", _pairs(SUBJECTS, RUNS))
+@case("simulate", [*_pairs(PLANAR, RUNS), *_pairs(IN_SPACE, ["plain", "faults"])])
 def simulate(subject: str) -> Any:
     name, _, variant = subject.partition(":")
     return trajectory(flexopt.simulate(**runs(name) | RUNS[variant]))
@@ -701,9 +762,7 @@ def study(subject: str) -> Any:
         {"of": "stiffness", "factor": [0.5, 2.0], "count": 2},
     ]
     return _study(
-        flexopt.Study(
-            name="small", machine=name, vary=vary, posture=own.posture, base=own.base, **STUDIED[variant]
-        )
+        flexopt.Study(name="small", machine=name, vary=vary, posture=own.posture, base=own.base, **STUDIED[variant])
     )
 
 
@@ -723,14 +782,10 @@ def export_c(name: str) -> Any:
     flexopt.export_c(**at(name), folder="bundle", loop={})
     text = "".join(path.read_text(encoding="utf-8") for path in Path("bundle/test").glob("*_vectors.h"))
     found = re.findall(r"(\w+)_vectors\[\d+\] = \{([^}]*)\}", text)
-    return {function: [float(word) for word in body.replace("\n", " ").split(",") if word.strip()] for function, body in found}
-
-
-@case("export_c verify_bundle", ["excavator"])
-def verify_bundle(name: str) -> Any:
-    flexopt.export_c(machine(name), "bundle", parts=["kinematics"])
-    done = flexopt.verify_bundle("bundle", target="host", inputs=10, fuzz_calls=10)
-    return numbers(done.to_dict(), drop=("seconds",))
+    return {
+        function: [float(word) for word in body.replace("\n", " ").split(",") if word.strip()]
+        for function, body in found
+    }
 
 
 @case("export_fmu", ["excavator", "slewing-excavator"])
@@ -779,4 +834,6 @@ def gap(_: str) -> Any:
 
 
 # Public functions that no call covers, each with its reason.
-EXEMPT: dict[str, str] = {}
+EXEMPT = {
+    "verify_bundle": "runs compilers of this machine for a minute; tests/export compares its numbers with Python's"
+}
