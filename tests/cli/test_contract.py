@@ -412,7 +412,6 @@ def test_doctor(command: Command) -> None:
     assert "excavator" in checks["models"]["finding"]
     assert "article" in checks["problems"]["finding"]
     assert ca.__version__ in checks["packages"]["finding"]
-    assert command("doctor").stdout.strip().endswith("healthy")
 
 
 def test_doctor_fails_on_a_broken_shipped_machine(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -431,10 +430,6 @@ def test_help(command: Command, arguments: tuple[str, ...]) -> None:
     outcome = command(*arguments, "--help")
     assert outcome.code == 0
     assert outcome.stderr == ""
-    assert outcome.stdout.startswith("Usage: flexopt")
-    # A group names its commands.
-    expected = {(): "evaluate", ("study",): "status"}.get(arguments, "--json")
-    assert expected in outcome.stdout
     assert command(*arguments, "-h") == outcome
 
 
