@@ -15,7 +15,7 @@ TOPICS: dict[str, tuple[str, str]] = {
     "machines": (
         "Machines and files",
         "load load_robot load_problem load_experiment machine_from_dict tree_from_dict check Check schema Machine Tree "
-        "Problem Experiment Loop Uncertainty",
+        "Configuration Problem Experiment Loop Uncertainty",
     ),
     "plant": ("The plant", "build_plant Plant inverse_kinematics build_hydraulics Hydraulics"),
     "measures": (

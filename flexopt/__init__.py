@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from flexopt.model import load_problem as load_problem
     from flexopt.model import machine_from_dict as machine_from_dict
     from flexopt.model import tree_from_dict as tree_from_dict
+    from flexopt.model.configuration import Configuration as Configuration
     from flexopt.model.file_schema import schema as schema
     from flexopt.model.loop import Loop as Loop
     from flexopt.model.own import Constraint as Constraint
@@ -126,6 +127,7 @@ __all__ = [
     "Certificate",
     "Check",
     "CompilerNotFound",
+    "Configuration",
     "Constraint",
     "Ensemble",
     "Evaluation",
@@ -242,6 +244,7 @@ _LATER = {
     "model": (
         "Machine Problem SelectionOptions Tree load load_experiment load_problem machine_from_dict tree_from_dict"
     ),
+    "model.configuration": "Configuration",
     "model.file_schema": "schema",
     "model.loop": "Loop",
     "model.own": "Constraint",

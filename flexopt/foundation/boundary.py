@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Container, Mapping, Sequence
 from functools import partial, wraps
 from pathlib import Path
@@ -211,6 +212,29 @@ def path(*suffixes: str, parent: bool = False, limited: bool = True) -> Argument
     return lambda arguments, field, value: raw(arguments, field, value, check)
 
 
+class Bundle(ABC):
+    """Several arguments in one object, which a public call takes in place of its first argument, `machine`."""
+
+    @property
+    @abstractmethod
+    def arguments(self) -> Mapping[str, Any]:
+        """The arguments by name, `machine` among them; None and False where nothing is said."""
+
+
+def _opened(bundle: Bundle, names: Container[str], given: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
+    """Return the arguments of a call of these names, `given` among them, and what does not go together."""
+    faults, found = list[Fault](), dict(given)
+    for name, value in bundle.arguments.items():
+        said = value is not None and value is not False
+        if name in given:
+            faults.append(Fault(name, "is part of the configuration", shown(given[name])))
+        elif name in names:
+            found |= {} if value is None else {name: value}
+        elif said:
+            faults.append(Fault(name, "of the configuration is not used by this call", shown(value)))
+    return found, faults
+
+
 flag = words(False, True)
 
 # Rooms that know more names add them (`model/boundary.py`: machines and problems).
@@ -329,12 +353,17 @@ def public(
         each = {name: table[name] if name in table else TABLE[name] for name in parameters}
 
         def examined(*args: P.args, **kwargs: P.kwargs) -> tuple[Arguments, inspect.BoundArguments]:
+            twice = list[Fault]()
+            if args and isinstance(bundle := args[0], Bundle) and first == "machine":
+                opened, twice = _opened(bundle, parameters, kwargs)
+                args, kwargs = cast(Any, ((opened.pop("machine"), *args[1:]), opened))
             try:
                 bound = signature.bind(*args, **kwargs)
             except TypeError as miscall:
                 raise _miscalled(heading, list(parameters), kwargs, miscall) from None
             given, values = bound.arguments, dict[str, Any]()
             arguments = Arguments(heading, machine(given["self"]) if machine is not None else None, error)
+            arguments.faults += twice
             if sizes is not None and owner is not None:
                 arguments.sizes = sizes(given["self"])
             if keywords is not None:

@@ -7,13 +7,14 @@ import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Self, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 from pydantic import Field, PrivateAttr
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
-from flexopt.foundation.arrays import Document
+from flexopt.foundation.arrays import BaseLike, Document, PostureLike
+from flexopt.foundation.control import Control
 from flexopt.foundation.kept import Structural
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import (
@@ -23,12 +24,15 @@ from flexopt.foundation.quantities import (
 from flexopt.model.file_model import BuiltByCall, Described
 from flexopt.model.hydraulics import Cylinder, JointFrame
 from flexopt.model.kinematic_tree import KinematicTree, units_of
-from flexopt.model.loop import Loop, loop_faults
+from flexopt.model.loop import Loop, LoopLike, loop_faults
 from flexopt.model.parameter_values import places
 from flexopt.model.strokes import CylinderTravel, usable_range
 from flexopt.model.tables import Capsule, Visual
 from flexopt.model.tree_quantities import axes_about, snapped_rows
 from flexopt.model.uncertainty import Uncertainty, uncertainty_faults
+
+if TYPE_CHECKING:
+    from flexopt.model.configuration import Configuration
 
 
 class Parameter(NamedTuple):
@@ -249,6 +253,52 @@ class AnyMachine(BuiltByCall, Described, Structural):
         absent |= {"visuals": True, "capsules": {"__all__": {"label"}}}
         return hashlib.sha256(self.model_dump_json(by_alias=True, exclude=absent).encode()).hexdigest()
 
+    def at(
+        self,
+        posture: PostureLike,
+        *,
+        base: BaseLike | None = None,
+        control: Control | None = None,
+        gravity: bool = False,
+        loop: LoopLike | None = None,
+    ) -> Configuration:
+        """Return the machine in one posture under one controller, which calls take in place of these arguments.
+
+        Args:
+            posture: actuated joints (n,), rad or m.
+            base: placement (n_b,), m or rad; zeros by default.
+            control: `"inverse"`, `"transpose"` or `"damped:LAMBDA"`; by default that of the loop.
+            gravity: whether the weight acts.
+            loop: `flexopt.Loop` or a dictionary of its fields; by default the machine's.
+
+        Raises:
+            InputError: a value of wrong shape, not finite or out of range; all faults in one message.
+
+        Example:
+            >>> here = flexopt.load("excavator").at((0.9929, -2.6306), base=0.5)
+            >>> flexopt.evaluate(here).w.shape
+            (3,)
+        """
+        # A configuration holds a machine: its module is built on this one.
+        from flexopt.model.configuration import configuration_at  # noqa: PLC0415
+
+        return configuration_at(self, posture, base=base, control=control, gravity=gravity, loop=loop)
+
+    def with_values(self, values: Mapping[str, float]) -> Self:
+        """Return the machine with other numbers, by names of `parameters`, in SI units.
+
+        Raises:
+            InputError: a name that `parameters` lacks, or a value that it cannot have.
+
+        Example:
+            >>> flexopt.load("excavator").with_values({"payload.mass": 300.0}).payload.mass
+            300.0
+        """
+        # As above.
+        from flexopt.model.configuration import machine_with_values  # noqa: PLC0415
+
+        return cast(Self, machine_with_values(self, values))
+
     @property
     def described(self) -> Self:
         """Itself."""
@@ -261,7 +311,7 @@ class AnyMachine(BuiltByCall, Described, Structural):
         """
         told = self.model_dump(by_alias=True)
         blank: dict[str | int, Any] = {}
-        for name, _, _ in self.parameters:
+        for name, _, _ in self.list_parameters():
             for *outer, last in places(told, name):
                 inside = blank
                 for key in outer:

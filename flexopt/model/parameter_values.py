@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.nearest import hint
+from flexopt.foundation.plain import shown
+from flexopt.model.hydraulics import AXES
 from flexopt.model.kinematic_tree import INERTIA_ENTRIES
 
 if TYPE_CHECKING:
@@ -37,14 +39,14 @@ def with_parameters(machine: AnyMachine, values: Mapping[str, float]) -> AnyMach
             for key in outer:
                 inside[key] = list(inside[key]) if isinstance(inside[key], tuple) else inside[key]
                 inside = inside[key]
-            inside[last] = float(value)
+            inside[last] = value
         if not found_at:
-            faults.append(Fault(name, "cannot be set alone", f"{value:g}"))
-    raise_if_any(InputError, "with_parameters", faults)
+            faults.append(Fault(name, "cannot be set alone", shown(value)))
+    raise_if_any(InputError, "with_values", faults)
     found = type(machine)(**told)
     now = {parameter.name: parameter.value for parameter in found.parameters}
-    missed = [name for name, value in values.items() if now.get(name) != float(value)]
-    raise_if_any(InputError, "with_parameters", [Fault(name, "cannot be set alone") for name in missed])
+    missed = [name for name, value in values.items() if now.get(name) != value]
+    raise_if_any(InputError, "with_values", [Fault(name, "cannot be set alone") for name in missed])
     return found
 
 
@@ -54,10 +56,20 @@ def places(told: dict[str, Any], name: str) -> Iterator[KeyPath]:
         yield ("payload", "mass")
     elif name == "gravity":
         yield ("gravity",)
+    elif found := list(_in_cylinders(told, name)):
+        yield from found
     elif "links" in told:
         yield from _in_chain(told, name)
     else:
         yield from _in_tree(told, name)
+
+
+def _in_cylinders(told: dict[str, Any], name: str) -> Iterator[KeyPath]:
+    for i, cylinder in enumerate(told["cylinders"]):
+        owner, _, key = name.removeprefix(f"{cylinder['name']}.").rpartition(".")
+        at = ("cylinders", i, *(owner.split(".") if owner else ()))
+        if name.startswith(f"{cylinder['name']}."):
+            yield (*at, AXES.index(key)) if key in AXES else (*at, key)
 
 
 def _in_chain(told: dict[str, Any], name: str) -> Iterator[KeyPath]:

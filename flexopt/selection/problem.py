@@ -18,8 +18,10 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.plain import listed
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
+from flexopt.model.configuration import Configuration as ChosenConfiguration
 from flexopt.model.constraints import Constraints as ConstraintsAsked
 from flexopt.model.kinematic_tree import ORIENTATION_ROWS
+from flexopt.model.loop import Loop
 from flexopt.robustness.measures import Measures
 from flexopt.selection.assumed import Assumption
 from flexopt.selection.cones import split_factors
@@ -531,3 +533,9 @@ def packed_parameters(
         "p": first.measures.plant.parameter_values.full(),
     }
     return parameters_of(first.configuration, coupling, count).packed(parts).ravel()
+
+
+def chosen_configuration(problem: SelectionProblem, z: Vector, loop: Loop | None = None) -> ChosenConfiguration:
+    """Return the configuration z = [base, posture] under the problem's control and weight."""
+    n_base = problem.measures.plant.n_base
+    return ChosenConfiguration(problem.machine, z[n_base:], z[:n_base], problem.control, problem.gravity, loop)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from flexopt.errors import FlexoptError
 from flexopt.foundation.arrays import Document, Mask, Vector
+from flexopt.foundation.boundary import Bundle
 from flexopt.foundation.documents import json_ready
 from flexopt.foundation.pictures import Pictured
 from flexopt.foundation.plain import counted
@@ -20,6 +21,7 @@ from flexopt.foundation.results import Result, Tabled
 from flexopt.foundation.rounding import way
 from flexopt.foundation.turns import TURN
 from flexopt.model.beyond_limits import beyond_limits_told
+from flexopt.model.configuration import Configuration
 from flexopt.robustness.evaluation import Evaluation, unreached
 from flexopt.selection.broken import beyond_bounds, beyond_own, broken, cornerless
 from flexopt.selection.chances import Attempt, chance, chance_at_most, chance_told, found_how_often
@@ -39,10 +41,11 @@ BESIDE = 0.1
 
 
 @dataclass(frozen=True)
-class Candidate(Tabled):
-    """A local optimum that passed the independent checks.
+class Candidate(Bundle, Tabled):
+    """A local optimum that passed the independent checks; calls about one posture take it as a configuration.
 
     Attributes:
+        configuration: machine, placement, posture, control, weight and loop for which it was chosen.
         z: [base, posture], (n_z,), m or rad.
         w: the measures w_i there, (m,).
         objective: V of the first objective, the cost of travel taken off.
@@ -72,6 +75,7 @@ class Candidate(Tabled):
         True
     """
 
+    configuration: Configuration
     z: Vector
     w: Vector
     objective: float
@@ -96,6 +100,11 @@ class Candidate(Tabled):
         return self.evaluation._units(outer)  # pyright: ignore[reportPrivateUsage]
 
     @property
+    def arguments(self) -> Mapping[str, Any]:
+        """The arguments of a call about this configuration, by name."""
+        return self.configuration.arguments
+
+    @property
     def evaluation(self) -> Evaluation:
         """Every measure there; computed when first asked for."""
         # The turn first, the property's own lock inside it.
@@ -113,7 +122,9 @@ class Candidate(Tabled):
             >>> best.to_dict()["base_coordinates"]
             ['x']
         """
-        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("z", "w", "evaluate")}
+        own = {
+            f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("configuration", "z", "w", "evaluate")
+        }
         return self.evaluation.to_dict() | json_ready(own)
 
 

@@ -33,7 +33,7 @@ from flexopt.selection.constraint_values import ConstraintValue
 from flexopt.selection.continua import grouped, nearest, same, travel
 from flexopt.selection.nlp.program import single
 from flexopt.selection.optima import SAME_POINT, first_optima, later_optima, next_stage
-from flexopt.selection.problem import TIE_TOLERANCE, SelectionProblem, value_at
+from flexopt.selection.problem import TIE_TOLERANCE, SelectionProblem, chosen_configuration, value_at
 from flexopt.selection.proof.check import prove
 from flexopt.selection.proof.newton import settled
 from flexopt.selection.result import Candidate, Kept, Selection
@@ -218,6 +218,7 @@ def _candidate(problem: SelectionProblem, group: list[Best]) -> Candidate:
     places = [place for place in places if np.abs((place - z) / problem.scale)[:n_base].max(initial=0.0) > SAME_POINT]
     others = [other for best in group for other in best.others]
     return Candidate(
+        configuration=chosen_configuration(problem, z),
         z=z,
         w=problem.quantities.w_at(z).ravel(),
         objective=value_at(problem, z, problem.sought[0]),

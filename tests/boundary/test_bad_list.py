@@ -100,7 +100,7 @@ MEANINGS: list[tuple[str, str, tuple[str, ...], str]] = [
 
 # Classes whose objects come from functions alone, as the results of computing: nobody passes them numbers.
 RESULTS = {
-    "Atlas", "BasePlan", "BaseTrajectory", "Candidate", "Certificate", "Check", "Ensemble", "Evaluation", "Explanation", "Explorer",
+    "Atlas", "BasePlan", "BaseTrajectory", "Candidate", "Certificate", "Check", "Configuration", "Ensemble", "Evaluation", "Explanation", "Explorer",
     "ExportReport", "FmuReport", "Identification", "Outcome", "Region", "Report", "RobustMargin", "Selection", "SelectionProblem", "Stand", "Trajectory",
     "Sensitivity", "StudyResult", "Verdict", "Verification", "WorkspaceMap",
 }  # fmt: skip

@@ -36,7 +36,7 @@ from flexopt.selection.outcomes.program import OutcomeProgram, least_over, worst
 from flexopt.selection.outcomes.result import OutcomeSelection
 from flexopt.selection.outcomes.starting import ALIKE, Seed, lifted, separation, starting_points
 from flexopt.selection.places import FEASIBLE
-from flexopt.selection.problem import SelectionProblem, reached
+from flexopt.selection.problem import SelectionProblem, chosen_configuration, reached
 from flexopt.selection.result import Candidate, Kept
 from flexopt.selection.solve import constraint_values, solved
 from flexopt.selection.starts import between_points, violated
@@ -328,6 +328,7 @@ def _candidate(program: OutcomeProgram, group: list[Climbed], settings: LoopSett
         return with_outcome(problem.machine, problem.quantities.evaluated(z), settings, gravity=problem.gravity)
 
     return Candidate(
+        configuration=chosen_configuration(problem, z, settings.fixed),
         z=z,
         w=problem.quantities.w_at(z).ravel(),
         objective=program.measure.sign * end.value,
