@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from flexopt.errors import Fault
 from flexopt.foundation.arrays import ArrayLike, BaseLike, GainLike, Numbers, PostureLike, TableLike, TargetLike
-from flexopt.foundation.boundary import array_of, public
+from flexopt.foundation.boundary import TABLE, array_of, public
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.quantities import (
     COORDINATE,
@@ -24,6 +24,7 @@ from flexopt.foundation.quantities import (
     numbers_in,
     whole_number,
 )
+from flexopt.model.boundary import holding_machine
 from flexopt.model.choices import BASE_ACCELERATION, BASE_RATE, GAIN, SEED, Elbow, check_objective, check_weights
 from flexopt.model.file_model import BuiltByCall, FileModel
 from flexopt.model.loop import (
@@ -342,3 +343,6 @@ class Experiment(OnMachine):
     simulation: SimulationOptions
     nullspace: NullspaceOptions | None = None
     loop: Loop | None = None
+
+
+TABLE["experiment"] = holding_machine(Experiment, "an Experiment, from flexopt.load_experiment")

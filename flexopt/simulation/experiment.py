@@ -11,7 +11,6 @@ from typing import Any, Unpack, cast
 from flexopt.errors import InputError
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import anything, public
-from flexopt.model.boundary import holding_machine
 from flexopt.model.loop import Loop, LoopLike, control_of, rate_of
 from flexopt.model.simulation import Experiment, OverrideKeywords
 from flexopt.model.simulation_faults import own_loop
@@ -20,8 +19,6 @@ from flexopt.simulation.real_loop import note_loop
 from flexopt.simulation.run import simulate
 from flexopt.simulation.scenario import checked_options, design_configuration
 from flexopt.simulation.trajectory import Trajectory
-
-HELD = holding_machine(Experiment, "an Experiment, from flexopt.load_experiment")
 
 
 def _given(experiment: Experiment, overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -43,7 +40,7 @@ def _note(arguments: Arguments, given: Mapping[str, Any]) -> None:
         note_loop(arguments, options | {"loop": given["loop"] or experiment.loop})
 
 
-@public(experiment=HELD, together=_note, overrides=anything)
+@public(together=_note, overrides=anything)
 def run_experiment(
     experiment: Experiment,
     *,

@@ -511,3 +511,10 @@ def test_what_travel_counts_from_is_told_before_a_selection(tmp_path: Path) -> N
         flexopt.solve_problem(flexopt.load_problem(path))
     path.write_text(f"{text}{stands}posture = [0.9929, -2.6302]\n", encoding="utf-8")
     assert not flexopt.check(path).warnings
+
+
+@pytest.mark.parametrize("name", ["excavator", "article", "article-a", "excavator-study"])
+def test_what_was_loaded_is_checked_as_its_file(name: str) -> None:
+    load = {"excavator": flexopt.load, "article": flexopt.load_problem, "article-a": flexopt.load_experiment}
+    loaded = load.get(name, flexopt.load_study)(name)
+    assert flexopt.check(loaded).to_dict()["faults"] == flexopt.check(name).to_dict()["faults"] == []

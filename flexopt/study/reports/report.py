@@ -14,7 +14,7 @@ import numpy as np
 from flexopt.errors import Fault, FlexoptError, InputError, raise_if_any
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Progress, TableLike
-from flexopt.foundation.boundary import public, table, whole
+from flexopt.foundation.boundary import TABLE, public, table, whole
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
 from flexopt.foundation.stages import Stages
@@ -30,7 +30,6 @@ from flexopt.robustness import Evaluation
 from flexopt.selection import Selection, SelectionProblem, solve_problem, solve_selection
 from flexopt.selection.several import BasePlan, Stand
 from flexopt.simulation import Trajectory, simulate
-from flexopt.simulation.experiment import HELD
 from flexopt.simulation.scenario import checked_options
 from flexopt.study.asked import any_problem
 from flexopt.study.default_gains import default_gains
@@ -68,7 +67,7 @@ def _together(arguments: Arguments, given: Mapping[str, Any]) -> None:
 def _other_experiment(arguments: Arguments, field: str, value: Any) -> Any:
     """Its machine is not the one of the call."""
     machine = arguments.of
-    value, arguments.of = HELD(arguments, field, value), machine
+    value, arguments.of = TABLE["experiment"](arguments, field, value), machine
     return value
 
 
