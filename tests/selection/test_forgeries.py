@@ -8,6 +8,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -223,6 +225,8 @@ FORGERIES: dict[str, tuple[str, Callable[[Log], None]]] = {
     "no cells": ("sum", put("cells", [])),
     "no cells, V = 0 claimed": ("sum", lambda log: log.update(cells=[], upper=0.0, value=0.0)),
     "no cells, upper 0": ("sum", lambda log: log.update(cells=[], upper=0.0)),
+    "no cells, gap to 0": ("sum", lambda log: log.update(cells=[], upper=0.0, gap=-log["value"])),
+    "joint slides": ("sum", put("machine.bodies.4.kind", "slide", rehashed=True)),
     "no cells, below 0": ("zero", put("upper", -1e-9)),
     "no cells elsewhere": ("zero", put("configuration.0", more(0.2))),
     "a cell less": ("sum", a_cell_less),
@@ -259,7 +263,7 @@ FORGERIES: dict[str, tuple[str, Callable[[Log], None]]] = {
 # One of each kind.
 QUICK = {
     "scale", "upper is NaN", "gap without end", "better value", "posture", "wider", "limit far away", "margin", "mass",
-    "mass, old hash", "weights below 0", "no cells, V = 0 claimed", "no cells elsewhere", "gap between", "called margin",
+    "mass, old hash", "weights below 0", "no cells, gap to 0", "no cells elsewhere", "gap between", "called margin",
     "all constraints", "true", "huge integer", "format",
 }  # fmt: skip
 TEXTS: dict[str, Callable[[str], str]] = {
@@ -307,6 +311,13 @@ def test_what_is_no_log(name: str, tmp_path: Path, capsys: pytest.CaptureFixture
     path.write_bytes(TEXTS[name](honest("zero")).encode("utf-8", "surrogateescape"))
     assert code(str(path)) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) <= 3
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no named pipes in folders")
+def test_a_pipe_is_not_waited_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.mkfifo(tmp_path / "proof.json")
+    assert code(str(tmp_path / "proof.json")) == 2
+    assert "is no file" in capsys.readouterr().err
 
 
 def test_all_faults_of_shape_are_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

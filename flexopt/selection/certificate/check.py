@@ -15,7 +15,7 @@ It needs no start and no solver, and believes no result that it can compute.
   there is `value` or up to `NEAR` of the scale more, and earlier objectives have what is `kept`.
 - The cells cover every placement within bounds once, with either elbow. Those that are left out hold no allowed
   configuration; in all others V stays below `upper`, which is at most `gap` above `value`. A log needs no cells where
-  no α_i is negative and `upper` is 0: no w_i is positive, and travel costs something.
+  no α_i is negative and V = 0 is attained: no w_i is positive, and travel costs something.
 - Cells that are left out for constraints are not shown: the log does not carry these.
 
 How: joint angles enter by sine and cosine alone, from the triangle of the two arm segments. Positions, Jacobians and
@@ -137,6 +137,9 @@ def read(path: str) -> dict[str, Any]:
         return found
 
     try:
+        # A pipe would be waited for.
+        if not Path(path).is_file() and Path(path).exists():
+            raise Refused("is no file")
         with Path(path).open("rb") as file:
             text = file.read(LARGEST + 1)
         if len(text) > LARGEST:
@@ -288,7 +291,8 @@ class LoggedMachine:
         self.senses = [1 if each > 0 else -1 for each in along]
         chain = [*self.actuated, self.index[self.tip["body"]]]
         inside = all(above in self.ways[below] for above, below in pairwise(chain)) and chain[0] != chain[1]
-        if not (inside and all(abs(span(each)) > 1 - ROUNDING for each in along)):
+        hinges = all(self.bodies[k]["kind"] == "hinge" for k in self.actuated)
+        if not (inside and hinges and all(abs(span(each)) > 1 - ROUNDING for each in along)):
             raise Refused("its actuated joints are no two hinges across the plane of the task")
         self.lengths = [root(dot(v, v)) for v in (self.one, self.two)]
 
@@ -693,8 +697,8 @@ def _answer(log: dict[str, Any]) -> Answer:
         faults.append("upper: is not between value and value + gap")
     if not log["gap"] <= scales[last]:
         faults.append(f"gap: is more than the scale, {scales[last]:.3g}")
-    bounded = log["upper"] == 0 and all(weight >= 0 for weight in log["weights"][last])
-    if log["cells"] or not bounded:
+    attained = all(weight >= 0 for weight in log["weights"][last]) and log["upper"] == 0 and bool(value > -rounding)
+    if log["cells"] or not attained:
         faults += uncovered(log)
     assumed = sum(why == "constraint" for *_, why in log["cells"])
     if assumed:
