@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import io
+import os
 import sys
 import time
 from importlib import import_module
+from pathlib import Path
 
 import click
 
-from flexopt.cli.common import ABORTED, leave_with, print_json, say, warnings_to_stderr
+from flexopt.cli.common import ABORTED, OUTPUT_LOST, leave_with, print_json, say, warnings_to_stderr
 from flexopt.cli.examples import epilog
 from flexopt.cli.terminal import VOICE
 from flexopt.errors import FlexoptError, InputError
@@ -88,7 +92,30 @@ def cli(quiet: bool, verbose: bool, no_colour: bool) -> None:
 
 
 def run(arguments: list[str] | None = None) -> None:
-    """One command, of these arguments or of the process's own; leaves by its exit code."""
+    """Run one command, of these arguments or of the process's own; leave by its exit code."""
+    if sys.stderr is None:  # pyright: ignore[reportUnnecessaryComparison]  (closed when the process began)
+        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
+    try:
+        if sys.stdout is None:  # pyright: ignore[reportUnnecessaryComparison]
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+        _run(arguments)
+    except OSError as error:
+        _lose_output(error)
+
+
+def _lose_output(error: OSError) -> None:
+    """Say that a stream takes no more, and leave with 1; Python would say it again when it flushes at its end."""
+    with contextlib.suppress(OSError):
+        print(f"flexopt: output is lost: {error.strerror}", file=sys.stderr, flush=True)
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.stdout, sys.stderr):
+        # Streams of tests and notebooks are no files.
+        with contextlib.suppress(OSError, AttributeError, ValueError):
+            os.dup2(nothing, stream.fileno())
+    sys.exit(OUTPUT_LOST)
+
+
+def _run(arguments: list[str] | None) -> None:
     given = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

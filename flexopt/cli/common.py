@@ -29,7 +29,7 @@ from flexopt.foundation.writing import write_file
 from flexopt.model.choices import ELBOWS
 from flexopt.model.uncertainty import RangesLike, kind_of
 
-BAD_INPUT, FAILED, ABORTED = 2, 3, 130
+OUTPUT_LOST, BAD_INPUT, FAILED, ABORTED = 1, 2, 3, 130
 FILE_NAME_MAX = 255
 # Of the clock, s.
 TICK = 1.0
