@@ -17,7 +17,7 @@ from flexopt.cli.common import ABORTED, OUTPUT_LOST, leave_with, print_json, say
 from flexopt.cli.examples import epilog
 from flexopt.cli.terminal import VOICE
 from flexopt.errors import FlexoptError, InputError
-from flexopt.foundation.documents import json_ready, package_version
+from flexopt.foundation.documents import build_version, json_ready, package_version
 from flexopt.foundation.escapes import TERMINAL
 
 # Commands and their modules, imported when they are asked for: what one needs takes longest.
@@ -72,12 +72,21 @@ class _Commands(click.Group):
         return super().resolve_command(ctx, args)
 
 
+def _version(context: click.Context, _option: click.Parameter, asked: bool) -> None:
+    """Print the version and the build."""
+    if asked and not context.resilient_parsing:
+        say(f"flexopt, version {build_version()}")
+        context.exit()
+
+
 @click.group(
     cls=_Commands,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
     epilog=epilog(""),
 )
-@click.version_option(package_version("flexopt"), prog_name="flexopt")
+@click.option(
+    "--version", is_flag=True, is_eager=True, expose_value=False, callback=_version, help="Print version and build."
+)
 @click.option("-q", "--quiet", is_flag=True, help="No progress and no warnings: results and errors alone.")
 @click.option("-v", "--verbose", is_flag=True, help="Versions, time, and where an error arose, on standard error.")
 @click.option("--no-color", "no_colour", is_flag=True, help="No colours; as the environment's NO_COLOR.")
@@ -138,9 +147,9 @@ def _run(arguments: list[str] | None) -> None:
         _fail(error, "--json" in given)
     finally:
         if VOICE.verbose:
-            versions = ", ".join(f"{name} {package_version(name)}" for name in ("flexopt", "casadi", "numpy"))
-            took = time.perf_counter() - began
-            say(f"flexopt: {took:.2f} s; {versions}, Python {sys.version.split()[0]}", err=True)
+            versions = ", ".join(f"{name} {package_version(name)}" for name in ("casadi", "numpy"))
+            took, python = time.perf_counter() - began, sys.version.split()[0]
+            say(f"flexopt: {took:.2f} s; flexopt {build_version()}, {versions}, Python {python}", err=True)
 
 
 def _fail(error: FlexoptError, as_json: bool) -> None:

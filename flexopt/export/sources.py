@@ -20,7 +20,7 @@ from flexopt.export.naming import CWriter, constants
 from flexopt.export.operations import TURN, Operation
 from flexopt.export.parts import PARTS
 from flexopt.export.task_rows import orientation_texts
-from flexopt.foundation.documents import package_version
+from flexopt.foundation.documents import build_version, package_version
 
 STATUSES = {
     "OK": "success: every output is written and finite",
@@ -146,7 +146,7 @@ class Library:
             "allowance": self.context.limit_allowance,
             "counted_max": self.context.counted_max("rad"),
             "workspaces": {o.name: self.workspace(o) for o in self.all_operations},
-            "flexopt": package_version("flexopt"),
+            "flexopt": build_version(),
             "pass": "" if self.baked else "&parameters, ",
         }
 

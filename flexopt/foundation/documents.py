@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import sys
 from collections.abc import Mapping
 from dataclasses import is_dataclass
 from enum import Enum
-from pathlib import PurePath
+from functools import cache
+from pathlib import Path, PurePath
 from typing import Any, cast
 
 import numpy as np
@@ -32,12 +34,26 @@ def package_version(name: str) -> str:
         return "unknown"
 
 
+@cache
+def build_version() -> str:
+    """Version of flexopt and the build: the first digits of the SHA-256 of all that the package consists of.
+
+    Machines and problems lie elsewhere in a checkout, and have hashes of their own.
+    """
+    package, found = Path(__file__).parents[1], hashlib.sha256()
+    files = {file.relative_to(package).as_posix(): file for file in package.rglob("*") if file.is_file()}
+    for name, file in sorted(files.items()):
+        if not {"__pycache__", "models", "problems"} & set(name.split("/")):
+            found.update(name.encode() + b"\0" + file.read_bytes().replace(b"\r\n", b"\n"))
+    return f"{package_version('flexopt')}+{found.hexdigest()[:12]}"
+
+
 def provenance(machine: Any = None, **options: Any) -> Document:
-    """Name and content hash of a machine (None where none is concerned), versions, and the options of the call."""
+    """Name and content hash of a machine (None where none is concerned), builds, and the options of the call."""
     return {
         "machine": machine and machine.name,
         "machine_sha256": machine and machine.content_hash,
-        "flexopt": package_version("flexopt"),
+        "flexopt": build_version(),
         "casadi": package_version("casadi"),
         "options": options,
     }

@@ -21,7 +21,7 @@ import numpy as np
 
 from flexopt.compiled import find_compiler
 from flexopt.errors import Fault, InputError, raise_if_any
-from flexopt.foundation.documents import package_version
+from flexopt.foundation.documents import build_version, package_version
 from flexopt.foundation.netcdf_form import NetcdfForm
 from flexopt.foundation.writing import make_folder, write_file
 from flexopt.large_studies.points import StudyPoints
@@ -153,8 +153,8 @@ def intact(path: Path) -> bytes | None:
 
 
 def fingerprint(folder: StudyFolder) -> dict[str, Any]:
-    """What decides about the last bits: versions, compiled or not, and for compiled ones the bits of a few numbers."""
-    found: dict[str, Any] = {name: package_version(name) for name in PACKAGES}
+    """What decides about the last bits: builds, compiled or not, and for compiled ones the bits of a few numbers."""
+    found: dict[str, Any] = {name: package_version(name) for name in PACKAGES} | {"flexopt": build_version()}
     found["compiled"] = find_compiler() is not None
     if folder.study.compute == "measures":
         columns = folder.points.columns(0)[:, :PROBED]

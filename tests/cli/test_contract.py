@@ -19,6 +19,7 @@ import pytest
 import flexopt
 from flexopt.cli.analysis import select_command
 from flexopt.cli.commands import COMMANDS
+from flexopt.foundation.documents import build_version
 from flexopt.selection.nlp.program import Program
 from tests.cli.command import MACHINE, PROBLEM, THIRD_LINK, Command, strict_json, toml
 
@@ -100,7 +101,7 @@ def test_provenance(command: Command) -> None:
     assert provenance["machine"] == "excavator"
     assert provenance["machine_sha256"] == flexopt.load("excavator").content_hash
     assert provenance["casadi"] == version("casadi")
-    assert provenance["flexopt"] == version("flexopt")
+    assert provenance["flexopt"] == build_version()
     assert provenance["options"]["gravity"] is True
     assert provenance["options"]["damped"] is True
 
@@ -436,7 +437,7 @@ def test_help(command: Command, arguments: tuple[str, ...]) -> None:
 def test_version(command: Command) -> None:
     outcome = command("--version")
     assert outcome.code == 0
-    assert outcome.stdout.strip() == f"flexopt, version {version('flexopt')}"
+    assert outcome.stdout.strip() == f"flexopt, version {build_version()}"
     assert flexopt.__version__ == version("flexopt")
 
 

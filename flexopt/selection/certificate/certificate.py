@@ -21,7 +21,7 @@ from flexopt.errors import Fault
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.boundary import instance, number, path, public
-from flexopt.foundation.documents import json_ready, package_version
+from flexopt.foundation.documents import build_version, json_ready
 from flexopt.foundation.results import Result
 from flexopt.foundation.writing import write_file
 from flexopt.model import AnyMachine
@@ -233,7 +233,7 @@ def _log(
     sizes = problem.objective_scales[:count]
     return {
         "format": FORMAT,
-        "flexopt": package_version("flexopt"),
+        "flexopt": build_version(),
         "machine": logged_machine(problem.machine),
         "target": problem.target,
         "control": problem.control,
