@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import zlib
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -84,9 +83,10 @@ def _finished(folder: StudyFolder, number: int) -> Finished:
     content = content_of(folder, number)
     make_folder(folder.place(number))
     # Whether it is whole shows its checksum, not the disk's word: nobody waits for that.
-    write_file(folder.file(number, zlib.crc32(content)), content, durable=False)
+    file = folder.file(number, content)
+    write_file(file, content, durable=False)
     for path in older:
-        if path != folder.file(number, zlib.crc32(content)):
+        if path != file:
             with contextlib.suppress(OSError):
                 path.unlink()
     return Finished(number, MENDED if older else COMPUTED, counts_in(content))

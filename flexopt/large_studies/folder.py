@@ -15,14 +15,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from flexopt.compiled import find_compiler
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.documents import build_version, package_version
 from flexopt.foundation.netcdf_form import NetcdfForm
+from flexopt.foundation.reading import read_bounded
 from flexopt.foundation.writing import make_folder, write_file
 from flexopt.large_studies.points import StudyPoints
 from flexopt.large_studies.status import FLAGS, WORDS
@@ -33,7 +35,9 @@ from flexopt.model.study_file import described, study_of
 DOCUMENT, CHUNKS, PROGRESS = "study.json", "chunks", "progress.json"
 # Files of a folder: each file that is written looks through its own once, see `foundation/writing.py`.
 TOGETHER = 256
-NAME = re.compile(r"(\d{8,})-([0-9a-f]{8})\.nc")
+NAME = re.compile(r"(\d{8,})-([0-9a-f]{64})\.nc")
+# Bytes of the document and of a chunk, at most.
+DOCUMENT_MAX, CHUNK_BYTES_MAX = 16_000_000, 2_000_000_000
 # Points whose numbers, to the last bit, tell whether two processes compute alike.
 PROBED = 64
 # Numbers that a chunk's file says of itself: how many, and of which kind.
@@ -111,9 +115,9 @@ class StudyFolder:
         """The folder of a chunk."""
         return self.path / CHUNKS / f"{number // TOGETHER:06d}"
 
-    def file(self, number: int, checksum: int) -> Path:
-        """The file of a chunk, whose name says what its content must be."""
-        return self.place(number) / f"{number:08d}-{checksum:08x}.nc"
+    def file(self, number: int, content: bytes | bytearray) -> Path:
+        """The file of a chunk, whose name has the SHA-256 of its content."""
+        return self.place(number) / f"{number:08d}-{hashlib.sha256(content).hexdigest()}.nc"
 
     def there(self) -> dict[int, list[Path]]:
         """Files of chunks by their numbers, unread."""
@@ -146,10 +150,10 @@ def intact(path: Path) -> bytes | None:
     """What a chunk's file holds; None where it is gone, or not what its name says."""
     named = NAME.fullmatch(path.name)
     try:
-        content = path.read_bytes()
+        content = read_bounded(path, CHUNK_BYTES_MAX)
     except OSError:
         return None
-    return content if named and zlib.crc32(content) == int(named[2], 16) else None
+    return content if named and hashlib.sha256(content).hexdigest() == named[2] else None
 
 
 def fingerprint(folder: StudyFolder) -> dict[str, Any]:
@@ -199,17 +203,53 @@ def open_folder(path: str | os.PathLike[str]) -> StudyFolder:
         InputError: there is none, or its document was changed.
     """
     try:
-        told = json.loads((Path(path) / DOCUMENT).read_text(encoding="utf-8"))
-        study = study_of(told)
-        fits = told["sha256"] == digest_of(study) and told["layout"] == 1
-        made_by = cast("dict[str, Any]", told["made_by"])
+        told = _Document.model_validate_json(read_bounded(Path(path) / DOCUMENT, DOCUMENT_MAX))
+        study = study_of(told.model_dump(exclude_none=True))
     except FileNotFoundError:
         raise _refused(path, f"is no folder of a study: it has no {DOCUMENT}") from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise _refused(path, f"its {DOCUMENT} cannot be read ({' '.join(str(error).split())[:200]})") from None
-    if not fits:
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
+        raise _refused(path, f"its {DOCUMENT} cannot be read ({str(why)[:200]})") from None
+    if told.sha256 != digest_of(study):
         raise _refused(path, f"its {DOCUMENT} was changed, or comes from another version")
-    return StudyFolder(Path(path), study, made_by)
+    return StudyFolder(Path(path), study, told.made_by)
+
+
+class _Document(BaseModel):
+    """What the document says: a study with its subject, and who began it."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    layout: Literal[1]
+    sha256: str
+    made_by: dict[str, str | bool]
+    kind: Literal["Machine", "Tree"]
+    study: dict[str, Any]
+    machine: dict[str, Any]
+    subject: dict[str, Any] | None = None
+
+
+class Progress(BaseModel):
+    """How far the study was when it was last told: points by their status, and the rate."""
+
+    model_config = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
+
+    points: dict[Literal[WORDS], Annotated[int, Field(ge=0)]]  # pyright: ignore[reportInvalidTypeForm]
+    points_per_second: Annotated[float, Field(ge=0)]
+
+
+def read_progress(path: Path) -> Progress:
+    """Read how far a study is; nothing is known where there is no such file yet.
+
+    Raises:
+        InputError: the file was altered.
+    """
+    try:
+        return Progress.model_validate_json(read_bounded(path / PROGRESS, DOCUMENT_MAX))
+    except FileNotFoundError:
+        return Progress(points=dict.fromkeys(WORDS, 0), points_per_second=0.0)
+    except (OSError, ValueError):
+        raise _refused(path, f"its {PROGRESS} cannot be read; without it the study goes on") from None
 
 
 def _refused(path: str | os.PathLike[str], sentence: str) -> InputError:

@@ -16,10 +16,18 @@ from numpy.typing import NDArray
 from flexopt.errors import Fault, InputError
 from flexopt.foundation.arrays import Vector
 from flexopt.large_studies.folder import StudyFolder, intact
-from flexopt.large_studies.status import FLAGS
+from flexopt.large_studies.status import FLAGS, WORDS
 
 if TYPE_CHECKING:
     import xarray as xr
+
+ROUNDING = 1e-9
+# Between which numbers a quantity lies, rounding included.
+POSSIBLE = {
+    "status": (0, len(WORDS) - 1), "frequency_hz": (0.0, np.inf), "scale": (0.0, np.inf), "condition": (0.999, np.inf),
+    "epsilon_max": (0.0, 1.0), "disk_margin": (0.0, 2.001), "h2_norm": (0.0, np.inf), "settling": (0.0, np.inf),
+    "swing": (0.0, np.inf), "finite_until": (0.0, np.inf), "settling_time": (0.0, np.inf),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -64,18 +72,40 @@ class StudyReader:
         Raises:
             InputError: its file is gone, truncated or altered.
         """
+        start, stop = self.folder.points.span(number)
         with self._file(number) as file:
-            return {name: _native(variable[:]) for name, variable in file.variables.items()}
+            found = {name: _native(variable[:]) for name, variable in file.variables.items()}
+        if found.keys() - {"reason"} != {*self.shapes, "status"} or any(
+            not array.shape
+            or array.shape[0 if name == "reason" else -1] != stop - start
+            or not self._possible(name, array)
+            for name, array in found.items()
+        ):
+            raise self._altered(number, "holds what its study does not compute")
+        return found
+
+    def _possible(self, name: str, array: NDArray[Any]) -> bool:
+        """Whether all numbers are such as the quantity has; NaN where a point has none."""
+        if array.dtype.kind not in "SfiU" or (array.dtype.kind in "SU") != (name == "reason"):
+            return False
+        # w = a·b − |a||b| of two and more task rows.
+        signed = name == "w" and len(self.folder.study.loaded_machine.task_rows) > 1
+        low, high = (-np.inf, ROUNDING) if signed else POSSIBLE.get(name, (-np.inf, np.inf))
+        return name == "reason" or not np.any((array < low) | (array > high))
+
+    def _altered(self, number: int, why: str) -> InputError:
+        sentence = f"its chunk {number} {why}; run_study computes it again once its file is gone"
+        path = str(self.folder.path)
+        return InputError(f"study {self.folder.study.name!r} in {path!r}: {sentence}", [Fault("folder", sentence)])
 
     def _file(self, number: int) -> Any:
         from scipy.io import netcdf_file  # noqa: PLC0415  (loads slowly)
 
         content = next((found for path in self.files[number] if (found := intact(path)) is not None), None)
-        if content is None:
-            sentence = f"its chunk {number} was truncated or altered; run_study computes it again"
-            path = str(self.folder.path)
-            raise InputError(f"study {self.folder.study.name!r} in {path!r}: {sentence}", [Fault("folder", sentence)])
-        return netcdf_file(io.BytesIO(content), "r", mmap=False)
+        try:
+            return netcdf_file(io.BytesIO(content or b""), "r", mmap=False)
+        except Exception:
+            raise self._altered(number, "was truncated or altered") from None
 
     def columns(self, number: int) -> Vector:
         """What varies, (axes, N)."""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -19,10 +18,10 @@ from flexopt.foundation.documents import provenance
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import several
 from flexopt.foundation.results import Result
-from flexopt.large_studies.folder import PROGRESS, StudyFolder, open_folder
+from flexopt.large_studies.folder import StudyFolder, open_folder, read_progress
 from flexopt.large_studies.reading import StudyReader
 from flexopt.large_studies.reducing import WAYS, quantiles_of, reduced
-from flexopt.large_studies.status import SENTENCES, WORDS
+from flexopt.large_studies.status import SENTENCES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -275,13 +274,10 @@ def result_of(folder: StudyFolder, *, mended: tuple[int, ...] = ()) -> StudyResu
     """What a folder holds."""
     study, machine = folder.study, folder.study.loaded_machine
     reader = StudyReader(folder)
-    try:
-        told = json.loads((folder.path / PROGRESS).read_text(encoding="utf-8"))
-        statuses, rate = cast("dict[str, int]", told["points"]), float(told["points_per_second"])
-    except (OSError, ValueError, KeyError, TypeError):
-        statuses, rate = dict.fromkeys(map(str, WORDS), 0), 0.0
+    told = read_progress(folder.path)
     return StudyResult(
         folder=str(folder.path), name=study.name, compute=study.compute, machine=machine.name, points=study.total,
-        chunks=study.chunks, done=len(reader.numbers), statuses=statuses, points_per_second=rate, mended=mended,
+        chunks=study.chunks, done=len(reader.numbers), statuses={**told.points},
+        points_per_second=told.points_per_second, mended=mended,
         provenance=provenance(machine, study=folder.digest, made_by=dict(folder.made_by)), reader=reader,
     )  # fmt: skip

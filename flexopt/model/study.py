@@ -193,7 +193,13 @@ class Study(BuiltByCall, Described):
         if given != [wanted]:
             sentence = f"{self.compute} needs {wanted}, a name or a path, and no other of {', '.join(SUBJECTS)}"
             faults.append(Fault(wanted, sentence, ", ".join(given) or None))
-        return faults + self._count_faults() + self._kept_faults(wanted)
+        return faults + self._name_faults() + self._count_faults() + self._kept_faults(wanted)
+
+    def _name_faults(self) -> list[Fault]:
+        """The name is that of a folder, too, wherever the study is carried out."""
+        path = set("/\\:\0") & set(self.name) or self.name.strip(" .") != self.name
+        sentence = "must be a name, not a path: without / \\ : and without blanks or dots at its ends"
+        return [Fault("name", sentence, shown(self.name))] if path else []
 
     def _count_faults(self) -> list[Fault]:
         """How many points, and over what."""

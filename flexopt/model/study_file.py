@@ -45,6 +45,7 @@ def study_from(source: Source) -> Study:
     if "compute" not in source.data:
         raise ModelError(f"{source.name}: is no study: it has no key compute")
     study = validated(Study, read_table(source.data, source.name, "a study file"), source.name)
+    raise_if_any(ModelError, source.name, study.structural_faults())
     word = next(word for word in SUBJECTS if getattr(study, word) is not None)
     name = getattr(study, word)
     beside = source.folder / name
