@@ -32,7 +32,6 @@ from flexopt.model import load
 # Options of a bundle that an FMU has not.
 OF_BUNDLE = (
     "out", "parts", "real", "baked", "singularity_margin_deg", "limit_allowance_deg", "limit_allowance_m", "prefix",
-    "overwrite",
 )  # fmt: skip
 # What a bundle takes with a loop: where its margins are told.
 OF_LOOP = ("loop", "posture", "base")
@@ -52,7 +51,7 @@ class _WithParts(click.Command):
 
 @click.command("export", cls=_WithParts, short_help="C for the machine's controller, or an FMU of its loop.")
 @argument("machine")
-@value("--out", "DIR", "Folder to write; one that exists is replaced if it is an unchanged bundle.")
+@value("--out", "DIR", "Folder to write; one that holds a bundle needs --overwrite.")
 @value("--parts", "A,B,…", "Some of those named above; by default all that the machine allows.", of_option_list)
 @value("--real", "double|float", "Precision of every computation (double by default).")
 @CONTROL
@@ -67,7 +66,7 @@ class _WithParts(click.Command):
 @value("--limit-allowance-deg", "DEG", "How far beyond its limits a hinge may be measured (5 by default).", number)
 @value("--limit-allowance-m", "M", "The same of a slide (0.05 by default).", number)
 @value("--prefix", "NAME", "Of every C name (from the machine's name by default).")
-@option("--overwrite", is_flag=True, help="Replace a bundle of which files were changed by hand, too.")
+@option("--overwrite", is_flag=True, help="Replace the bundle or the FMU that is there.")
 @LOOP
 @fmu_options
 @JSON
@@ -86,7 +85,9 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
     if out is None:
         raise InputError("export: --out DIR is missing: where shall the folder be written?")
     check_folder("--out", out)
-    settings = given(options, *(name for name in OF_BUNDLE if name != "out"), "control", "gain", "posture", "base")
+    settings = given(
+        options, *(name for name in OF_BUNDLE if name != "out"), "overwrite", "control", "gain", "posture", "base"
+    )
     settings |= given({"loop": real_loop(loaded.loop, options["loop"])})
     with working(options | {"out": out}, as_json):
         report = export_c(loaded, out, **settings)
@@ -96,7 +97,7 @@ def export_command(as_json: bool, machine: str, out: str | None, **options: Any)
 def _check_kind(options: dict[str, Any]) -> None:
     """No option of the bundle with --fmu, none of the FMU without it."""
     fmu = options["fmu"] is not None
-    other = OF_BUNDLE if fmu else set(options) - {*OF_BUNDLE, *OF_LOOP, "fmu", "control", "gain"}
+    other = OF_BUNDLE if fmu else set(options) - {*OF_BUNDLE, *OF_LOOP, "fmu", "overwrite", "control", "gain"}
     sentence = "does not go with --fmu" if fmu else "goes with --fmu only"
     faults = [
         Fault(f"--{name.replace('_', '-')}", sentence, "given" if value is True else repr(value))

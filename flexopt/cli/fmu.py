@@ -33,5 +33,5 @@ def write_fmu(machine: str, options: dict[str, Any], as_json: bool) -> None:
     real = real_loop(loaded.loop, entries)
     tell_gains(loaded, real, asked, sampled=asked.get("kind") != "model-exchange")
     with working(options | {"path": options["fmu"], "version": options["fmi"], "loop": entries}, as_json):
-        report = export_fmu(loaded, options["fmu"], loop=real, **asked)
+        report = export_fmu(loaded, options["fmu"], loop=real, overwrite=options["overwrite"], **asked)
     tell(report, as_json=as_json)

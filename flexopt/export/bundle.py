@@ -30,6 +30,7 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.documents import json_ready, provenance
 from flexopt.foundation.plain import shown
 from flexopt.foundation.quantities import several
+from flexopt.foundation.reading import read_bounded
 from flexopt.foundation.results import Result
 from flexopt.foundation.warned import warn_user
 from flexopt.foundation.writing import replace_folder
@@ -38,7 +39,7 @@ from flexopt.model import AnyMachine, machine_from_dict, tree_from_dict
 from flexopt.model.loop import Loop, LoopLike, control_of
 
 FORMAT = "flexopt C bundle"
-MANIFEST = "manifest.json"
+MANIFEST, MANIFEST_MAX = "manifest.json", 64_000_000
 VERIFICATION = "verification"
 REALS: tuple[Real, ...] = ("double", "float")
 SINGULARITY_MARGIN_DEG = 1.0
@@ -211,7 +212,7 @@ def export_c(
             are above what sensors are calibrated to and end stops give, and below what a broken sensor shows.
         prefix: of every C name; from the machine's name by default, after `machine_` where it alone would make names
             that C or the bundle has already, such as `R_OK`.
-        overwrite: replace a bundle of which files were changed by hand, too.
+        overwrite: replace a bundle that is there.
         loop: the real controller, as of `flexopt.outcome`; the bundle then has the part `loop`, one sample of it with
             its filter, integral and limits, whose numbers are constants, and README.md says what it does. With a
             posture the machine's own `[loop]` is the default.
@@ -307,10 +308,11 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         InputError: the folder is no bundle.
     """
     try:
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        manifest = None
-    if not isinstance(manifest, dict) or cast(dict[str, Any], manifest).get("format") != FORMAT:
+        manifest: Any = json.loads(read_bounded(folder / MANIFEST, MANIFEST_MAX))
+        good = manifest["format"] == FORMAT and all(manifest["files"].values()) and manifest["options"]["prefix"]
+    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):
+        manifest, good = None, False
+    if not good:
         sentence = "is no bundle written by flexopt export: it has no manifest.json of one"
         raise_if_any(InputError, "verify", [Fault("folder", sentence, repr(str(folder)))])
     return cast(dict[str, Any], manifest)
@@ -419,17 +421,16 @@ def check_replaceable(folder: Path, overwrite: bool) -> None:
     sentence = ""
     if not folder.is_dir():
         sentence = "is a file"
+    elif not overwrite:
+        sentence = "holds files; overwrite replaces a bundle"
     elif not (folder / MANIFEST).is_file():
         sentence = "holds something else than a bundle of flexopt; choose another folder"
     else:
         manifest = read_manifest(folder)
         present = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if not p.is_dir()}
         foreign = sorted(p for p in present - set(manifest["files"]) - {MANIFEST} if not _PRODUCTS.fullmatch(p))
-        changed = [name for name in changed_files(folder, manifest) if (folder / name).exists()]
         if foreign:
             sentence = f"holds files that are not the bundle's: {_some(foreign)}; move them, or choose another folder"
-        elif changed and not overwrite:
-            sentence = f"is a bundle with files changed by hand: {_some(changed)}; overwrite replaces them"
     raise_if_any(InputError, "export_c", [Fault("folder", sentence, repr(str(folder)))] if sentence else [])
 
 

@@ -19,10 +19,11 @@ from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Array, Vector
 from flexopt.foundation.boundary import as_array, path
 from flexopt.foundation.plain import shown
+from flexopt.foundation.reading import read_bounded
 from flexopt.identification.measured import TIME, Channel, quantities, read_header
 from flexopt.model import AnyMachine
 
-ROWS_MAX, COLUMNS_MAX, LETTERS_MAX = 1_000_000, 100, 100
+ROWS_MAX, COLUMNS_MAX, LETTERS_MAX, BYTES_MAX = 1_000_000, 100, 100, 250_000_000
 # Cells that say that nothing was measured.
 MISSING = {"", "nan", "na", "n/a", "null", "none", "-"}
 
@@ -121,7 +122,7 @@ def _from_file(file: Path) -> list[tuple[str, Vector]]:
     if file.suffix.lower() in {".uff", ".unv"}:
         raise refuse("is a UFF file, which is not read: write time and channels as CSV")
     try:
-        text = file.read_text(encoding="utf-8-sig")
+        text = read_bounded(file, BYTES_MAX).decode("utf-8-sig")
     except OSError as error:
         raise refuse(f"cannot be read: {error.strerror or type(error).__name__}") from None
     except UnicodeDecodeError:

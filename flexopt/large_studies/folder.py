@@ -234,7 +234,7 @@ class Progress(BaseModel):
 
     model_config = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
 
-    points: dict[Literal[WORDS], Annotated[int, Field(ge=0)]]  # pyright: ignore[reportInvalidTypeForm]
+    points: dict[str, Annotated[int, Field(ge=0)]]
     points_per_second: Annotated[float, Field(ge=0)]
 
 
@@ -245,7 +245,10 @@ def read_progress(path: Path) -> Progress:
         InputError: the file was altered.
     """
     try:
-        return Progress.model_validate_json(read_bounded(path / PROGRESS, DOCUMENT_MAX))
+        found = Progress.model_validate_json(read_bounded(path / PROGRESS, DOCUMENT_MAX))
+        if found.points.keys() != {*WORDS}:
+            raise ValueError
+        return found
     except FileNotFoundError:
         return Progress(points=dict.fromkeys(WORDS, 0), points_per_second=0.0)
     except (OSError, ValueError):

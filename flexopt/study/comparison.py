@@ -20,6 +20,7 @@ from flexopt.foundation.arrays import Document
 from flexopt.foundation.documents import provenance
 from flexopt.foundation.doubt import with_doubt
 from flexopt.foundation.plain import shown
+from flexopt.foundation.reading import read_bounded
 from flexopt.foundation.results import Result
 from flexopt.foundation.rounding import without_rounding
 from flexopt.loop.loop_motions import NOWHERE_HELD, falling
@@ -60,6 +61,8 @@ class SavedQuantity(NamedTuple):
     rate: str = ""
 
 
+# Of a file, and digits of a whole number: the largest double has 309.
+BYTES_MAX, DIGITS_MAX = 250_000_000, 308
 POSTURE = (
     SavedQuantity("base", "base", names="base_coordinates", units="base_units"),
     SavedQuantity("posture", "", names="joints", units="joint_units"),
@@ -252,7 +255,7 @@ def compare_saved(paths: Sequence[str]) -> Comparison:
     faults, read = list[Fault](), list[tuple[str, dict[str, Any]]]()
     for path in paths:
         try:
-            document = json.loads(Path(path).read_text(encoding="utf-8"))
+            document = json.loads(read_bounded(Path(path), BYTES_MAX), parse_int=_whole)
         except OSError as error:
             faults.append(Fault(path, f"cannot be read ({error.strerror or error})"))
         except (ValueError, RecursionError):
@@ -274,6 +277,13 @@ def compare_saved(paths: Sequence[str]) -> Comparison:
     documents = [_with_places(document) for _, document in read]
     rows = [row for quantity in KINDS[kinds[0]][1] for row in _rows(quantity, documents)]
     return Comparison(kinds[0], tuple(names), tuple(rows), tuple(_differences(documents)))
+
+
+def _whole(digits: str) -> int:
+    """A whole number that is a double, too."""
+    if len(digits) > DIGITS_MAX:
+        raise ValueError("a number too large")
+    return int(digits)
 
 
 def _kind(document: Any) -> str:

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Unpack, cast
-from xml.etree import ElementTree as ET
 
 from flexopt.compiled.accelerated import level_for
 from flexopt.compiled.compilers import CompilationFailed, find_compiler, library_suffix
@@ -135,6 +134,7 @@ def export_fmu(
     loop: LoopLike | None = None,
     version: Version = "2.0",
     kind: FmuKind = "co-simulation",
+    overwrite: bool = False,
     options: SimulationOptions | None = None,  # noqa: ARG001 - its fields come as keywords
     **keywords: Unpack[SimulationKeywords],
 ) -> FmuReport:
@@ -152,17 +152,17 @@ def export_fmu(
 
     Args:
         machine: from `flexopt.load`.
-        path: of the FMU, ending in `.fmu`. A file there is replaced if flexopt wrote it. The reference trajectory goes
-            beside it as `NAME_reference.csv`.
+        path: of the FMU, ending in `.fmu`. The reference trajectory goes beside it as `NAME_reference.csv`.
         posture, options, keywords: as `flexopt.simulate` takes them, but seed and baked; a `base_path` and
             `target_path` shape the reference alone, in which the sensor has no noise.
         loop: the real controller, as of `flexopt.simulate`, where the machine's own is the default, too; for
             co-simulation.
         version: of FMI, `"2.0"` or `"3.0"`.
         kind: `"co-simulation"` or `"model-exchange"`.
+        overwrite: replace files that are there.
 
     Raises:
-        InputError: arguments are not usable, or the path holds something else.
+        InputError: arguments are not usable, or a file is there.
         ExportError: the sources do not compile, or a graph cannot be generated.
         SingularPosture, UnreachableTarget, NotStabilizable, NoSolutionFound: as `flexopt.simulate`.
 
@@ -188,7 +188,9 @@ def export_fmu(
     checked = checked_options("export_fmu", machine, _loop_options(kind, given))
     _check_base_path(machine, checked)
     reference = target.with_name(f"{target.stem}_reference.csv")
-    _check_replaceable(target, reference)
+    present = [str(path) for path in (target, reference) if path.exists() and not overwrite]
+    sentence = f"would replace {', '.join(present)}; overwrite does"
+    raise_if_any(InputError, "export_fmu", [Fault("path", sentence)] if present else [])
     scenario = build_scenario(machine, checked, settings=numbers)
     model = FmuModel(scenario, kind, _quiet(machine, checked, numbers), served)
     try:
@@ -241,21 +243,6 @@ def _check_base_path(machine: AnyMachine, options: SimulationOptions) -> None:
         "them to be inputs"
     )
     raise_if_any(InputError, "export_fmu", [Fault("base_path", sentence)] if driven else [])
-
-
-def _check_replaceable(path: Path, reference: Path) -> None:
-    """Raise where something else than an FMU of ours would be lost."""
-    sentence = ""
-    if path.exists():
-        try:
-            with zipfile.ZipFile(path) as archive:
-                tool = ET.fromstring(archive.read("modelDescription.xml")).get("generationTool", "")
-        except (OSError, KeyError, zipfile.BadZipFile, ET.ParseError):
-            tool = ""
-        sentence = "" if tool.startswith(TOOL) else "is no FMU that flexopt wrote; choose another name"
-    elif reference.exists():
-        sentence = f"would replace {str(reference)!r}, which belongs to no FMU; choose another name"
-    raise_if_any(InputError, "export_fmu", [Fault("path", sentence, repr(str(path)))] if sentence else [])
 
 
 def _quiet(machine: AnyMachine, options: SimulationOptions, numbers: LoopSettings | None) -> Trajectory:
