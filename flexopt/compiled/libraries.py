@@ -5,6 +5,7 @@ In: the CasADi Functions that a library depends on, and who writes its source. O
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -23,10 +24,14 @@ from flexopt.compiled.compilers import (
     tell_failure,
 )
 from flexopt.compiled.lanes import level
-from flexopt.compiled.storage import alone, digest, find, in_use, recall, remember, store
+from flexopt.compiled.storage import alone, digest, find, in_use, store
 
 T = TypeVar("T")
 Level = Callable[[str], tuple[str, ...] | None]
+# Functions of libraries, one each.
+ENTRIES = ("flexopt_kernel", "flexopt_recurrence")
+# Keys of graphs that the compiler refused in this process.
+_hopeless = set[str]()
 
 
 def load(
@@ -83,7 +88,7 @@ def opened(
     if compiler is None or key is None:
         return None
     reason = ""
-    # It may be pruned or deleted between being found and being loaded.
+    # It may be deleted between being found and being loaded; what cannot be loaded is built once more.
     for _ in range(2):
         path = _fetched(functions[0].name(), source, chosen, language, compiler, key)
         if path is None:
@@ -93,14 +98,17 @@ def opened(
                 return opener(path)
             except (OSError, RuntimeError) as error:
                 reason = f"{path} could not be loaded ({error})"
-        if path.exists():
-            break
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
     tell_failure(reason)
     return None
 
 
 def _library(path: Path) -> ctypes.CDLL:
-    return ctypes.CDLL(str(path))
+    library = ctypes.CDLL(str(path))
+    if not any(hasattr(library, name) for name in ENTRIES):
+        raise OSError("it has no function of a kernel")
+    return library
 
 
 def is_kept(functions: Sequence[ca.Function], purpose: str) -> bool:
@@ -111,7 +119,7 @@ def is_kept(functions: Sequence[ca.Function], purpose: str) -> bool:
 
 
 def _is_known(key: str) -> bool:
-    return find(key, library_suffix()) is not None or recall(key) is not None
+    return key in _hopeless or find(key, library_suffix()) is not None
 
 
 def key_of(functions: Sequence[ca.Function], compiler: Compiler, purpose: str) -> str | None:
@@ -139,11 +147,11 @@ def _fetched(
 ) -> Path | None:
     """The library in the cache; if it is not there one process compiles it, the others wait."""
     found = find(key, library_suffix())
-    if found is not None or recall(key) is not None:
+    if found is not None or key in _hopeless:
         return found
     with alone(key):
         found = find(key, library_suffix())
-        if found is not None or recall(key) is not None:
+        if found is not None or key in _hopeless:
             return found
         return _built(name, source, chosen, language, compiler, key)
 
@@ -162,7 +170,8 @@ def _built(
         return store(key, library_suffix(), lambda path: compiler.build(text, path, language=language, level=hard))
     except CompilationFailed as failure:
         if failure.by_source:
-            remember(key, "the graph decides its course by numbers, or CasADi does not generate it")
+            # Not on disk: a full one, too, makes compilers complain about a place in the source.
+            _hopeless.add(key)
         else:
             tell_failure(f"{name} could not be compiled ({failure})")
     except OSError as error:

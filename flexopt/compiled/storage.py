@@ -29,6 +29,8 @@ from flexopt.errors import FlexoptWarning
 from flexopt.foundation.writing import fresh_folder, write_file
 
 MEGABYTES = 512.0
+# Bytes of one library.
+LIBRARY_MAX = 1_000_000_000
 # Pruning leaves this share of the limit, and nothing that was used in the last seconds.
 _LEFT, _RECENT = 0.8, 60.0
 _FORGOTTEN = 86400.0
@@ -150,8 +152,11 @@ def _folders() -> list[Path]:
 
 
 def _root() -> Path:
-    """The cache folder, or where others may have written into it a private one, told once."""
-    root = cache_folder()
+    """The cache folder, or where others may have written into it a private one, told once.
+
+    Links are resolved first: what was checked is what is opened, wherever a link leads later.
+    """
+    root = Path(os.path.realpath(cache_folder()))
     reason = _mistrust(root)
     if not reason:
         return root
@@ -165,15 +170,14 @@ def _mistrust(root: Path) -> str:
     if sys.platform == "win32":  # the folder lies among this user's own
         return ""
     try:
-        real = Path(os.path.realpath(root))
-        for folder in (real, *real.parents):
+        for folder in (root, *root.parents):
             try:
                 status = folder.stat()
             except (FileNotFoundError, NotADirectoryError):
                 continue
-            if folder == real and status.st_uid != os.geteuid():
+            if folder == root and status.st_uid != os.geteuid():
                 return "it belongs to another user"
-            if folder == real and status.st_mode & 0o022:
+            if folder == root and status.st_mode & 0o022:
                 return "others may write into it"
             if status.st_uid not in (0, os.geteuid()):
                 return f"{str(folder)!r} above it belongs to another user"
@@ -204,7 +208,8 @@ def _read(path: Path) -> bytes | None:
     with os.fdopen(handle, "rb") as file:
         status = os.fstat(handle)
         ours = sys.platform == "win32" or (status.st_uid == os.geteuid() and not status.st_mode & 0o022)
-        return file.read() if ours and stat.S_ISREG(status.st_mode) else None
+        good = ours and stat.S_ISREG(status.st_mode) and status.st_size <= LIBRARY_MAX
+        return file.read() if good else None
 
 
 def _touch(path: Path) -> None:

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from flexopt.compiled import batch, cache_folder, find_compiler, storage
+from flexopt.compiled import batch, cache_folder, compilers, find_compiler, libraries, storage
 from flexopt.compiled.locks import lock
 from flexopt.compiled.storage import digest, find, recall, remember, store
 from flexopt.errors import FlexoptWarning
@@ -320,3 +320,63 @@ def test_no_room_for_anything(empty_cache: Path, tmp_path: Path) -> None:
     if find_compiler() is not None:
         assert done.stderr.count("CompilerNotFound") == 1
         assert "no room for its files" in done.stderr
+
+
+def _function() -> ca.Function:
+    x = ca.SX.sym("x", 3)
+    return ca.Function("f", [x], [ca.sin(x[0]) * x[1] + x[2]])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="built by the system's compiler")
+def test_a_library_without_its_function_is_built_again(empty_cache: Path, tmp_path: Path) -> None:
+    assert batch(_function()).compiled
+    (path,) = empty_cache.glob("*.so")
+    (tmp_path / "empty.c").write_text("int nothing;\n")
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", tmp_path / "empty.so", tmp_path / "empty.c"], check=True)
+    content = (tmp_path / "empty.so").read_bytes()
+    path.unlink()
+    planted = empty_cache / f"{path.name.partition('-')[0]}-{digest(content)}.so"
+    planted.write_bytes(content)
+    planted.chmod(0o600)
+    kernel = batch(_function())
+    assert kernel.compiled
+    np.testing.assert_allclose(kernel(np.ones((3, 4)))[0][0], np.sin(1.0) + 1.0, rtol=1e-13)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a script as compiler")
+def test_a_failure_is_not_kept_on_disk(empty_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A full disk, of which a compiler complains at a place in the source."""
+    find_compiler()
+    real, full = compilers.Compiler.build, "source.cpp:1:1: fatal error: error writing to -: No space left on device"
+
+    def build(*_: object, **__: object) -> None:
+        raise compilers.CompilationFailed("cc ended with 1", full)
+
+    monkeypatch.setattr(compilers.Compiler, "build", build)
+    assert not batch(_function()).compiled
+    monkeypatch.setattr(compilers.Compiler, "build", real)
+    # As another process, which knows nothing of it.
+    monkeypatch.setattr(libraries, "_hopeless", set())
+    assert batch(_function()).compiled
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege there")
+def test_what_was_checked_is_what_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A link that leads elsewhere once the folder was looked at: names are resolved before."""
+    own, theirs, link = (tmp_path / name for name in ("own", "theirs", "link"))
+    own.mkdir(mode=0o700)
+    theirs.mkdir()
+    theirs.chmod(0o777)
+    link.symlink_to(own)
+    monkeypatch.setenv("FLEXOPT_CACHE", str(link))
+    mistrust = storage._mistrust
+
+    def switched(root: Path) -> str:
+        reason = mistrust(root)
+        link.unlink(missing_ok=True)
+        link.symlink_to(theirs)
+        return reason
+
+    monkeypatch.setattr(storage, "_mistrust", switched)
+    store("key", ".so", lambda fresh: fresh.write_bytes(b"library"))
+    assert not list(theirs.iterdir())
