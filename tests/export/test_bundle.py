@@ -78,7 +78,7 @@ def test_single_precision_says_where_it_keeps_farther_from_singular_postures(
     """The README of single precision alone, where less is asked for; what it says are the tests of the functions."""
 
     def bundle(**options: Any) -> tuple[dict[str, float], str]:
-        report = export_c(machine, tmp_path / "b", parts=["controller", "measures"], **options)
+        report = export_c(machine, tmp_path / "b", parts=["controller", "measures"], overwrite=True, **options)
         operations = [o for part in report.manifest["parts"].values() for o in part["operations"]]
         least = {o["c_name"]: g["minimum"] for o in operations for g in o["guards"] if g["name"] == "sine_squared"}
         return least, " ".join((report.folder / "README.md").read_text().split())
@@ -120,7 +120,7 @@ def test_a_bundle_is_replaced_with_what_make_left(machine: flexopt.Machine, tmp_
     for name in ("selftest", ".compiled"):
         (folder / name).write_text("built")
     (folder / "src" / "excavator_common.o").write_text("built")
-    export_c(machine, folder, parts=["kinematics"])
+    export_c(machine, folder, parts=["kinematics"], overwrite=True)
     assert not (folder / "src" / "excavator_controller.c").exists()
     assert not any((folder / name).exists() for name in ("selftest", ".compiled"))
     assert list(tmp_path.iterdir()) == [folder]
@@ -130,7 +130,6 @@ def test_a_bundle_is_replaced_with_what_make_left(machine: flexopt.Machine, tmp_
     ("spoil", "sentence"),
     [
         (lambda f: (f / "notes.txt").write_text("mine"), "notes.txt"),
-        (lambda f: (f / "README.md").write_text("mine"), r"README\.md.*overwrite replaces"),
         (lambda f: (f / "manifest.json").unlink(), "something else"),
         (lambda f: (f / "manifest.json").write_text("{}"), "no bundle"),
     ],
@@ -139,8 +138,9 @@ def test_nothing_of_the_users_is_lost(machine: flexopt.Machine, tmp_path: Path, 
     folder = export_c(machine, tmp_path / "b", parts=SMALL).folder
     spoil(folder)
     before = contents(folder)
-    with pytest.raises(InputError, match=sentence):
-        export_c(machine, folder, parts=SMALL)
+    for overwrite, told in ((False, "overwrite replaces a bundle"), (True, sentence)):
+        with pytest.raises(InputError, match=told):
+            export_c(machine, folder, parts=SMALL, overwrite=overwrite)
     assert contents(folder) == before
 
 

@@ -614,17 +614,15 @@ def test_equal_models_have_equal_bytes(tmp_path: Path) -> None:
     assert other.token != one.token
 
 
-def test_an_fmu_of_ours_is_replaced_and_nothing_else(tmp_path: Path) -> None:
+def test_what_is_there_is_replaced_when_that_is_asked_for(tmp_path: Path) -> None:
     export(tmp_path, duration=0.5)
-    again = export(tmp_path, duration=0.5, kp=9e4)
+    again = export(tmp_path, duration=0.5, kp=9e4, overwrite=True)
     assert fmpy.read_model_description(str(again.path)).guid == again.token
-    (tmp_path / "text.fmu").write_text("mine")
-    with pytest.raises(InputError, match="is no FMU that flexopt wrote"):
-        export(tmp_path, name="text")
-    assert (tmp_path / "text.fmu").read_text() == "mine"
-    (tmp_path / "new_reference.csv").write_text("mine")
-    with pytest.raises(InputError, match="belongs to no FMU"):
-        export(tmp_path, name="new")
+    for name in ("text.fmu", "new_reference.csv"):
+        (tmp_path / name).write_text("mine")
+        with pytest.raises(InputError, match="overwrite does"):
+            export(tmp_path, name=name.partition(".")[0].removesuffix("_reference"))
+        assert (tmp_path / name).read_text() == "mine"
 
 
 def test_every_fault_of_a_call_is_named(tmp_path: Path) -> None:
