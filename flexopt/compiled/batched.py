@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from itertools import pairwise
 
 import casadi as ca
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from flexopt.compiled.interpreted import Interpreted
 from flexopt.compiled.lanes import kernel_source
 from flexopt.compiled.libraries import begin, load
+from flexopt.compiled.waiting import awaited
 from flexopt.errors import Fault, InputError, raise_if_any
 from flexopt.foundation.arrays import Array
 
@@ -144,7 +145,7 @@ def _addresses(array: Array) -> list[int]:
 def _run(
     kernel: Callable[..., int], inputs: list[Array], results: list[tuple[_Layout, Array]], n: int, threads: int
 ) -> None:
-    """Call the kernel on all points, a contiguous part for each thread; ctypes lets them run side by side."""
+    """Call the kernel on all points, a contiguous part for each thread."""
     rows = [address for array in inputs for address in _addresses(array)]
     fixed = [n > 1 and array.shape[1] == 1 for array in inputs for _ in range(array.shape[0])]
     targets = list[int]()
@@ -153,19 +154,15 @@ def _run(
         targets += [addresses[row] for row in layout.rows.tolist()]
     tables = (ctypes.c_void_p * len(rows))(*rows), bytes(fixed), (ctypes.c_void_p * len(targets))(*targets)
 
-    def part(edge: tuple[int, int]) -> int:
-        return kernel(*tables, *edge)
-
     groups = -(-n // _GROUP)
     threads = min(threads, groups)
     edges = [min(n, _GROUP * (groups * k // threads)) for k in range(threads + 1)]
     parts = [(begin, end) for begin, end in pairwise(edges) if end > begin]
-    if len(parts) == 1:
-        statuses = [part(parts[0])]
-    else:
-        with ThreadPoolExecutor(len(parts)) as pool:
-            statuses = list(pool.map(part, parts))
-    if any(statuses):
+
+    def part(begin: int, end: int, _held: object = (inputs, results)) -> int:
+        return kernel(*tables, begin, end)
+
+    if any(awaited([partial(part, *edge) for edge in parts], n)):
         raise MemoryError("no memory for the working space of a compiled Function")
 
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Literal
 
@@ -24,6 +24,7 @@ from flexopt.compiled.interpreted import Accumulated
 from flexopt.compiled.lanes import brief_level, level, recurrence_source
 from flexopt.compiled.libraries import is_kept, load
 from flexopt.compiled.members import checked_arguments, checked_functions, densified
+from flexopt.compiled.waiting import awaited
 from flexopt.foundation.arrays import Array
 
 # A multiple of every processor's number of lanes, so that threads never share a group of members.
@@ -174,7 +175,8 @@ class Recurrence:
         if library is None:
             self._interpret(arguments, records, steps, stride)
         else:
-            _run(library.flexopt_recurrence, _job(arguments, records, steps, stride, self._every), n_members, threads)
+            job = _job(arguments, records, steps, stride, self._every)
+            _run(library.flexopt_recurrence, job, n_members, threads, steps)
         return records
 
     def _library_for(self, n_members: int) -> ctypes.CDLL | None:
@@ -236,7 +238,7 @@ def _strided(array: Array) -> tuple[Array, list[int]]:
 
 
 def _job(arguments: Sequence[Array], records: Records, steps: int, stride: int, every: int) -> tuple[_Job, list[Array]]:
-    """The job, and the arrays that must live as long."""
+    """The job, and the arrays that must live as long: all that it points to."""
     alive, strides = list[Array](), list[int]()
     for argument in arguments:
         array, counted = _strided(argument)
@@ -245,24 +247,18 @@ def _job(arguments: Sequence[Array], records: Records, steps: int, stride: int, 
     x, monitor, last = records.x, records.monitor, records.last
     job = _Job(*map(_address, alive), _address(x) if len(x) else None, _address(monitor), _address(last),
                last.shape[1], steps, stride, every, *strides)  # fmt: skip
-    return job, alive
+    return job, [*alive, x, monitor, last]
 
 
-def _run(kernel: Callable[..., int], job: tuple[_Job, list[Array]], n: int, threads: int) -> None:
-    """All members, a contiguous part for each thread; ctypes lets them run side by side."""
-    pointer = ctypes.byref(job[0])
+def _run(kernel: Callable[..., int], job: tuple[_Job, list[Array]], n: int, threads: int, steps: int) -> None:
+    """All members, a contiguous part for each thread."""
 
-    def part(edge: tuple[int, int]) -> int:
-        return kernel(pointer, *edge)
+    def part(begin: int, end: int) -> int:
+        # The job holds the arrays that it points to, also after an interrupt.
+        return kernel(ctypes.byref(job[0]), begin, end)
 
-    if threads == 1 or n <= _GROUP:
-        statuses = [part((0, n))]
-    else:
-        groups = -(-n // _GROUP)
-        threads = min(threads, groups)
-        edges = [min(n, _GROUP * (groups * k // threads)) for k in range(threads + 1)]
-        parts = [(begin, end) for begin, end in pairwise(edges) if end > begin]
-        with ThreadPoolExecutor(len(parts)) as pool:
-            statuses = list(pool.map(part, parts))
-    if any(statuses):
+    groups = -(-n // _GROUP)
+    threads = min(threads, groups)
+    edges = [min(n, _GROUP * (groups * k // threads)) for k in range(threads + 1)]
+    if any(awaited([partial(part, *edge) for edge in pairwise(edges)], n * steps)):
         raise MemoryError("no memory for the working space of a compiled recurrence")
