@@ -229,7 +229,7 @@ class _Document(BaseModel):
     subject: dict[str, Any] | None = None
 
 
-class Progress(BaseModel):
+class StudyProgress(BaseModel):
     """How far the study was when it was last told: points by their status, and the rate."""
 
     model_config = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
@@ -238,19 +238,19 @@ class Progress(BaseModel):
     points_per_second: Annotated[float, Field(ge=0)]
 
 
-def read_progress(path: Path) -> Progress:
+def read_progress(path: Path) -> StudyProgress:
     """Read how far a study is; nothing is known where there is no such file yet.
 
     Raises:
         InputError: the file was altered.
     """
     try:
-        found = Progress.model_validate_json(read_bounded(path / PROGRESS, DOCUMENT_MAX))
+        found = StudyProgress.model_validate_json(read_bounded(path / PROGRESS, DOCUMENT_MAX))
         if found.points.keys() != {*WORDS}:
             raise ValueError
         return found
     except FileNotFoundError:
-        return Progress(points=dict.fromkeys(WORDS, 0), points_per_second=0.0)
+        return StudyProgress(points=dict.fromkeys(WORDS, 0), points_per_second=0.0)
     except (OSError, ValueError):
         raise _refused(path, f"its {PROGRESS} cannot be read; without it the study goes on") from None
 

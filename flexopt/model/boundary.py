@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flexopt.errors import ImplausibleMachine, InputError, ModelError, raise_if_any
+from flexopt.errors import ImplausibleMachine, InputError, ModelError
 from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.boundary import TABLE, ArgumentCheck, by, flag, of_machine, words
 from flexopt.foundation.coordinates import check_base_range
@@ -27,7 +27,7 @@ from flexopt.model.choices import (
     check_weights,
 )
 from flexopt.model.file_model import read_table, validated
-from flexopt.model.loop import DEFAULT_LOOP, Loop, loop_faults
+from flexopt.model.loop import check_loop
 from flexopt.model.machine import AnyMachine
 from flexopt.model.plausibility import distant_ranges, warn_weightless
 from flexopt.model.uncertainty import Uncertainty, ranges_by_place, uncertainty_faults
@@ -83,19 +83,6 @@ def _constraints(arguments: Arguments, field: str, value: Any) -> Any:
     return arguments.collect(field, lambda: read_constraints(value))
 
 
-def _loop(arguments: Arguments, machine: AnyMachine, field: str, value: Any) -> Any:
-    def read() -> Loop:
-        given: Any = dict[str, Any]() if isinstance(value, str) and value == DEFAULT_LOOP else value
-        if isinstance(given, Loop):
-            found = given
-        else:
-            found = validated(Loop, read_table(given, field, "[loop]", InputError), field, kind=InputError)
-        raise_if_any(InputError, field, loop_faults(found, machine))
-        return found
-
-    return arguments.collect(field, read)
-
-
 def _gravity(arguments: Arguments, field: str, value: Any) -> Any:
     wanted = flag(arguments, field, value)
     if isinstance(arguments.of, AnyMachine):
@@ -128,7 +115,7 @@ TABLE.update(
     {
         "machine": _machine,
         "gravity": _gravity,
-        "loop": of_machine(_loop),
+        "loop": of_machine(check_loop),
         "ranges": of_machine(_ranges),
         "elbow": words(*ELBOWS),
         "gain": by(GAIN),

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from flexopt.foundation.arrays import BaseLike, PostureLike, Vector
-from flexopt.foundation.boundary import Bundle, public, table
+from flexopt.foundation.arrays import Vector
+from flexopt.foundation.boundary import Bundle
 from flexopt.foundation.control import Control
 from flexopt.foundation.results import Result
-from flexopt.model.loop import Loop, LoopLike
-from flexopt.model.machine import AnyMachine
-from flexopt.model.parameter_values import with_parameters
+from flexopt.model.loop import Loop
+
+if TYPE_CHECKING:
+    from flexopt.model.machine import AnyMachine
 
 
 @dataclass(frozen=True)
@@ -50,24 +49,3 @@ class Configuration(Bundle, Result):
     def arguments(self) -> Mapping[str, Any]:
         """The arguments of a call by name."""
         return {name: getattr(self, name) for name in ("machine", "posture", "base", "control", "gravity", "loop")}
-
-
-@public("at")
-def configuration_at(
-    machine: AnyMachine,
-    posture: PostureLike,
-    *,
-    base: BaseLike | None = None,
-    control: Control | None = None,
-    gravity: bool = False,
-    loop: LoopLike | None = None,
-) -> Configuration:
-    """Make the configuration of `AnyMachine.at`."""
-    place = np.zeros(len(machine.base_coordinates)) if base is None else base
-    return Configuration(machine, posture, place, control, gravity, loop)  # pyright: ignore[reportArgumentType]
-
-
-@public("with_values", values=table)
-def machine_with_values(machine: AnyMachine, values: Mapping[str, float]) -> AnyMachine:
-    """Make the machine of `AnyMachine.with_values`."""
-    return with_parameters(machine, values)

@@ -10,10 +10,11 @@ from collections.abc import Collection, Mapping
 from typing import Annotated, Any, Literal
 
 from flexopt.errors import Fault, InputError, raise_if_any
+from flexopt.foundation.arguments import Arguments
 from flexopt.foundation.arrays import Numbers, TableLike
 from flexopt.foundation.control import Control, check_control
 from flexopt.foundation.quantities import JOINT_DAMPING, Quantity, milliseconds_hint, numbers_in, pair
-from flexopt.model.file_model import BuiltByCall
+from flexopt.model.file_model import BuiltByCall, read_table, validated
 
 Drive = Literal["torque", "velocity"]
 DELAY_MAX = 100  # samples
@@ -247,3 +248,18 @@ def loop_of_varied(given: Loop | None, machine: Any, names: Collection[str]) -> 
 def rate_of(loop: Loop, machine: Any) -> float:
     """Samples in a second, Hz."""
     return RATES[drive_of(loop, machine)] if loop.rate is None else loop.rate
+
+
+def check_loop(arguments: Arguments, machine: Any, field: str, value: Any) -> Any:
+    """Return the loop of an argument, a table of its fields, or the word for the default; note what is wrong."""
+
+    def read() -> Loop:
+        given: Any = dict[str, Any]() if isinstance(value, str) and value == DEFAULT_LOOP else value
+        if isinstance(given, Loop):
+            found = given
+        else:
+            found = validated(Loop, read_table(given, field, "[loop]", InputError), field, kind=InputError)
+        raise_if_any(InputError, field, loop_faults(found, machine))
+        return found
+
+    return arguments.collect(field, read)

@@ -7,13 +7,14 @@ import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, cast
+from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 from pydantic import Field, PrivateAttr
 
 from flexopt.errors import Fault, InputError, ModelError, raise_if_any
 from flexopt.foundation.arrays import BaseLike, Document, PostureLike
+from flexopt.foundation.boundary import flag, of_machine, public, table
 from flexopt.foundation.control import Control
 from flexopt.foundation.kept import Structural
 from flexopt.foundation.plain import shown
@@ -21,18 +22,16 @@ from flexopt.foundation.quantities import (
     JOINT_VALUE,
     Acceleration,
 )
+from flexopt.model.configuration import Configuration
 from flexopt.model.file_model import BuiltByCall, Described
 from flexopt.model.hydraulics import Cylinder, JointFrame
 from flexopt.model.kinematic_tree import KinematicTree, units_of
-from flexopt.model.loop import Loop, LoopLike, loop_faults
-from flexopt.model.parameter_values import places
+from flexopt.model.loop import Loop, LoopLike, check_loop, loop_faults
+from flexopt.model.parameter_values import places, with_parameters
 from flexopt.model.strokes import CylinderTravel, usable_range
 from flexopt.model.tables import Capsule, Visual
 from flexopt.model.tree_quantities import axes_about, snapped_rows
 from flexopt.model.uncertainty import Uncertainty, uncertainty_faults
-
-if TYPE_CHECKING:
-    from flexopt.model.configuration import Configuration
 
 
 class Parameter(NamedTuple):
@@ -253,6 +252,7 @@ class AnyMachine(BuiltByCall, Described, Structural):
         absent |= {"visuals": True, "capsules": {"__all__": {"label"}}}
         return hashlib.sha256(self.model_dump_json(by_alias=True, exclude=absent).encode()).hexdigest()
 
+    @public(machine=lambda machine: machine, gravity=flag, loop=of_machine(check_loop))
     def at(
         self,
         posture: PostureLike,
@@ -279,11 +279,10 @@ class AnyMachine(BuiltByCall, Described, Structural):
             >>> flexopt.evaluate(here).w.shape
             (3,)
         """
-        # A configuration holds a machine: its module is built on this one.
-        from flexopt.model.configuration import configuration_at  # noqa: PLC0415
+        place = np.zeros(len(self.base_coordinates)) if base is None else base
+        return Configuration(self, cast(Any, posture), cast(Any, place), control, gravity, cast(Any, loop))
 
-        return configuration_at(self, posture, base=base, control=control, gravity=gravity, loop=loop)
-
+    @public(values=table)
     def with_values(self, values: Mapping[str, float]) -> Self:
         """Return the machine with other numbers, by names of `parameters`, in SI units.
 
@@ -294,10 +293,7 @@ class AnyMachine(BuiltByCall, Described, Structural):
             >>> flexopt.load("excavator").with_values({"payload.mass": 300.0}).payload.mass
             300.0
         """
-        # As above.
-        from flexopt.model.configuration import machine_with_values  # noqa: PLC0415
-
-        return cast(Self, machine_with_values(self, values))
+        return cast(Self, with_parameters(self, values))
 
     @property
     def described(self) -> Self:

@@ -18,7 +18,7 @@ from flexopt.foundation.control import Control
 from flexopt.foundation.plain import listed
 from flexopt.model import AnyMachine
 from flexopt.model.choices import Elbow
-from flexopt.model.configuration import Configuration as ChosenConfiguration
+from flexopt.model.configuration import Configuration
 from flexopt.model.constraints import Constraints as ConstraintsAsked
 from flexopt.model.kinematic_tree import ORIENTATION_ROWS
 from flexopt.model.loop import Loop
@@ -29,7 +29,7 @@ from flexopt.selection.constraints import ConstraintSet
 from flexopt.selection.constraints.kind import ScaledConstraint
 from flexopt.selection.held import held_with
 from flexopt.selection.nlp.assembly import build_solver
-from flexopt.selection.nlp.configuration import Configuration, build_configuration
+from flexopt.selection.nlp.configuration import ConfigurationGraphs, build_configuration
 from flexopt.selection.nlp.coupling import Coupling, alone
 from flexopt.selection.nlp.member_graph import ObjectiveForm, parameters_of
 from flexopt.selection.objective import Objective, Quantities, entry_names, quantities
@@ -183,7 +183,7 @@ class SelectionProblem:
         return self.quantities.measures
 
     @property
-    def configuration(self) -> Configuration:
+    def configuration(self) -> ConfigurationGraphs:
         """The graphs that the solver is made of."""
         return build_configuration(self.machine, self.control, self.gravity, self.constraint_set)
 
@@ -535,7 +535,7 @@ def packed_parameters(
     return parameters_of(first.configuration, coupling, count).packed(parts).ravel()
 
 
-def chosen_configuration(problem: SelectionProblem, z: Vector, loop: Loop | None = None) -> ChosenConfiguration:
+def chosen_configuration(problem: SelectionProblem, z: Vector, loop: Loop | None = None) -> Configuration:
     """Return the configuration z = [base, posture] under the problem's control and weight."""
     n_base = problem.measures.plant.n_base
-    return ChosenConfiguration(problem.machine, z[n_base:], z[:n_base], problem.control, problem.gravity, loop)
+    return Configuration(problem.machine, z[n_base:], z[:n_base], problem.control, problem.gravity, loop)

@@ -13,7 +13,7 @@ from flexopt.plant import build_plant
 from flexopt.robustness.margin import build_margin
 from flexopt.study.maps import follow
 from flexopt.study.maps.grid import task_ranges
-from flexopt.study.maps.points import _measure_function
+from flexopt.study.maps.points import _measures_of_many
 from tests.cli.command import Command
 from tests.oracles.spatial import grounded, in_space, random_tree
 from tests.study.machines import gantry, three_links
@@ -335,7 +335,7 @@ def test_file_of_hinges_and_slides(tmp_path):
 
 
 def test_threads_change_nothing(slewing):
-    function = _measure_function(flexopt.build_measures(slewing))
+    function = _measures_of_many(flexopt.build_measures(slewing)).function
     plant = build_plant(slewing)
     postures = np.random.default_rng(0).uniform(-1, 1, (3, 67))
     p = plant.parameter_values.full().ravel()

@@ -17,7 +17,7 @@ import numpy as np
 
 from flexopt.foundation.arrays import Vector
 from flexopt.foundation.kept import by_structure
-from flexopt.selection.nlp.configuration import Configuration
+from flexopt.selection.nlp.configuration import ConfigurationGraphs
 from flexopt.selection.nlp.coupling import Coupling, alone
 from flexopt.selection.nlp.member_graph import BranchGraphs, MemberGraph, ObjectiveForm, parameters_of
 from flexopt.selection.nlp.solvers import Local, make_solver
@@ -61,7 +61,7 @@ Goal = Literal["weighted", "worst", "motion"]
 
 @by_structure
 def build_solver(
-    configuration: Configuration,
+    configuration: ConfigurationGraphs,
     coupling: Coupling,
     forms: tuple[ObjectiveForm, ...],
     goal: Goal,
@@ -119,7 +119,7 @@ class Branched:
 
 
 @by_structure
-def build_branched(configuration: Configuration, forms: tuple[ObjectiveForm, ...], *, compiled: bool) -> Branched:
+def build_branched(configuration: ConfigurationGraphs, forms: tuple[ObjectiveForm, ...], *, compiled: bool) -> Branched:
     """The Functions of one configuration; `compiled`: ε_max by compiled code, where there is a compiler."""
     plant = configuration.measures.plant
     coupling = alone(plant.n_base + plant.n_actuated)
@@ -161,7 +161,7 @@ def told_branches(functions: Branched, parameters: Vector, x: Vector) -> Local:
 
 
 def _assembled(
-    configuration: Configuration,
+    configuration: ConfigurationGraphs,
     coupling: Coupling,
     forms: tuple[ObjectiveForm, ...],
     goal: Goal,

@@ -1,7 +1,7 @@
 """One configuration as graphs, with exact derivatives: what every selection's program is made of.
 
-In: a machine, a controller, the structure of its constraints. Out: `Configuration`: Functions of objective and rows at
-z = [base, posture]. What differs between problems of one structure (constants of constraints, p) are arguments.
+In: a machine, a controller, the structure of its constraints. Out: `ConfigurationGraphs`: Functions of objective and
+rows at z = [base, posture]. What differs between problems of one structure (constants of constraints, p) are arguments.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class ConstraintRows:
 
 
 @dataclass(frozen=True)
-class Configuration(Structural):
+class ConfigurationGraphs(Structural):
     """Objective and constraints of one configuration. n_z = n_b + n; k constraint rows; m modes.
 
     Rows are those of the task r (n_task,), then the distance from singular postures, then the constraint rows:
@@ -144,7 +144,7 @@ class Configuration(Structural):
 
 def build_configuration(
     machine: AnyMachine, control: Control = "inverse", gravity: bool = False, constraints: ConstraintSet | None = None
-) -> Configuration:
+) -> ConfigurationGraphs:
     """The graphs of a machine's configuration (built once for each structure, and kept).
 
     Args:
@@ -155,4 +155,4 @@ def build_configuration(
     extra = None
     if constraints is not None and len(constraints):
         extra = ConstraintRows(constraints.structure, constraints.function)
-    return Configuration(machine, control, gravity, extra)
+    return ConfigurationGraphs(machine, control, gravity, extra)

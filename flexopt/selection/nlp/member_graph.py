@@ -20,7 +20,7 @@ from flexopt.compiled import accelerate
 from flexopt.foundation.kept import by_structure
 from flexopt.model.own import OwnFunction
 from flexopt.robustness.margin import build_margin
-from flexopt.selection.nlp.configuration import Configuration
+from flexopt.selection.nlp.configuration import ConfigurationGraphs
 from flexopt.selection.nlp.coupling import Coupling
 from flexopt.selection.own import OwnGraphs, OwnTerm
 
@@ -42,7 +42,7 @@ class ObjectiveForm:
         return 2 if self.kinks else 1
 
 
-def parameters_of(configuration: Configuration, coupling: Coupling, objectives: int) -> Layout:
+def parameters_of(configuration: ConfigurationGraphs, coupling: Coupling, objectives: int) -> Layout:
     """How the parameters of a program with so many objectives lie in one vector.
 
     `target` (K n_task,) and `row_scale` (n_rows,): rows are (row − target) / row_scale. `z_scale` (n_z,): z = z_scale
@@ -63,7 +63,7 @@ class MemberGraph:
 
     def __init__(
         self,
-        configuration: Configuration,
+        configuration: ConfigurationGraphs,
         coupling: Coupling,
         forms: tuple[ObjectiveForm, ...],
         s: Mapping[str, ca.MX],
@@ -219,7 +219,7 @@ class MemberGraph:
 
 
 @by_structure
-def _margin(configuration: Configuration, *, compiled: bool) -> tuple[ca.Function, ca.Function]:
+def _margin(configuration: ConfigurationGraphs, *, compiled: bool) -> tuple[ca.Function, ca.Function]:
     """`Margin.values` and `gradients`, or the compiled gradients for both, where there is a compiler."""
     c = configuration
     margin = build_margin(c.machine, c.control, c.gravity)
