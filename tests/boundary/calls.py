@@ -227,6 +227,7 @@ FUNCTIONS: dict[str, Callable[[], dict[str, Any]]] = {
         posture=POSTURE,
         version="2.0",
         kind="co-simulation",
+        overwrite=True,
         **SIMULATE | {"seed": None, "baked": None},
     ),
     "gap": lambda: {"P1": PLANTS, "P2": PLANTS},
