@@ -185,9 +185,9 @@ def option_names(options: dict[str, Any]) -> Generator[None]:
 
 @contextmanager
 def warnings_to_stderr(as_json: bool) -> Generator[None]:
-    """Flexopt's warnings as lines on standard error; in text they are part of the result itself.
+    """Print flexopt's warnings on standard error; in text they are part of the result itself.
 
-    That a machine is not plausible is part of no result.
+    That a machine is not plausible is part of no result. Warnings of other packages are for `--verbose` alone.
     """
     caught: list[warnings.WarningMessage] = []
     told = VOICE.warned
@@ -202,7 +202,8 @@ def warnings_to_stderr(as_json: bool) -> Generator[None]:
             if VOICE.verbose and isinstance(message, FlexoptWarning):
                 sentence = "; ".join(message.remarks)
             if not issubclass(warning.category, FlexoptWarning):
-                warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+                if VOICE.verbose:
+                    warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
             elif (as_json or issubclass(warning.category, ImplausibleMachine)) and sentence not in told:
                 told.add(sentence)
                 if not VOICE.quiet:

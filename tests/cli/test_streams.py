@@ -17,6 +17,18 @@ COMMANDS = {
     "completion": "completion bash",
     "schema": "schema machine",
 }
+# A command in whose middle another package warns.
+WARNS = """
+import sys, warnings
+import flexopt.robustness.evaluation as evaluation
+before = evaluation.check_regular
+def warned(*arguments):
+    warnings.warn("of no interest", RuntimeWarning, stacklevel=1)
+    return before(*arguments)
+evaluation.check_regular = warned
+from flexopt.cli import main
+main(sys.argv[1:])
+"""
 FLEXOPT = f"{shlex.quote(sys.executable)} -m flexopt"
 
 
@@ -48,3 +60,10 @@ def test_errors_that_cannot_be_said_keep_the_result_whole(end: str) -> None:
     whole, done = (shell(f"{FLEXOPT} {COMMANDS['json']} {each}") for each in ("", end))
     assert (done.returncode, done.stdout) == (0, whole.stdout)
     assert shell(f"{FLEXOPT} {COMMANDS['error']} {end}").returncode in (1, 2)
+
+
+@pytest.mark.parametrize("options", [[], ["--verbose"]])
+def test_warnings_of_other_packages_are_for_those_who_ask(options: list[str]) -> None:
+    command = [sys.executable, "-c", WARNS, *options, *COMMANDS["json"].split()]
+    done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=True)
+    assert ("of no interest" in done.stderr) == bool(options)
