@@ -130,7 +130,7 @@ def evaluate_command(as_json: bool, machine: str, **options: Any) -> None:
 @value(
     "--proof",
     "FILE.json",
-    "With --certify: write what the proof stands on, for another program to check.",
+    "With --certify: write what the proof stands on; flexopt check FILE.json computes it again.",
 )
 @value(
     "--log",
