@@ -387,7 +387,7 @@ def test_a_users_files_in_build_stay(tmp_path: Path) -> None:
     (folder / "build").mkdir()
     (folder / "build" / "notes.txt").write_text("mine", encoding="utf-8")
     (folder / "src" / "excavator_common.o").write_bytes(b"")
-    flexopt.export_c(machine, folder, parts=["kinematics", "controller"])
+    flexopt.export_c(machine, folder, parts=["kinematics", "controller"], overwrite=True)
     assert (folder / "build" / "notes.txt").read_text(encoding="utf-8") == "mine"
-    flexopt.export_c(machine, folder, parts=["kinematics"], real="float")
+    flexopt.export_c(machine, folder, parts=["kinematics"], real="float", overwrite=True)
     assert (folder / "build" / "notes.txt").read_text(encoding="utf-8") == "mine"
