@@ -61,8 +61,8 @@ COMMANDS = {
     ),
     "report": ("report article --points 9 --duration {time} --out report", ("time", "1", "2")),
     "reproduce": ("reproduce --out reproduced", ("", "", "")),
-    "export": ("export excavator --real {real} --out bundle", ("real", "double", "float")),
-    "fmu": ("export excavator --fmu loop.fmu --posture 1.0,-1.4 --fmi {version}", ("version", "2.0", "3.0")),
+    "export": ("export excavator --real {real} --out bundle --overwrite", ("real", "double", "float")),
+    "fmu": ("export excavator --fmu loop.fmu --posture 1.0,-1.4 --fmi {version} --overwrite", ("version", "2.0", "3.0")),
 }  # fmt: skip
 
 
@@ -135,7 +135,7 @@ def bundles() -> Write:
 
     def write(folder: Path, version: int) -> None:
         real = ("double", "float")[version]
-        flexopt.export_c(machine, folder / "bundle", parts=["kinematics", "controller"], real=real)
+        flexopt.export_c(machine, folder / "bundle", parts=["kinematics", "controller"], real=real, overwrite=True)
 
     return write
 
@@ -145,7 +145,9 @@ def fmus() -> Write:
     machine = flexopt.load("excavator")
 
     def write(folder: Path, version: int) -> None:
-        flexopt.export_fmu(machine, folder / "loop.fmu", POSTURE, version=("2.0", "3.0")[version], duration=0.5)
+        flexopt.export_fmu(
+            machine, folder / "loop.fmu", POSTURE, version=("2.0", "3.0")[version], duration=0.5, overwrite=True
+        )
 
     return write
 
