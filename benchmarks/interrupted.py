@@ -62,7 +62,10 @@ COMMANDS = {
     "report": ("report article --points 9 --duration {time} --out report", ("time", "1", "2")),
     "reproduce": ("reproduce --out reproduced", ("", "", "")),
     "export": ("export excavator --real {real} --out bundle --overwrite", ("real", "double", "float")),
-    "fmu": ("export excavator --fmu loop.fmu --posture 1.0,-1.4 --fmi {version} --overwrite", ("version", "2.0", "3.0")),
+    "fmu": (
+        "export excavator --fmu loop.fmu --posture 1.0,-1.4 --fmi {version} --overwrite",
+        ("version", "2.0", "3.0"),
+    ),
 }  # fmt: skip
 
 
